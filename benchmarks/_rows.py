@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay, KDTree
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph.cases._structured import geometric, hexahedra, ids_of, quads
+from jaxmorph.cases._meshes import geometric, hexahedra, ids_of, quads
 
 Motion = Callable[[np.ndarray], np.ndarray]
 """Displacements (m, d) of the moving nodes (m, d) in the body's own units, for an amount of one."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph.cases._structured import cut, geometric, ids_of, quads, root
+from jaxmorph.cases._meshes import cut, geometric, ids_of, quads, root
 
 FAR = 20.0  # chords, from an O-grid's section
 SAMPLES = 600  # along each of its rays, to measure their lengths

@@ -41,7 +41,7 @@ def box(side: int) -> jm.Mesh:
 
 
 def foam_faces(side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The faces across each axis, inner ones first; their owners and neighbours."""
+    """Faces of the box, inner ones first and in OpenFOAM's upper triangular order; their owners and neighbours."""
     ids, cells = (np.arange(k**3, dtype=np.int32).reshape(k, k, k) for k in (side, side - 1))
     inner, outer = [], []
     for axis in range(3):
@@ -53,7 +53,10 @@ def foam_faces(side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         outer.append((faces[0].reshape(-1, 4)[:, ::-1], behind[0].ravel()))
     faces = np.concatenate([part[0] for part in (*inner, *outer)])
     owner = np.concatenate([part[1] for part in (*inner, *outer)])
-    return faces, owner, np.concatenate([part[2] for part in inner])
+    neighbour = np.concatenate([part[2] for part in inner])
+    rows = np.lexsort((neighbour, owner[: len(neighbour)]))
+    faces[: len(rows)], owner[: len(rows)] = faces[rows], owner[rows]
+    return faces, owner, neighbour[rows]
 
 
 def write_foam(case: pathlib.Path, side: int, points: np.ndarray) -> None:

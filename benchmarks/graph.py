@@ -15,7 +15,7 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 from jaxmorph._host.package.rounding import morton_order
-from jaxmorph._host.surface.graph import locate
+from jaxmorph._host.surface.graph import graph_of, locate
 
 
 def within(mesh: jm.Mesh, count: int) -> np.ndarray:
@@ -72,7 +72,7 @@ def location(count: int) -> list[tuple[str, str, str]]:
     points = start + height[:, None] * np.stack(
         [0.2 * rng.normal(size=count), 0.2 * rng.normal(size=count), np.sign(start[:, 2] + 1e-9)], axis=1
     )
-    found, ours, _ = once(lambda: locate(surface, points, np.arange(count)))
+    found, ours, _ = once(lambda: locate(graph_of(surface), points, np.arange(count)))
     build, ours_build = once(lambda: Delaunay(surface))[:2]
     few = points[morton_order(points)][:: max(count // 500, 1)]
     _, theirs, _ = once(lambda: build.find_simplex(few))

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 
 import jaxmorph as jm
 from jaxmorph import plot
-from jaxmorph._demo._airfoil import Study, say, table, write
+from jaxmorph._demo import Study, say, table, write
 
 MOTIONS = ((1, 0.0735), (1, 0.1), (1, 0.25), (1, 0.5), (1, 0.75), (2, 0.2), (2, 0.3))
 """Mode, and motion of the tip's trailing edge in semi-spans.

@@ -254,5 +254,5 @@ def met(case, patch):
     folder = case / "constant" / "polyMesh"
     (entry,) = (entry for entry in patches(load(folder, "boundary")) if entry.name == patch)
     corners, starts = load(folder, "faces").faces()
-    used = corners[starts[entry.start] : starts[entry.start + entry.count]]
+    used = corners[starts[entry.start] : starts[entry.start + entry.size]]
     return used[np.sort(np.unique(used, return_index=True)[1])]

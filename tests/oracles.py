@@ -85,7 +85,7 @@ def jacobian(function, x, step):
         return jax.tree.map(refined, *(central(step / share) for share in (1, 2, 4)))
 
     columns = [column(place) for place in range(x.size)]
-    return jax.tree.map(lambda *parts: np.stack(parts, axis=-1).reshape(*parts[0].shape, *x.shape), *columns)
+    return jax.tree.map(lambda *parts: np.stack(parts, axis=-1).reshape((*parts[0].shape, *x.shape)), *columns)
 
 
 def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndarray, places: np.ndarray) -> np.ndarray:

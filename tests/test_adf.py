@@ -101,7 +101,7 @@ def test_hostile_files_are_refused(tmp_path):
     refused(good, "no CGNS base with zones")
     refused(good[:150], "a place 0 beyond the 150 bytes")
     refused(good[:100] + b"N" + good[101:], "numbers of format 'N'; IEEE's formats are read")
-    refused(good[:110] + b"08" + good[112:], "sizes of numbers")
+    refused(good[:112] + b"06" + good[114:], "long numbers of 6 bytes")
     refused(good[:134] + made.pointer(10**9) + good[146:], "beyond the")
     refused(good[:134] + b"0000000x0000" + good[146:], "where hexadecimal digits should stand")
     table = good.index(b"SNTb") + 16
@@ -120,7 +120,7 @@ def test_hostile_files_are_refused(tmp_path):
     made, root = heap()
     data = made.part(b"DaTa", np.float32(1).tobytes(), b"dEnD")
     twice = [(x.ljust(32), made.add(made.head(x.decode(), b"", [], b"R4", [1], 1, data))) for x in (b"a", b"b")]
-    refused(made.finish(made.node("ADF MotherNode", b"", None, twice)[1]), "two parts of the file lie on each other")
+    refused(made.finish(made.node("ADF MotherNode", b"", None, twice)[1]), "parts of the file lie in one another")
 
 
 @pytest.mark.parametrize("is_adf", [False, True])

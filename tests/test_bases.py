@@ -267,13 +267,3 @@ def test_the_automatic_radius_reaches_200_nodes_from_half_of_the_moving_ones(dim
     assert (within >= min(200, count)).sum() == 21
     shorter = np.linalg.norm(points[moving][:, None] - points[None], axis=2) <= radius * (1 - 1e-9)
     assert (shorter.sum(axis=1) >= min(200, count)).sum() == 20
-
-
-@pytest.mark.nightly
-def test_steps_of_compact_functions_carry_the_first_fit():
-    """The answer is linear in `u`, so steps on carried factors add up to the whole."""
-    rng = np.random.default_rng(5)
-    points, u = rng.uniform(size=(60, 2)), 0.02 * rng.normal(size=(20, 2))
-    plan = jm.prepare(points, np.arange(20), np.arange(20, 30), method=jm.CompactRBF(0.5))
-    _, marched = jm.march(plan, np.stack([u / 2, u]), rebuild=False)
-    np.testing.assert_allclose(marched, jm.deform(plan, u), rtol=0, atol=1e-12)

@@ -14,7 +14,7 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.linear import solves
 from jaxmorph._host.linear import systems as linear
-from jaxmorph._methods.cells.equations import gradients, quadrature
+from jaxmorph._methods.cells import gradients, quadrature
 
 UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
 
@@ -29,15 +29,6 @@ def no_factors_of_other_tests():
 def planned_slab(columns, method):
     points, quads, ids = slab(columns)
     return jm.prepare(jm.Mesh(points, {"quad": quads}), ids[:, 0], ids[:, -1], method=method, free=ids.ravel())
-
-
-def by_both_solvers(monkeypatch, solved):
-    """What `solved` returns by factors, and by conjugate gradients with a multigrid cycle."""
-    pytest.importorskip("pyamg")
-    for direct in (10**6, 10):
-        monkeypatch.setattr(solves, "DIRECT", direct)
-        linear.inverse_of.cache_clear()
-        yield solved()
 
 
 def hull(points):
@@ -146,23 +137,6 @@ def test_nodes_at_one_place_move_alike():
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("method", [jm.LinearElasticity(), jm.Laplacian()])
-def test_multigrid_agrees_with_the_factors(method, monkeypatch):
-    mesh, rng = cases.bricks("tetra", cells=4), np.random.default_rng(3)
-    boundary = hull(mesh.points)
-    u, w = 0.1 * rng.normal(size=(len(boundary), 3)), rng.normal(size=mesh.points.shape)
-
-    def solved():
-        plan = jm.prepare(mesh, boundary, method=method)
-        return np.asarray(jm.deform(plan, u)), np.asarray(jm.pullback(plan, u, w))
-
-    direct, iterated = by_both_solvers(monkeypatch, solved)
-    for a, b in zip(direct, iterated, strict=True):
-        assert 0 < np.abs(a - b).max() < 1e-7
-    np.testing.assert_allclose(np.vdot(iterated[0] - mesh.points, w), np.vdot(u, iterated[1]), rtol=1e-6)
-
-
-@pytest.mark.nightly
 def test_batches_of_meshes():
     """Two meshes of one family under `vmap`: each has its own matrix, and none the other's answer."""
     plan, (points, quads, ids) = planned_slab(2, jm.LinearElasticity()), slab(2)
@@ -244,17 +218,6 @@ def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
     np.testing.assert_allclose(scaled @ x, right, rtol=0, atol=1e-7)
 
 
-def test_a_right_side_that_is_not_finite_changes_no_later_solve(monkeypatch):
-    pytest.importorskip("pyamg")
-    monkeypatch.setattr(solves, "DIRECT", 0)
-    rng = np.random.default_rng(0)
-    pairs, right = np.stack([np.arange(19), np.arange(1, 20)], axis=1), rng.normal(size=(20, 3))
-    system = pairs, -np.ones(19), np.full(20, 2.01), np.zeros(0), np.ones((20, 3), bool)
-    first = linear.solve(*system, right)
-    assert np.isnan(linear.solve(*system, np.where(right == right[3, 1], np.nan, right))).any()
-    np.testing.assert_array_equal(linear.solve(*system, right), first)
-
-
 @pytest.mark.slow
 def test_a_dense_system_is_solved_without_multigrid(monkeypatch):
     """Where a row has hundreds of entries, unknowns are far smaller than right sides: the residual alone tells the end."""
@@ -265,20 +228,6 @@ def test_a_dense_system_is_solved_without_multigrid(monkeypatch):
     monkeypatch.setattr(linear, "LIMIT", 120)  # 240 without a cycle
     x = linear.iterated(matrix, right, None, np.ones(1000))
     np.testing.assert_allclose(matrix @ x, right, rtol=0, atol=1e-8)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", [jm.Laplacian(), jm.LinearElasticity(jm.ByDistance(1.0))])
-def test_thin_layers_of_soft_and_stiff_cells_are_solved_as_by_factors(method, monkeypatch):
-    """A residual that is small beside that of the stiffest cells is not enough."""
-    mesh = cases.bricks("hexahedron", cells=8)
-    points = np.array(mesh.points)
-    points[:, 2] = points[:, 2] ** 8 + 1e-4 * points[:, 2]
-    mesh = jm.Mesh(points, mesh.cells, {"floor": np.flatnonzero(points[:, 2] == 0)})
-    u, fixed = 0.1 * np.random.default_rng(0).normal(size=(81, 3)), np.setdiff1d(hull(points), mesh.patch("floor"))
-    solved = lambda: jm.deform(jm.prepare(mesh, "floor", fixed, method=method), u)  # noqa: E731
-    factored, iterated = by_both_solvers(monkeypatch, solved)
-    np.testing.assert_allclose(iterated, factored, rtol=0, atol=1e-7)
 
 
 def test_springs_have_derivatives_where_corners_coincide():

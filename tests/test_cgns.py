@@ -70,7 +70,7 @@ def test_what_is_refused(tmp_path):
     with h5py.File(tmp_path / "d.cgns", "w") as file:
         zone = cgns.zone(cgns.base(file, 3, 3), "n", tuple(np.eye(3)), 1)
         cgns.elements(zone, "curved", 25, [1, 2, 3] * 3, 1, 1)
-    with pytest.raises(ValueError, match="zone n: section curved has elements of type 25, of order 3 or 4 without"):
+    with pytest.raises(ValueError, match="zone n: section curved has elements of type 25; linear"):
         io.read(tmp_path / "d.cgns")
     with h5py.File(tmp_path / "e.cgns", "w") as file:
         zone = cgns.zone(cgns.base(file, 2, 2), "linked", tuple(np.zeros((2, 3, 3))))
@@ -301,7 +301,7 @@ def test_bases(tmp_path):
         values = file["Base/all/ZoneBC/high/PointRange"]
         del values[" data"]
         values[" data"] = np.array([[1], [10**12]])
-    with pytest.raises(ValueError, match="condition high names elements beyond the last one, 5"):
+    with pytest.raises(ValueError, match="condition high: 999999999995 of its 1000000000000 elements are not there"):
         io.read(tmp_path / "a.cgns")
 
 

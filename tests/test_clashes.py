@@ -126,7 +126,7 @@ TWO_TYPES, WITH_FAMILY = {"types": ("BCWall", "BCInflow")}, {"families": (None, 
 KINDS = [
     lambda path: (of_cgns(path), {"wall": (0, 2)}, ["the boundary conditions wall of 2 zones"]),
     lambda path: (of_cgns(path, **TWO_TYPES), {"wall": (0, 1), "wall_zone2": (1, 2)}, ["wall_zone2"]),
-    lambda path: (of_cgns(path, **WITH_FAMILY), {"wall_zone1": (0, 1), "wall": (1, 2)}, ["called as a family"]),
+    lambda path: (of_cgns(path, **WITH_FAMILY), {"wall_zone1": (0, 1), "wall": (1, 2)}, ["called as another patch"]),
 ]
 KINDS += [of_exodus, of_med, of_gmsh, of_su2, of_mfem, of_openfoam, of_plot3d]
 

@@ -187,4 +187,4 @@ def test_seeking_steps_wants_the_whole_mesh(here, capsys):
     assert "--chunk needs a number of --steps" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         deform("word.su2", "--rotate", "5", "--steps", "few")
-    assert "steps are a whole number or auto, found 'few'" in capsys.readouterr().err
+    assert "--steps: a whole number of 1 or more expected, found 'few'" in capsys.readouterr().err

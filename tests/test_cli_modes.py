@@ -111,8 +111,8 @@ def test_sensitivity_is_the_slope_of_what_deform_does(here, form, ending):
 
 
 BAD = {
-    "half.csv": ("0 1 2\n1 1 2\n", r"half.csv: 22 of the 24 moving nodes are missing \(first 2\)"),
-    "foreign.csv": ("216 1 2\n", r"foreign.csv: 1 node ids are not of the mesh \(0 to 215\), first 216"),
+    "half.csv": ("0 1 2\n1 1 2\n", r"half.csv: 22 of the 24 nodes are missing \(first 2\)"),
+    "foreign.csv": ("216 1 2\n", r"foreign.csv: 1 of its 1 node ids are not of the mesh, 0 to 215 \(first 216\)"),
     "a.csv": (
         "PointID,x,Sensitivity_x,Sensitivity_y\n0,1,2,3\n1,2,3\n",
         "line 3: 4 numbers, as in the header, expected",
@@ -130,14 +130,14 @@ def test_sensitivities_that_do_not_fit(here, capsys, name):
 
 def test_outputs_that_cannot_be(here, capsys):
     (here / "zero.csv").write_text("".join(f"{k} 0 0\n" for k in range(216)))
-    for out, message in (("zero.csv", "read from this file"), ("no/x.csv", "no folder no")):
+    for out, message in (("zero.csv", "is the file of SENS"), ("no/x.csv", "no folder no")):
         refused(capsys, ["sensitivity", "ring.su2", "zero.csv", out, *SURFACE], message)
     shape = (here / "bump.csv").read_bytes()
     (here / "y_0001.su2").write_bytes(shape)
     words = ["modes", "ring.su2", "y.su2", *SURFACE, "--mode", "y_0001.su2"]
-    refused(capsys, words, "OUT y_0001.su2: the shapes are read from this file")
+    refused(capsys, words, "OUT y_0001.su2 is the file of --mode")
     motion = [*SURFACE, "--mode", "bump.csv", "0.01", "--save-job", "job.toml"]
     assert main(["deform", "ring.su2", "moved.su2", *motion]) == 0
     words = ["sensitivity", "--job", "job.toml", "zero.csv", "bump.csv"]
-    refused(capsys, words, "bump.csv: the displacements are read from this file")
+    refused(capsys, words, "OUT bump.csv is the file of --mode")
     assert (here / "bump.csv").read_bytes() == (here / "y_0001.su2").read_bytes() == shape

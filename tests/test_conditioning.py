@@ -55,8 +55,9 @@ def test_a_large_condition_number_alone_is_no_fault():
     assert np.linalg.cond(matrix, 1) > 1e9
     values = np.zeros(sources.shape)
     values[: len(moving)] = motion(np.asarray(sources[: len(moving)]))
-    field = plan.method.field(plan.surface.ids, plan.surface.factors, sources, jnp.asarray(values))
-    np.testing.assert_allclose(field.evaluate(sources, None), values, rtol=0, atol=1e-9)
+    surface, values = plan.surface, plan.images.vectors(jnp.asarray(values))
+    field = plan.method.field(surface.ids, surface.factors, surface.points, values)
+    np.testing.assert_allclose(field.evaluate(surface.points, None), values, rtol=0, atol=1e-9)
 
 
 def dense_matrix(sources):

@@ -3,8 +3,6 @@
 import dataclasses
 import itertools
 import os
-import subprocess
-import sys
 import threading
 
 import equinox as eqx
@@ -21,7 +19,7 @@ from jaxmorph._host.package import cores, rounding
 from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
 from jaxmorph._plan import deform as slabs
-from jaxmorph._quality import sides, vector
+from jaxmorph._quality import face_quality, vector
 from jaxmorph.cases import naca4, wing
 
 METHODS = {
@@ -47,7 +45,7 @@ def few_points(monkeypatch):
     monkeypatch.setattr(slabs, "LEAST", 1024)
     monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
-    monkeypatch.setattr(sides, "BLOCK", 512)
+    monkeypatch.setattr(face_quality, "BLOCK", 512)
     monkeypatch.setattr(vector, "CACHED", 512)
 
 
@@ -73,38 +71,6 @@ def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, nam
     np.testing.assert_allclose(found[0][-1], in_jit, rtol=0, atol=1e-11)
     (expected,) = transpose(jnp.asarray(w))
     np.testing.assert_allclose(found[0][-2], expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-
-
-ON_CORES = """
-import os, sys
-os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(sys.argv[1])])
-import jax, numpy as np
-jax.config.update("jax_enable_x64", True)
-import jaxmorph as jm
-from jaxmorph import cases
-mesh = cases.naca4("2412", points=3000)
-plan = jm.prepare(mesh, "airfoil", "farfield")
-u = 0.05 * np.sin(3 * np.asarray(plan.moving_points) + np.arange(2))
-w = np.random.default_rng(0).normal(size=mesh.points.shape)
-moved = jm.deform(plan, u)
-pulled = jm.pullback(plan, u, w)
-np.savez(sys.argv[2], moved=moved, pulled=pulled, transposed=jax.vjp(lambda u: jm.deform(plan, u), u)[1](w)[0])
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs the affinity mask of Linux")
-def test_one_core_and_several_differ_by_round_off(tmp_path):
-    found = []
-    for count in ("1", "2"):
-        environment = os.environ | {"JAXMORPH_CACHE": "off"}
-        command = [sys.executable, "-c", ON_CORES, count, str(tmp_path / count)]
-        subprocess.run(command, env=environment, check=True, timeout=300)
-        found.append(np.load(tmp_path / f"{count}.npz"))
-    size = np.abs(found[0]["pulled"]).max()
-    np.testing.assert_allclose(found[1]["moved"], found[0]["moved"], rtol=0, atol=1e-9 * 0.05)
-    for other in (found[1]["pulled"], found[0]["transposed"]):
-        np.testing.assert_allclose(other, found[0]["pulled"], rtol=0, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("count", [2048, 5041, 6144, 6145, 100_000, 216_000, 1_000_003])
@@ -186,17 +152,6 @@ def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
     scattered = eqx.filter_jit(eqx.filter_grad(lambda u, plan: jnp.vdot(w, jm.deform(plan, u))))(jnp.asarray(u), plan)
     np.testing.assert_allclose(scattered, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
     np.testing.assert_allclose(jnp.vdot(w, jm.deform(plan, u) - plan.points), jnp.vdot(expected, u), rtol=1e-9)
-
-
-@pytest.mark.nightly
-def test_tables_made_while_jax_traces_serve_later():
-    mesh = body(2)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
-    u, w = jnp.asarray(motion(mesh.points)[mesh.moving]), np.random.default_rng(0).normal(size=mesh.points.shape)
-    moved, transpose = jax.vjp(jax.jit(lambda u: jm.deform(plan, u)), u)
-    (expected,) = transpose(jnp.asarray(w))
-    np.testing.assert_allclose(jm.pullback(plan, u, w), expected, rtol=0, atol=1e-11 * np.abs(expected).max())
-    np.testing.assert_allclose(moved, jm.deform(plan, u), rtol=0, atol=1e-12)
 
 
 def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_points, monkeypatch):

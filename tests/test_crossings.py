@@ -10,7 +10,7 @@ from runs import over
 import jaxmorph as jm
 from jaxmorph import cases, io
 from jaxmorph._advice.inspect import Crossings, crossings, simplices
-from jaxmorph._host.surface.crossings import crossing_faces, overlapping_boxes
+from jaxmorph._host.surface.gaps import crossing_faces, overlapping_boxes
 from jaxmorph.cli import main
 
 METHOD = jm.DelaunayGraph()
@@ -219,7 +219,7 @@ def test_overlapping_boxes_are_those_of_all_pairs(d):
     low, high = corners.min(axis=1), corners.max(axis=1)
     overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2) & (moves[:, None] | moves)
     expected = {tuple(pair) for pair in np.argwhere(np.triu(overlap, 1))}
-    listed = [tuple(sorted(pair)) for pair in zip(*overlapping_boxes(corners, moves), strict=True)]
+    listed = [tuple(sorted(pair)) for pair in overlapping_boxes(corners, moves)]
     assert len(listed) == len(set(listed))
     assert set(listed) == expected
 

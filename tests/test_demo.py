@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import jaxmorph as jm
-from jaxmorph import cases, io
-from jaxmorph._demo import _airfoil, run
+from jaxmorph import _demo, cases, io
 
 # Mean and largest skewness at 15 degrees, change at the wall; a prototype's values.
 EXPECTED = {
@@ -75,9 +74,9 @@ def check_files(output, said, start, patch, motion, measure, methods):
 
 @pytest.mark.slow
 def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(_airfoil, "LEAVES", (1,))
+    monkeypatch.setattr(_demo, "LEAVES", (1,))
     output = tmp_path / "made" / "for it"
-    assert run(output, points=2000) == 0
+    assert _demo.run(output, points=2000) == 0
     said = capsys.readouterr()
     assert said.err == ""
     assert max(map(len, said.out.split("\nwrote")[0].splitlines())) <= 80
@@ -114,19 +113,12 @@ def test_the_wing_leaves_tables_pictures_and_meshes(tmp_path, points):
                 assert (np.abs(by_method[method, :3] - reduced) < (0.001, 0.1, 0.005)).all()
 
 
-def test_rotation_is_nose_up():
-    nose, tail = np.array([[0.0, 0.0]]), np.array([[1.0, 0.0]])
-    assert _airfoil.rotation(nose, 15.0)[0, 1] > 0 > _airfoil.rotation(tail, 15.0)[0, 1]
-    points = np.random.default_rng(1).normal(size=(9, 2))
-    np.testing.assert_allclose(points + _airfoil.rotation(points, 15.0), turned(points, 15), atol=1e-14)
-
-
 def test_cells_next_to_the_wall():
     mesh = cases.naca0015()
     expected = (np.arange(60)[:, None] * 260 + np.arange(50, 210)).ravel()
-    np.testing.assert_array_equal(_airfoil.near_wall(mesh), expected)
+    np.testing.assert_array_equal(_demo.near_wall(mesh), expected)
     small = cases.naca0015(points=3000)
-    near = np.unique(small.cells["quad"][_airfoil.near_wall(small)])
+    near = np.unique(small.cells["quad"][_demo.near_wall(small)])
     base = small.points[:, 0].max()  # wall nodes between the corners of the base touch no such cell
     wall = small.patch("airfoil")
     blunt = small.points[wall, 0] >= small.points[wall, 0].max() - 1e-12
@@ -134,17 +126,11 @@ def test_cells_next_to_the_wall():
     assert small.points[near, 0].max() < base / 2
 
 
-def test_table_aligns_columns():
-    text = _airfoil.table([("method", "mean")], [("a", "0.1"), ("a longer one", "22.25")])
-    lines = text.splitlines()
-    assert lines == ["method         mean", "-------------------", "a               0.1", "a longer one  22.25"]
-
-
 def test_progress_is_for_a_terminal_alone(capsys, monkeypatch):
-    _airfoil.say("first")
+    _demo.say("first")
     assert capsys.readouterr() == ("", "")
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
-    _airfoil.say("the second step")
+    _demo.say("the second step")
     assert capsys.readouterr() == ("", "the second step ...\n")
 
 
@@ -152,7 +138,7 @@ def test_progress_is_for_a_terminal_alone(capsys, monkeypatch):
 def test_figure_6_of_the_paper():
     mesh = cases.naca0015()
     start = jm.quality(mesh)
-    found = {study.name: _airfoil.measure(mesh, start, study) for study in _airfoil.compare(mesh)}
+    found = {study.name: _demo.measure(mesh, start, study) for study in _demo.compare(mesh)}
     assert list(found) == list(EXPECTED)
     for name, (mean, largest, change) in EXPECTED.items():
         outcome, within = found[name], 0.001 if name.startswith("full") else 0.003

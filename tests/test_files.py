@@ -20,7 +20,7 @@ def small():
 
 
 def names(folder):
-    return sorted(path.name for path in folder.iterdir())
+    return sorted(path.name for path in folder.rglob("*"))
 
 
 def test_a_failure_leaves_what_was_there(tmp_path):

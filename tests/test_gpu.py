@@ -72,8 +72,8 @@ def test_a_product_in_one_loop(axis):
     rng = np.random.default_rng(axis)
     block = rng.normal(size=(5, 7))
     rows = rng.normal(size=(3, block.shape[axis]))
-    found = few_rows_in_one_loop(jnp.asarray(rows), jnp.asarray(block), axis)
-    np.testing.assert_allclose(found, rows @ (block if axis == 0 else block.T), rtol=0, atol=1e-14)
+    found = few_rows_in_one_loop(jnp.asarray(rows.T), jnp.asarray(block), axis)
+    np.testing.assert_allclose(found.T, rows @ (block if axis == 0 else block.T), rtol=0, atol=1e-14)
 
 
 def test_a_direct_call_on_a_cpu_is_traced_for_it_alone():

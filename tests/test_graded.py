@@ -75,17 +75,6 @@ def test_a_cascade_turns_as_far_as_with_every_source():
     assert float(graded.min_jacobian_ratio) > 0.9 * float(classic.min_jacobian_ratio)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("degrees", [-44, 42])
-def test_the_default_turns_the_cascade_as_far(degrees):
-    mesh = faults.cascade()
-    blade = mesh.patch("blade")
-    plan = jm.prepare(mesh, "blade", ["inlet", "outlet", "upper", "lower"])
-    angles = np.deg2rad(degrees) * np.arange(1, 6) / 5
-    path = np.stack([jm.shapes.rotate(mesh.points[blade], angle, (0.5, 0.08)) for angle in angles]) - mesh.points[blade]
-    assert int(jm.quality(mesh, jm.march(plan, path)[1]).inverted) == 0
-
-
 def test_more_leaves_where_another_boundary_is_near():
     wall = 0.5 * circle(400)
     tree = jm.KDTree(2, crowded=9)

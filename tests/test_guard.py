@@ -158,7 +158,7 @@ def test_what_an_optimisation_did_has_a_panel_and_a_scale_for_each(tmp_path, is_
     np.testing.assert_array_equal(lines[2], history.column("thickness").T)
     assert panels[0].get_ylim()[1] < 0.01 < panels[1].get_ylim()[0] < 0.45  # the bound is in view
     assert panels[1].get_position().y1 < panels[0].get_position().y0
-    with pytest.raises(ValueError, match="no iteration has drag; there are: lift, thickness"):
+    with pytest.raises(ValueError, match="no iteration has `name` 'drag'; there are: lift, thickness"):
         plot.convergence(history, bounds={"drag": (0.0, 1.0)})
     with pytest.raises(ValueError, match="in no grid"):
         plot.convergence(history, ax=plt.figure().add_axes((0, 0, 1, 1)))

@@ -1,6 +1,10 @@
-"""The two halves of `prepare`: pieces of a mesh move as the whole mesh does."""
+"""Parts of a mesh move as the whole does: pieces by the two halves of `prepare`, and points laid over devices."""
 
+import json
+import os
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -10,7 +14,7 @@ from runs import over
 import jaxmorph as jm
 from jaxmorph import cases, shapes
 from jaxmorph._host.surface.graph import graph_of
-from jaxmorph._methods import delaunay
+from jaxmorph._methods import corrections
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +69,13 @@ CASES = {
 
 
 @over("name", ["graph"], nightly=["default", "symmetry", "multiscale", "rbf", "sliding"])
-def test_pieces_move_as_the_whole(mesh, name):
+def test_pieces_move_as_the_whole(mesh, tmp_path, name):
     """Whatever the splitting: places, walls, nodes that pieces share, and the sum of the pieces' gradients."""
     given, lists, options, pieces, u = CASES[name](mesh)
     plan, method = jm.prepare(given, *lists, **options), options.pop("method", None)
-    half = pickle.loads(pickle.dumps(jm.prepare_surface(jm.Boundary(given, *lists, **options), method=method)))
+    half = jm.prepare_surface(jm.Boundary(given, *lists, **options), method=method)
+    jm.save(tmp_path / "half.npz", pickle.loads(pickle.dumps(half)))
+    half = jm.load(tmp_path / "half.npz")
     np.testing.assert_array_equal(half.moving, plan.moving)
     np.testing.assert_array_equal(half.surface_nodes, plan.surface_nodes)
     points = np.asarray(plan.points)
@@ -121,19 +127,10 @@ def test_a_surface_gathered_from_elsewhere(mesh):
     np.testing.assert_allclose(moved, np.asarray(jm.deform(plan, u))[nodes], rtol=0, atol=1e-13)
 
 
-def test_a_half_in_a_file(mesh, tmp_path):
-    half = jm.prepare_surface(jm.Boundary(mesh, "airfoil", "farfield"), method=jm.DelaunayGraph())
-    jm.save(tmp_path / "half.npz", pickle.loads(pickle.dumps(half)))
-    again = jm.load(tmp_path / "half.npz")
-    nodes, u = np.arange(50), displacement(half, mesh)
-    first, second = (np.asarray(jm.deform(each.attach(mesh.points[nodes], nodes), u)) for each in (half, again))
-    np.testing.assert_array_equal(first, second)
-
-
 def test_the_graph_is_built_once_and_is_not_in_the_file(mesh, monkeypatch):
     half = jm.prepare_surface(jm.Boundary(mesh, "airfoil", "farfield"), method=jm.DelaunayGraph())
     bytes_before, built = len(pickle.dumps(half)), []
-    monkeypatch.setattr(delaunay, "graph_of", lambda surface: built.append(surface) or graph_of(surface))
+    monkeypatch.setattr(corrections, "graph_of", lambda surface: built.append(surface) or graph_of(surface))
     for nodes in pieces_of(mesh):
         half.attach(np.asarray(mesh.points)[nodes], nodes)
     assert len(built) == 1
@@ -208,3 +205,68 @@ def test_rows_name_the_displacement_of_each_node():
     np.testing.assert_array_equal(half.moving[half.rows(numbers[moving])], numbers[moving])
     with pytest.raises(ValueError, match=f"1 of 2 nodes do not move, first {numbers[30]}"):
         half.rows([half.moving[0], numbers[30]])
+
+
+SHARDED = """
+import json, re
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._host.linear import systems as linear
+
+mesh, found = cases.naca0015(points=2000), {}
+rng = np.random.default_rng(0)
+u, cotangent = 0.01 * rng.normal(size=(len(mesh.patch("airfoil")), 2)), rng.normal(size=mesh.points.shape)
+methods = {
+    "default": jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8), fixed_reduction=jm.KDTree(4)), jm.NearWall()),
+    "graph": jm.DelaunayGraph(),
+    "compact": jm.CompactRBF(0.2),
+}
+solves, solved = [], linear.solve
+linear.solve = lambda *system, **options: solves.append(1) or solved(*system, **options)
+for name, method in methods.items():
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+    path = np.stack([u / 2, u])
+    whole = jm.deform(plan, u), jm.pullback(plan, u, cotangent), jm.march(plan, path)[1]
+    base = jax.grad(lambda x: jnp.vdot(jm.deform(jm.refit(plan, x), u), cotangent))(plan.points)
+    for count in (2, 3):
+        laid = jm.shard(plan, jax.devices()[:count])
+        solves.clear()
+        equal = bool((jm.deform(laid, u) == whole[0]).all())
+        jax.block_until_ready(jm.pullback(laid, u, cotangent))
+        found[f"{name} {count} solves"] = [equal, len(solves)]
+        shared = jm.deform(laid, u), jm.pullback(laid, u, cotangent), jm.march(laid, path)[1]
+        shared += (jax.grad(lambda x: jnp.vdot(jm.deform(jm.refit(laid, x), u), cotangent))(laid.points),)
+        found[f"{name} {count}"] = [float(jnp.abs(a - b).max() / jnp.abs(a).max()) for a, b in zip((*whole, base), shared)]
+        gradient = jax.jit(jax.grad(lambda u, laid: (jm.deform(laid, u) ** 3).sum()))
+        text = gradient.lower(jnp.asarray(u), laid).compile().as_text()
+        bodies = re.findall(r"body=%?([\\w.]+)", text)
+        inside = [body for body in bodies if "all-reduce" in text.split("%" + body + " (")[1].split("\\n}")[0]]
+        found[f"{name} {count} text"] = [len(re.findall(r"all-reduce(?:-start)?\\(", text)), len(inside)]
+    found[f"{name} points"] = len(laid.points) == len(plan.points)
+print(json.dumps(found))
+"""
+
+
+@pytest.mark.nightly
+def test_equal_to_the_whole_with_one_all_reduce_outside_of_loops():
+    """Points bit for bit but for the order of sums, gradients as far as the solve lets them: one process compiles it all."""
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=3"
+    environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", SHARDED], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    found = json.loads(done.stdout)
+    for method, least in (("default", 1e-8), ("graph", 1e-12), ("compact", 1e-11)):
+        assert found[f"{method} points"], "the number of points has changed"
+        for count in (2, 3):
+            points, pulled, marched, base = found[f"{method} {count}"]
+            assert points < 1e-13
+            assert marched < 1e-12  # a second solve, on points that differ by round-off
+            assert max(pulled, base) < least
+            reduces, in_loops = found[f"{method} {count} text"]
+            assert in_loops == 0
+            if method == "compact":  # `deform` and `pullback` solve on the host once each, not once a device
+                assert found[f"{method} {count} solves"] == [True, 2]
+            else:
+                assert reduces == 1

@@ -9,8 +9,8 @@ import jax
 import meshio
 import numpy as np
 import pytest
-from formats import assert_same, rewritten
-from meshes import bricks, ring, wedges
+from formats import rewritten
+from meshes import bricks, ring
 from runs import all_refused
 
 import jaxmorph as jm
@@ -22,17 +22,6 @@ SUFFIXES = [".su2", ".vtu", ".vtk", ".msh"]
 def rings() -> jm.Mesh:
     """A ring with a blank in the name of a patch."""
     return ring(12, np.linspace(1, 2, 4), ("wall", "far field"))
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize("make", [rings, wedges])
-def test_round_trip_of_a_generated_mesh_and_of_the_mesh_read_back(tmp_path, suffix, make):
-    mesh = make()
-    again = rewritten(tmp_path / f"a{suffix}", mesh)
-    assert_same(mesh, again)
-    points = mesh.points * np.pi
-    assert_same(mesh.moved(points), rewritten(tmp_path / f"b{suffix}", again.moved(points)))
-    assert sorted(os.listdir(tmp_path)) == [f"a{suffix}", f"b{suffix}"]
 
 
 def test_a_grid_of_others_keeps_its_arrays_and_its_other_cells(tmp_path):
@@ -179,24 +168,20 @@ def test_sections_of_gmsh_are_told_from_words_in_comments(tmp_path, version, bin
     np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, mesh.points + 1)
 
 
-@pytest.mark.parametrize(
-    ("before", "line", "mark"),
-    [("// a ring\n", 1, ""), ("\n", 1, ""), ("\ufeff", 1, r" .* byte order mark"), ("", 0, "")],
-)
-def test_what_stands_before_the_format_of_a_gmsh_file_is_told(tmp_path, before, line, mark):
+@pytest.mark.parametrize(("before", "mark"), [("// a ring\n", ""), ("\n", ""), ("\ufeff", " .* byte order mark")])
+def test_what_stands_before_the_format_of_a_gmsh_file_is_told(tmp_path, before, mark):
     """Sections of comments may stand there, as meshio has it; anything else is shown."""
-    mesh, comment = rings(), b"$Comments\na ring\n$EndComments\n"
-    io.write(tmp_path / "plain.msh", mesh)
+    comment = b"$Comments\na ring\n$EndComments\n"
+    io.write(tmp_path / "plain.msh", rings())
     data = (tmp_path / "plain.msh").read_bytes()
-    (tmp_path / "a.msh").write_bytes(comment + before.encode() + data)
-    if not line:
-        np.testing.assert_array_equal(io.read(tmp_path / "a.msh").points, mesh.points)
-        return
-    with pytest.raises(ValueError, match=r"a\.msh, line 4: not a \.msh file; \$MeshFormat is expected here"):
-        io.read(tmp_path / "a.msh")
-    (tmp_path / "b.msh").write_bytes(before.encode() + data)
-    with pytest.raises(ValueError, match=rf"b\.msh, line {line}: not a \.msh file; .*{mark}"):
-        io.read(tmp_path / "b.msh")
+    (tmp_path / "a.msh").write_bytes(comment + data)
+    np.testing.assert_array_equal(io.read(tmp_path / "a.msh").points, rings().points)
+    for start, line in ((comment, 4), (b"", 1)):
+        (tmp_path / "b.msh").write_bytes(start + before.encode() + data)
+        with pytest.raises(
+            ValueError, match=rf"b\.msh, line {line}: not a \.msh file; \$MeshFormat is .*{mark * (line < 4)}"
+        ):
+            io.read(tmp_path / "b.msh")
 
 
 def test_a_block_of_no_elements_is_no_damage(tmp_path):
@@ -208,20 +193,13 @@ def test_a_block_of_no_elements_is_no_damage(tmp_path):
     np.testing.assert_array_equal(io.read(tmp_path / "a.msh").cells["triangle"], [[0, 1, 2]])
 
 
-@pytest.mark.parametrize("version", ["2.2", "4.1"])
-@pytest.mark.parametrize("binary", [False, True])
-def test_a_tag_far_beyond_the_number_of_nodes_is_told(tmp_path, version, binary):
+@pytest.mark.parametrize(("version", "line"), [("2.2", 1), ("4.1", 2)])
+def test_a_tag_far_beyond_the_number_of_nodes_is_told(tmp_path, version, line):
     """A table as long as the tag would take gigabytes."""
     mesh = meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))])
-    meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, version, binary=binary)
+    meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, version, binary=False)
     data = (tmp_path / "a.msh").read_bytes()
-    if binary:
-        kind = "<i4" if version == "2.2" else "<u8"
-        tags = data.index(np.array([1], kind).tobytes(), data.index(b"$Nodes") + (9 if version == "2.2" else 56))
-        data = data[:tags] + np.array([10**9], kind).tobytes() + data[tags + np.dtype(kind).itemsize :]
-    else:
-        data = re.sub(rb"(\$Nodes\n(?:.+\n){%d})1\b" % (1 if version == "2.2" else 2), rb"\g<1>1000000000", data)
-    (tmp_path / "a.msh").write_bytes(data)
+    (tmp_path / "a.msh").write_bytes(re.sub(rb"(\$Nodes\n(?:.+\n){%d})1\b" % line, rb"\g<1>1000000000", data))
     with pytest.raises(ValueError, match=r"a\.msh: a triangle between nodes of which 1 is none of the 3 in \$Nodes"):
         io.read(tmp_path / "a.msh")
 

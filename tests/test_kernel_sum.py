@@ -80,62 +80,6 @@ def test_blocks_are_the_one_point_form(name, n, s):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.nightly
-def test_every_transformation():
-    """jvp, vjp, both Jacobians, vmap inside and outside of grad, grad of grad, scan: against the dense operator."""
-    plan, u, w = case("thin-plate", n=BLOCK + 20, s=25)
-    v = np.random.default_rng(5).normal(size=u.shape)
-    dense = np.asarray(jax.jit(jax.jacfwd(lambda u: one_by_one(plan, u)))(jnp.asarray(u)))
-    flat = dense.reshape(plan.points.size, -1)
-
-    def moved(u):
-        return in_blocks(plan, u)
-
-    def objective(u):
-        return jnp.sum(w * jnp.sin(moved(u)))
-
-    at = flat @ u.ravel()
-    gradient = flat.T @ (w.ravel() * np.cos(at))
-    second = flat.T @ (-w.ravel() * np.sin(at) * (flat @ v.ravel()))
-    several = jnp.stack([u, v, -u])
-    # before 0.10 JAX fails to transpose a loop by itself
-    can_transpose = jax.__version_info__ >= (0, 10)
-    transposed = jax.linear_transpose if can_transpose else lambda function, u: jax.vjp(function, u)[1]
-
-    @jax.jit
-    def found(u, v, w, several):
-        slope = jax.grad(objective)
-        return {
-            "forward": jax.jvp(moved, (u,), (v,))[1],
-            "transposed": transposed(moved, u)(w)[0],
-            "reverse": slope(u),
-            "reverse over reverse": jax.grad(lambda u: jnp.vdot(slope(u), v))(u),
-            "forward over reverse": jax.jvp(slope, (u,), (v,))[1],
-            "mapped": jax.vmap(moved)(several),
-            "scanned": jax.lax.scan(lambda carry, u: (carry, moved(u)), 0, several)[1],
-            "mapped reverse": jax.vmap(slope)(several),
-            "reverse mapped": jax.grad(lambda several: jnp.sum(jax.vmap(objective)(several)))(several),
-        }
-
-    several_moved = np.stack([(flat @ each.ravel()).reshape(w.shape) for each in (u, v, -u)])
-    slopes = np.stack([flat.T @ (w.ravel() * np.cos(each.ravel())) for each in several_moved])
-    expected = {
-        "forward": flat @ v.ravel(),
-        "transposed": flat.T @ w.ravel(),
-        "reverse": gradient,
-        "reverse over reverse": second,
-        "forward over reverse": second,
-        "mapped": several_moved,
-        "scanned": several_moved,
-        "mapped reverse": slopes,
-        "reverse mapped": slopes,
-    }
-    results = found(jnp.asarray(u), jnp.asarray(v), jnp.asarray(w), several)
-    for name, result in results.items():
-        np.testing.assert_allclose(np.ravel(result), expected[name].ravel(), rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(moved))(u), dense, rtol=1e-9, atol=1e-9)
-
-
 @over("name", nightly=["thin-plate", "wendland"])
 def test_derivatives_at_a_source_are_finite(name):
     """First and second derivatives with respect to the points, some of which are sources."""

@@ -103,9 +103,11 @@ def test_another_reader_finds_the_moved_points(tmp_path, ending, capsys):
 
 
 SHAPES = {
-    "solids": jm.Mesh(mixed()[0], CELLS, {"low": [0, 1, 2, 3]}),
+    "solids": jm.Mesh(mixed()[0], CELLS, {"low side": [0, 1, 2, 3]}),
     "flat": jm.Mesh(
-        [[0, 0.1], [1, 0], [1, 1], [0, 1], [2, 0.3]], {"quad": [[0, 1, 2, 3]], "triangle": [[1, 4, 2]]}, {"low": [0, 1]}
+        [[0, 0.1], [1, 0], [1, 1], [0, 1], [2, 0.3]],
+        {"quad": [[0, 1, 2, 3]], "triangle": [[1, 4, 2]]},
+        {"low side": [0, 1]},
     ),
     "curved": jm.elevate(jm.Mesh(mixed()[0], {"tetra": CELLS["tetra"], "wedge": CELLS["wedge"]}), 2),
 }
@@ -130,6 +132,8 @@ def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
     else:
         io.write(path, mesh)
     read = io.read(path)
+    if mesh.patches and ending in (".su2", ".vtu", ".vtk", ".msh"):
+        assert_same(read, mesh)
     for kind, ids in cells.items():
         assert sorted(map(sorted, read.cells[kind].tolist())) == sorted(map(sorted, ids.tolist()))
     np.testing.assert_array_equal(read.points, mesh.points)

@@ -29,11 +29,11 @@ needs_extended = pytest.mark.skipif(np.finfo(np.longdouble).nmant < 60, reason="
 
 
 @needs_extended
-def test_one_unit_in_the_last_place():
+def test_three_units_in_the_last_place():
     x = everywhere()
     x = x[x >= np.finfo(float).tiny]
     found = np.asarray(jax.jit(log)(x))
-    assert error_in_last_place(found, np.log(x.astype(np.longdouble))).max() < 1
+    assert error_in_last_place(found, np.log(x.astype(np.longdouble))).max() < 3
 
 
 @needs_extended

@@ -36,18 +36,8 @@ def test_a_file_that_names_its_triangles_first_stays_so(tmp_path):
     """The file's own order of elements is kept in the file; the arrays per cell are the mesh's."""
     elements = ["5 5 4 6 0", "9 0 1 4 5 1", "5 2 7 3 2", "9 1 2 3 4 3"]
     rows = [f"{x} {y} {i}" for i, (x, y) in enumerate(POINTS)]
-    text = [
-        "NDIME= 2",
-        "NELEM= 4",
-        *elements,
-        "NPOIN= 8",
-        *rows,
-        "NMARK= 1",
-        "MARKER_TAG= wall",
-        "MARKER_ELEMS= 2",
-        "3 0 1",
-        "3 1 2",
-    ]
+    marker = ["NMARK= 1", "MARKER_TAG= wall", "MARKER_ELEMS= 2", "3 0 1", "3 1 2"]
+    text = ["NDIME= 2", "NELEM= 4", *elements, "NPOIN= 8", *rows, *marker]
     (tmp_path / "in.su2").write_text("\n".join(text) + "\n")
     mesh = io.read(tmp_path / "in.su2")
     assert {kind: ids.tolist() for kind, ids in mesh.cells.items()} == CELLS

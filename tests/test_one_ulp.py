@@ -12,8 +12,8 @@ from runs import over
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.package.rounding import distinct, first_largest, nearest_few, ranked
-from jaxmorph._host.surface.graph import locate
-from jaxmorph._methods.nearwall import Extent, layer_width
+from jaxmorph._host.surface.graph import graph_of, locate
+from jaxmorph._methods.corrections import Extent, layer_width
 
 LEAST = 1e-9
 """The largest change of a point, relative to the motion."""
@@ -148,7 +148,9 @@ def test_the_graph_of_a_lattice_is_one():
     """Each cell of a lattice can be cut in several ways; noise chooses none."""
     lattice = np.asarray(bricks(4).points)
     inside = np.random.default_rng(0).random((200, 3))
-    vertices = [np.sort(locate(x, inside, np.arange(200))) for x in (lattice, *(noisy(lattice, k) for k in range(4)))]
+    vertices = [
+        np.sort(locate(graph_of(x), inside, np.arange(200))) for x in (lattice, *(noisy(lattice, k) for k in range(4)))
+    ]
     for each in vertices[1:]:
         np.testing.assert_array_equal(each, vertices[0])
 
@@ -173,7 +175,7 @@ def test_derivatives_by_base_points_are_equal_on_both_sides():
 def test_one_of_two_largest_gaps_decides_how_wide_the_layer_is():
     """Two nodes are equally far from the source: the first one's distance is the width, and moves it either way."""
     surface = jnp.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])
-    extent = Extent(*map(jnp.array, ([0, 0, 0], [0, 0, 0], [[1, 2]], [1], [0.0])))
+    extent = Extent(*map(jnp.array, ([0, 0, 0], [[[1, 0], [1, 2]]], [0.0])))
     slope = jax.jacfwd(lambda x: layer_width(None, extent, x)[0])(surface)
     for step in (1e-8, -1e-8):
         for node in (1, 2):

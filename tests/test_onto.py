@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from meshes import ball, circle, naca, turn
-from runs import refusals
+from oracles import jacobian
+from runs import all_refused
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
@@ -213,15 +214,14 @@ def test_derivatives_by_both_surfaces_equal_differences():
     weights = rng.normal(size=wall.points.shape)
     value = lambda x, points: jnp.sum(weights * made(x, points))  # noqa: E731
     gradients = jax.grad(value, argnums=(0, 1))(wall.points, onto.points)
-    for k, gradient in enumerate(gradients):
-        along = rng.normal(size=gradient.shape)
-        ways = [[wall.points, onto.points] for _ in range(4)]
-        steps = 1e-6 * np.array([-2, -1, 1, 2])
-        for way, step in zip(ways, steps, strict=True):
-            way[k] = way[k] + step * along
-        values = np.array([float(value(*way)) for way in ways])
-        slope = np.array([1, -8, 8, -1]) @ values / 12e-6
-        assert float(jnp.sum(gradient * along)) == pytest.approx(slope, rel=1e-8, abs=1e-8)
+    ways = [rng.normal(size=gradient.shape) for gradient in gradients]
+    moved = (
+        lambda h: value(wall.points + h * ways[0], onto.points),
+        lambda h: value(wall.points, onto.points + h * ways[1]),
+    )
+    for along, gradient, way in zip(moved, gradients, ways, strict=True):
+        slope = float(jacobian(along, 0.0, 4e-6))
+        assert float(jnp.sum(gradient * way)) == pytest.approx(slope, rel=1e-8, abs=1e-8)
 
 
 @pytest.mark.slow
@@ -233,7 +233,7 @@ def test_many_targets_at_once():
     for points, moved in zip(several, together, strict=True):
         np.testing.assert_allclose(made(ring, points), moved, atol=1e-12)
         assert float(made.target.at(points).distance(moved).max()) < 1e-12
-    with pytest.raises(ValueError, match="this wall has"):
+    with pytest.raises(ValueError, match="is for positions"):
         made(ring[1:])
 
 
@@ -269,8 +269,8 @@ def test_an_ambiguous_way_is_refused_with_its_place():
 
 def test_what_is_refused():
     wall, flat = jm.Facets(*ball(20)), jm.Facets(*section(0.0 + 1e-12, 0.12, 11))
-    refusals(
-        (lambda: shapes.Onto(wall, flat), "in 3-D, its target or a plane in 2-D"),
+    all_refused(
+        (lambda: shapes.Onto(wall, flat), "in 3-D, its target in 2-D"),
         (lambda: shapes.Onto(wall, wall, length=-1.0), "`length` must be"),
         (lambda: jm.Facets(wall.points, np.zeros((0, 3), int)), "expected triangles"),
         (lambda: jm.Facets(wall.points, [[0, 1, 20]]), "not in 0 to 19"),
@@ -301,4 +301,4 @@ def test_the_command_line_moves_a_wall_onto_a_file(tmp_path, capsys, monkeypatch
     assert "distance from scan.npz" in said
     moved = io.read("out.su2")
     assert float(other.distance(moved.points[moved.patch("airfoil")]).max()) < 1e-12
-    assert (tmp_path / "out_distance_scan.png").stat().st_size > 1000
+    assert (tmp_path / "out.png").stat().st_size > 1000

@@ -1,6 +1,7 @@
 """OpenFOAM's polyMesh: every form of the files, every shape of cell, and OpenFOAM's and VTK's own view of the result."""
 
 import json
+import re
 import shutil
 
 import foam
@@ -8,10 +9,9 @@ import numpy as np
 import pytest
 from foam import PATCHES, mixed, split, strip
 from formats import rewritten
-from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
-from jaxmorph import io
+from jaxmorph import cases, io
 from jaxmorph.cli import main
 
 
@@ -53,35 +53,6 @@ def test_comments_at_the_end_may_hold_parentheses(tmp_path, end):
     np.testing.assert_array_equal(mesh.points, points)
     np.testing.assert_array_equal(rewritten(tmp_path / "b", mesh.moved(points + 1)).points, points + 1)
     assert (tmp_path / "b" / "constant" / "polyMesh" / "points").read_text().endswith(end)
-
-
-def test_cells_have_the_volumes_of_their_hulls(tmp_path):
-    points, cells = mixed()
-    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, PATCHES))
-    report = jm.quality(mesh)
-    assert int(report.inverted) == 0
-    for kind, at in (("tetra", 3), ("pyramid", 2), ("wedge", 1), ("hexahedron", 0)):
-        assert sorted(mesh.cells[kind][0].tolist()) == sorted({n for face in cells[at] for n in face})
-    flat, cells = np.round(points), mixed()[1]
-    volumes = np.asarray(jm.quality(io.read(foam.write_case(tmp_path / "flat", flat, cells, PATCHES))).volume)
-    hulls = [ConvexHull(flat[sorted({n for face in faces for n in face})]).volume for faces in cells]
-    np.testing.assert_allclose(np.sort(volumes), np.sort(hulls), rtol=1e-6)
-
-
-def test_polyhedra_are_judged_by_pieces_between_their_own_nodes(tmp_path):
-    points, cells = split()
-    mesh = io.read(foam.write_case(tmp_path / "a", points, cells, PATCHES))
-    assert len(mesh.points) == len(points)
-    assert len(mesh.cells["hexahedron"]) == 4
-    assert list(mesh.cells) == ["hexahedron", "tetra"]
-    volume = np.asarray(jm.quality(mesh).volume)
-    np.testing.assert_allclose([volume[:4].sum(), volume[4:].sum()], [1, 1], rtol=1e-6)
-    assert volume.min() > 0.01
-    middle = int(np.flatnonzero((points == [1, 0.5, 0.5]).all(axis=1))[0])
-    for place, inverted in ((0.6, False), (1.4, False), (-0.5, True), (2.5, True)):
-        moved = mesh.points.copy()
-        moved[middle, 0] = place
-        assert (int(jm.quality(mesh, moved).inverted) > 0) == inverted
 
 
 def test_pieces_of_a_polyhedron_may_coincide(tmp_path):
@@ -149,7 +120,7 @@ def test_what_is_refused(tmp_path):
     mesh, triangle = io.read(tmp_path / "a"), jm.Mesh(np.zeros((3, 2)), {"triangle": [[0, 1, 2]]})
     io.write(tmp_path / "a" / "1", mesh)
     for new, name, message in (
-        (None, "across", "across: patches of type empty have 0 faces in front of 29 cells, .* another type"),
+        (None, "across", "across: patches of type empty, .* across 0 of the axes.* another type"),
         (None, "wedge", r"patches of type wedge \(w\)"),
         (None, "oblique", "two planes across 0 of the axes"),
         (None, "nothing", "there is no folder constant/polyMesh"),
@@ -252,10 +223,92 @@ def test_the_points_of_a_region_go_to_the_region(tmp_path, capsys, region):
 def test_a_case_of_regions_names_them(tmp_path, capsys):
     two_regions(tmp_path / "case")
     io.write(tmp_path / "case" / "1", io.read(tmp_path / "case" / "constant" / "fluid"))
-    told = r"case: no OpenFOAM case.* It has 2 regions, fluid, solid, each .*: \S+case/constant/fluid\."
+    told = r"case: no OpenFOAM case.* Its regions, fluid, solid, have meshes .*: \S+case/constant/fluid\."
     with pytest.raises(ValueError, match=told):
         io.read(tmp_path / "case")
     assert main(["info", str(tmp_path / "case")]) == 2
     assert "fluid, solid" in capsys.readouterr().err
-    with pytest.raises(ValueError, match=r"It has one region, fluid, .*: \S+case/1/fluid\."):
+    with pytest.raises(ValueError, match=r"Its regions, fluid, have .*: \S+case/1/fluid\."):
         io.read(tmp_path / "case" / "1")
+
+
+def turned(points):
+    """The brick from 1 to 2 bent to a quarter of a ring: a rotation leads from one end to the other."""
+    x, y, z = points.T
+    return np.stack([(1 + y) * np.cos(np.pi / 2 * x), (1 + y) * np.sin(np.pi / 2 * x), z], axis=1)
+
+
+@pytest.fixture(params=["translation", "rotation"])
+def cyclic(request, tmp_path):
+    """Bricks in the unit cube, cyclic from x = 0 to x = 1, straight or bent."""
+    mesh = cases.bricks(cells=3)
+    flat = np.asarray(mesh.points)
+    cells = foam.hexahedra(mesh.cells["hexahedron"])
+
+    def at(x):
+        return lambda face: bool(np.allclose(flat[face, 0], x))
+
+    patches = [("in", "cyclic", at(0)), ("out", "cyclic", at(1)), ("walls", "wall", lambda face: True)]
+    points = flat if request.param == "translation" else turned(flat)
+    foam.write_case(tmp_path / "case", points, cells, patches)
+    boundary = tmp_path / "case" / "constant" / "polyMesh" / "boundary"
+    text = boundary.read_text()
+    for name, other in (("in", "out"), ("out", "in")):
+        text = re.sub(rf'("{name}"\s*\{{)', rf"\1 neighbourPatch {other};", text)
+    boundary.write_text(text)
+    return tmp_path / "case", flat, points, request.param
+
+
+def test_patches_that_move_alike_match(cyclic, tmp_path):
+    folder, flat, points, kind = cyclic
+    mesh = io.read(folder)
+    bumped = flat.copy()
+    bumped[:, 2] += 0.1 * np.sin(2 * np.pi * flat[:, 0]) + 0.1 * flat[:, 1] ** 2
+    moved = bumped if kind == "translation" else turned(bumped)
+    io.write(tmp_path / "alike", mesh.moved(moved))
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
+    if kind == "rotation":
+        io.write(tmp_path / "rigid", mesh.moved(points @ turn.T + 1))
+
+
+def test_patches_that_drift_apart_are_an_error(cyclic, tmp_path):
+    """One patch's inner face grows by a known way: a node of it moves by 0.02, a face's middle by a quarter of that."""
+    folder, flat, points, _ = cyclic
+    mesh = io.read(folder)
+    here = np.flatnonzero(np.all(np.isclose(flat, [0, 1 / 3, 1 / 3]), axis=1))
+    moved = points.copy()
+    moved[here, 2] += 0.02
+    told = r"'in' and 'out' no longer match: \d of 9 pairs.*Hold both patches fixed"
+    with pytest.raises(ValueError, match=told) as error:
+        io.write(tmp_path / "apart", mesh.moved(moved))
+    assert float(re.findall(r"up to ([\d.]+) of", str(error.value))[0]) == pytest.approx(0.02 / 4 / (1 / 3), rel=1.3)
+    assert not (tmp_path / "apart").exists()
+    with pytest.raises(ValueError, match="no longer match"):
+        io.write(folder / "1", mesh.moved(moved))
+
+
+@pytest.mark.slow
+def test_cyclic_patches_are_periodic(cyclic, tmp_path):
+    """The file's own pairs, held as such: walls that move in any way leave a mesh that matches."""
+    folder, _, points, _ = cyclic
+    mesh = io.read(folder)
+    (pair,) = io.periodic(mesh)
+    assert (pair.patch, pair.partner) == ("in", "out")
+    assert io.periodic(mesh.moved(points))
+    assert not io.periodic(cases.bricks(cells=3))
+    plan = jm.prepare(mesh, "walls", periodic=pair, method=jm.RBF.classic(jm.ThinPlateSpline()))
+    u = 0.05 * np.random.default_rng(0).normal(size=(plan.n_moving, 3))
+    moved = np.asarray(jm.deform(plan, u))
+    assert np.abs(moved - points)[mesh.patch("in", "out")].max() > 0.01
+    io.write(tmp_path / "moved", mesh.moved(moved))
+
+
+def test_a_decomposed_case_is_warned_of(cyclic, tmp_path):
+    folder, _, points, _ = cyclic
+    mesh = io.read(folder)
+    for k in range(2):
+        (folder / f"processor{k}").mkdir()
+    with pytest.warns(UserWarning, match=r"2 folders processor\* are not copied. Run decomposePar"):
+        io.write(tmp_path / "new", mesh.moved(points + 1))
+    with pytest.warns(UserWarning, match=r"2 folders processor\* keep the old points"):
+        io.write(folder / "1", mesh.moved(points + 1))

@@ -9,7 +9,7 @@ import pytest
 from foam import PATCHES, mixed
 
 from jaxmorph import io
-from jaxmorph.io.openfoam.file import Patch, load, patches
+from jaxmorph.io.openfoam.file import FoamPatch, load, patches
 
 FILES = ("points", "faces", "owner", "neighbour", "boundary")
 
@@ -31,11 +31,11 @@ def changed(case, name, old, new, count=1):
 NO_GOOD = "has no good type, nFaces and startFace"
 COUNT = r"\d+(?=\s*\()"
 REFUSED = [
-    ("neighbour", r"(?<=\(\n)\d+", "-1", "neighbour: face 0 has the neighbour -1, which is no cell"),
-    ("neighbour", r"(?<=\(\n)\d+", "-7", "which is no cell|is of cell -7"),
-    ("neighbour", r"(?<=\(\n)\d+", f"{2**31 - 1}", "neighbour: face 0 is of cell 2147483647, but"),
+    ("neighbour", r"(?<=\(\n)\d+", "-1", "neighbour: face 0 is of cell -1, which is none"),
+    ("neighbour", r"(?<=\(\n)\d+", "-7", "is of cell -7"),
+    ("neighbour", r"(?<=\(\n)\d+", f"{2**31 - 1}", "neighbour: face 0 is of cell 2147483647, which is none"),
     ("neighbour", "3\n\\(", "4\n(", "4 elements of 1 labels expected, found 3 numbers"),
-    ("owner", r"(?<=\(\n)\d+", f"{2**62}", "owner: face 0 is of cell 4611686018427387904, but"),
+    ("owner", r"(?<=\(\n)\d+", f"{2**62}", "owner: face 0 is of cell 4611686018427387904, which"),
     ("owner", r"\d+(?=\n\))", "-1", "owner: face .* is of cell -1"),
     ("owner", "\n0\n", "\n0.5\n", "elements of 1 labels expected"),
     ("points", "12\n\\(", "13\n(", "13 elements of 3 scalars expected, found 36 numbers"),
@@ -84,15 +84,6 @@ def test_another_width_is_told(tmp_path, width, message):
         io.read(tmp_path / "a")
 
 
-def test_a_wrong_cell_beside_a_face_leaves_cells_open(case):
-    """Every other cell that an owner could be: an error, never another mesh."""
-    right = (case / "constant" / "polyMesh" / "owner").read_text().rpartition("\n)")[0].split()[-1]
-    for cell in {*"0123"} - {right}:
-        changed(case, "owner", r"\d+(?=\n\))", cell)
-        with pytest.raises(ValueError, match=r"do not close|needs 4 at least|on both sides"):
-            io.read(case)
-
-
 def test_a_wrong_node_of_a_face_leaves_cells_open(case):
     """Every corner of every face, tetrahedra and hexahedra alike: with another node, its cells do not close."""
     file = case / "constant" / "polyMesh" / "faces"
@@ -125,8 +116,8 @@ def test_patches_with_comments_dictionaries_and_groups(case):
         nFaces 3; startFace 8; } outlet { inGroups (all); startFace 11; type patch; nFaces 0; } ) // end"""
     )
     wall, outlet = patches(load(file.parent, "boundary"))
-    assert wall == Patch("the wall", "wall", 8, 3, ("wall", "all"))
-    assert outlet == Patch("outlet", "patch", 11, 0, ("all",))
+    assert wall == FoamPatch("the wall", "wall", 8, 3, ("wall", "all"))
+    assert outlet == FoamPatch("outlet", "patch", 11, 0, ("all",))
 
 
 DIRECTIVES = [(r"\d+\s*\(", '#include "patches"\n3 ('), (r"\d+\s*\(", '3 ( #include "patches"\n')]
@@ -185,10 +176,10 @@ def test_lists_without_their_counts_are_read(tmp_path):
 
 
 def test_a_packed_file_that_grows_without_end(case, monkeypatch):
-    monkeypatch.setattr("jaxmorph.io.openfoam.file.UNIFORM", 1000)
+    monkeypatch.setattr("jaxmorph._host.package.files.UNPACKED", (1000, 100))
     file = case / "constant" / "polyMesh" / "points"
     head = file.read_text().split("}", 1)[0] + "}\n"
     file.unlink()
     file.with_name("points.gz").write_bytes(gzip.compress(head.encode() + b" " * 10**6))
-    with pytest.raises(ValueError, match=r"points\.gz: \d+ bytes become more than \d+ when unpacked"):
+    with pytest.raises(ValueError, match=r"points\.gz: .* MB are in it, and more"):
         io.read(case)

@@ -117,18 +117,6 @@ def test_parts_of_a_wedge_about_any_axis(tmp_path):
 
 
 @pytest.mark.slow
-def test_openfoam_takes_a_moved_wedge(pipe, tmp_path):
-    foam.need_openfoam()
-    case = pipe[0]
-    mesh = io.read(case)
-    plan = jm.prepare(mesh, "wall", "ends", symmetry="axis", method=jm.RBF.classic(jm.ThinPlateSpline()))
-    u = np.zeros((3, 2))
-    u[1, 1] = 0.2
-    io.write(tmp_path / "moved", mesh.moved(jm.deform(plan, u)))
-    assert foam.verdict(tmp_path / "moved") == foam.verdict(case)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["compressible/rhoCentralFoam/LadenburgJet60psi", "combustion/coldEngineFoam/freePiston"]
 )

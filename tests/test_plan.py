@@ -1,4 +1,4 @@
-"""Plans: what prepare refuses and in which words, and what a plan says of itself."""
+"""Plans: what prepare refuses and in which words, what a plan says of itself, derivatives of whole maps, many calls of one."""
 
 import re
 
@@ -8,10 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, motion, whole_and_part
+from memory import resident
+from meshes import bricks
+from oracles import jacobian
 from runs import over, refusals
 
 import jaxmorph as jm
-from jaxmorph._methods.sparse import Interpolation
 
 GRAPH = jm.DelaunayGraph()
 
@@ -143,22 +145,6 @@ def test_a_coarse_method_is_connected_once(planes):
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-14)
 
 
-def test_a_table_of_unequal_parts_sums_each():
-    """All rows of the first half have one column in common, those of the second have none."""
-    nodes, weights = np.repeat([[0, 0], [1, 0]], 4, axis=0), np.random.default_rng(0).uniform(size=(8, 2))
-    nodes[4:] = np.arange(8).reshape(4, 2)
-    table = Interpolation(jnp.asarray(nodes), jnp.asarray(weights)).with_table(8, 2).table
-    assert table is not None
-    values = np.random.default_rng(1).normal(size=(2, 4))
-    shares = zip(*(np.split(np.asarray(each), 2) for each in (table.entries, table.owner, table.weights)), strict=True)
-    for share, (entries, owner, sorted_weights) in enumerate(shares):
-        found, expected = np.zeros(8), np.zeros(8)
-        np.add.at(found, owner, (sorted_weights * values[share][entries // 2]).sum(axis=1))
-        rows = slice(4 * share, 4 * share + 4)
-        np.add.at(expected, nodes[rows], weights[rows] * values[share][:, None])
-        np.testing.assert_allclose(found, expected, rtol=1e-14)
-
-
 def test_the_transpose_after_refit_has_every_entry():
     """Entry by entry, with an inner node first: the table of the transposed product keeps the weights of all."""
     mesh = body(2)
@@ -175,3 +161,100 @@ def test_the_transpose_after_refit_has_every_entry():
         w[node] = rng.normal(size=2)
         forward = np.vdot(w, jm.deform(again, u) - again.points)
         np.testing.assert_allclose(np.vdot(jm.pullback(again, u, w), u), forward, rtol=1e-10, atol=1e-13)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not resident(), reason="memory is read as Linux tells it")
+def test_a_thousand_calls_leave_nothing_behind():
+    mesh = bricks(8)
+    points = np.asarray(mesh.points)
+    plan = jm.prepare(points, mesh.patch("floor"), np.flatnonzero(points[:, 2] == 1))
+    rng = np.random.default_rng(0)
+    u, cotangent = 0.01 * rng.normal(size=(plan.n_moving, 3)), rng.normal(size=points.shape)
+
+    def both():
+        return np.asarray(jm.deform(plan, u)), np.asarray(jm.pullback(plan, u, cotangent))
+
+    compiled = []
+
+    def listen(event, *_, **__):
+        if "backend_compile" in event:
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        jax.clear_caches()
+        for _ in range(20):
+            first = both()
+        assert compiled, "the event of a compilation has another name"
+        compiled.clear()
+        before = resident()
+        for _ in range(1000):
+            again = both()
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert not compiled
+    assert resident() - before < 20e6
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def operator(plan):
+    """(n d, m d): the linear map by its columns, each a displaced mesh of its own."""
+    m, d = plan.n_moving, plan.points.shape[1]
+    moved = jax.jit(jax.vmap(lambda u: jm.deform(plan, u) - plan.points))(np.eye(m * d).reshape(-1, m, d))
+    return np.asarray(moved).reshape(m * d, -1).T
+
+
+def check_operator(plan, rows=slice(None, None, 7)):
+    """Forward mode, reverse mode and `pullback` give the operator, to 1e-8 in each component."""
+    a, u = operator(plan), jnp.zeros((plan.n_moving, plan.points.shape[1]))
+    forward = jax.jit(jax.jacfwd(lambda u: jm.deform(plan, u)))(u)
+    np.testing.assert_allclose(forward.reshape(a.shape), a, rtol=0, atol=1e-8)
+    picked = np.eye(len(a))[rows].reshape(-1, *plan.points.shape)
+    reverse = jax.jit(jax.vmap(lambda w: jm.pullback(plan, u, w)))(picked)
+    np.testing.assert_allclose(reverse.reshape(len(picked), -1), a[rows], rtol=0, atol=1e-8)
+    return a
+
+
+def check_base(plan, u, places):
+    """The gradient by base points: finite everywhere, and that of differences in the components (node, axis) of `places`."""
+    w = np.random.default_rng(5).normal(size=plan.points.shape)
+    points = np.asarray(plan.points)
+    objective = jax.jit(lambda points: jnp.sum(w * jm.deform(jm.refit(plan, points), u)))
+    found = np.asarray(jax.jit(jax.grad(objective))(points))
+    assert np.isfinite(found).all()
+    nodes, axes = np.array(places).T
+    expected = jacobian(lambda x: objective(jnp.asarray(points).at[nodes, axes].set(x)), points[nodes, axes], 1e-4)
+    np.testing.assert_allclose(found[nodes, axes], expected, rtol=1e-6, atol=1e-6 * np.abs(found).max())
+
+
+@over("planes", nightly=[1, 2, 3])
+def test_symmetry_planes(planes):
+    part, role, *_ = whole_and_part(3, planes)
+    moving, fixed, inner = (np.flatnonzero(role == k) for k in (1, 2, 0))
+    symmetry = [jm.Plane(np.eye(3)[axis], np.zeros(3)) for axis in range(planes)]
+    method = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3))
+    plan = jm.prepare(part, moving, fixed, method=method, symmetry=symmetry)
+    a = check_operator(plan).reshape(*part.shape, len(moving), 3)
+    for axis in range(planes):
+        on = part[:, axis] == 0
+        assert (a[on, axis] == 0).all()  # what stays in a plane
+        assert (a[:, :, on[moving], axis] == 0).all()  # and what leads off it
+    off = inner[(part[inner, :planes] != 0).all(axis=1)][::25]
+    held = moving[(part[moving, :planes] != 0).all(axis=1)][:2]
+    check_base(plan, motion(part)[moving], [(node, axis) for node in (*off[:3], *held) for axis in range(3)])
+
+
+@pytest.mark.nightly
+def test_coincident_nodes():
+    """A wall node in two copies that move apart, and an inner node on the wall."""
+    mesh = body(2)
+    twice, on_wall = mesh.points[mesh.moving[:1]], mesh.points[mesh.moving[5:6]]
+    points, n = np.concatenate([mesh.points, twice, on_wall]), len(mesh.points)
+    plan = jm.prepare(points, np.append(mesh.moving, n), mesh.fixed)
+    a = check_operator(plan).reshape(*points.shape, -1, 2)
+    for copy, row in ((mesh.moving[0], 0), (n, len(mesh.moving))):
+        np.testing.assert_array_equal(a[copy, :, row], np.eye(2))
+    u = motion(points)[np.append(mesh.moving, n)]
+    check_base(plan, u, [(node, axis) for node in mesh.inner[::40] for axis in range(2)])

@@ -9,6 +9,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from runs import refusals
 from scipy.spatial import cKDTree
 
 import jaxmorph as jm
@@ -91,18 +92,11 @@ def test_boxes_in_3d_are_wires_round_the_points():
     assert plot.sources_3d(points, jm.KDTree(2), plotter=plotter) is plotter
 
 
-REFUSED = [
+test_what_is_refused = refusals(
     (lambda: plot.sources(planned(jm.DelaunayGraph())), "no radial basis functions"),
     (lambda: plot.sources(planned(), jm.KDTree(3)), "own reductions"),
     (lambda: plot.sources(planned().points), "need the `reduction`"),
     (lambda: plot.sources(ball(), jm.KDTree(3)), "sources_3d"),
     (lambda: plot.sources_3d(planned()), r"plot\.sources"),
     (lambda: plot.sources_3d(planned().points, jm.KDTree(3)), "in 3-D"),
-]
-
-
-@pytest.mark.parametrize(("call", "said"), REFUSED)
-def test_refused_before_anything_is_drawn(call, said):
-    with pytest.raises(ValueError, match=said):
-        call()
-    assert not plt.get_fignums()
+)

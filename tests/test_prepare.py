@@ -135,15 +135,6 @@ def test_mirror_images_have_faces_too():
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
 
 
-@pytest.mark.nightly
-def test_planes_by_name_each_once():
-    mesh = unit_box()
-    both = jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "again": mesh.patch("y0")})
-    method = jm.InverseDistance()
-    plan = jm.prepare(both, "z1", ("z0", "x1", "y1", "x0"), symmetry=("y0", "again"), method=method)
-    assert plan.images.normals.shape == (1, 3)
-
-
 def test_sources_and_offset_of_a_plan():
     mesh = unit_box(4)
     u = np.zeros((25, 3))

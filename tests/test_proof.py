@@ -13,9 +13,9 @@ from runs import over, runs
 
 import jaxmorph as jm
 from jaxmorph._host.cells.lagrange import lagrange_types
-from jaxmorph._quality.proof import bernstein
-from jaxmorph._quality.proof.form import form_of
-from jaxmorph._quality.proof.search import bounds
+from jaxmorph._quality import bernstein
+from jaxmorph._quality.bounds import bounds
+from jaxmorph._quality.jacobian_form import form_of
 
 SHAPES = ("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron")
 COMPLETE = {(cell.shape, cell.order): cell for cell in lagrange_types().values() if cell.is_complete}
@@ -37,8 +37,15 @@ def bounded(kind: str, nodes: np.ndarray, depth: int = 4):
     return found, form.reference(form.inside(found.at)).T
 
 
-def check_against_samples(cell, count: int, per_side: int, seed: int = 0) -> None:
+DENSE = ((1, 840, 17, 1), (2, 420, 17, 1), (3, 280, 17, 1), (4, 140, 17, 1))
+"""Near the limit: 10,080 cells in all, 17 samples along each direction."""
+
+
+@over("order count per_side seed", [(1, 60, 7, 0), (2, 60, 7, 0)], nightly=list(DENSE))
+@pytest.mark.parametrize("shape", SHAPES)
+def test_bounds_agree_with_samples(shape, order, count, per_side, seed):
     """No valid cell has a sample that is not positive, no bound is above a sample, and a witness has the value it claims."""
+    cell = COMPLETE[shape, order]
     nodes = cells_near_the_limit(cell, count, seed)
     found, reference = bounded(cell.name, nodes)
     is_valid, is_invalid = found.lower > 0, found.upper < 0
@@ -57,19 +64,6 @@ def check_against_samples(cell, count: int, per_side: int, seed: int = 0) -> Non
     assert (np.array(value) < 0).all()
     assert 0.1 < is_valid.mean() < 0.9
     assert (~is_valid & ~is_invalid).mean() < 0.02
-
-
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_bounds_agree_with_samples(shape, order):
-    check_against_samples(COMPLETE[shape, order], 60, 7)
-
-
-@over("order", nightly=[1, 2, 3, 4])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_bounds_agree_with_dense_samples_near_the_limit(shape, order):
-    """10,080 cells in all, 17 samples along each direction."""
-    check_against_samples(COMPLETE[shape, order], {1: 840, 2: 420, 3: 280, 4: 140}[order], 17, seed=1)
 
 
 @over("shape", [shape for shape in GMSH if shape != "hexahedron"], nightly=["hexahedron"])

@@ -292,18 +292,3 @@ def test_the_gate_proves_the_whole_motion(tmp_path, capsys, monkeypatch, flags, 
     if flags[:1] == ["--steps"]:  # the margin of the worst step, by its closed form
         margin = float(re.search(r"min proven margin +0 +1 +([0-9.]+)", said.out)[1])
         assert 0.8 < margin <= (1 + np.cos(np.pi / 4)) / 2
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("steps", "valid"), [("1", 0), ("4", 12)])
-@pytest.mark.filterwarnings("ignore:.*the case is decomposed")
-def test_the_gate_proves_the_motion_of_parts(tmp_path, capsys, steps, valid):
-    mesh = grid(*(np.arange(n + 1.0) for n in (3, 2, 2)))
-    cells = [foam.cell(foam.HEXAHEDRON, *row) for row in mesh.cells["hexahedron"].tolist()]
-    case = (tmp_path / "case", np.asarray(mesh.points), cells, [("all", "wall", lambda nodes: True)])
-    foam.write_case(*case)
-    foam.write_parts(*case, [0 if k < 4 else 1 for k in range(len(cells))])
-    flags = ["--moving", "all", "--decomposed", *HALF_TURN, "--steps", steps]
-    assert main(["deform", str(case[0]), str(tmp_path / "turned"), *flags]) == (valid == 0)
-    said = re.sub(r"\s+", " ", capsys.readouterr().out)
-    assert f"proven: {valid} of 12 cells fold nowhere inside, at every instant of the motion" in said

@@ -240,18 +240,3 @@ def test_double_precision_needs_its_mode(tmp_path):
     words = [sys.executable, "-c", code, str(tmp_path / "a")]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert "the plan is in float64, but JAX's x64 mode is off" in done.stderr
-
-
-def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
-    jm.save(tmp_path / "a", planned(jm.DelaunayGraph()))
-    before = (tmp_path / "a").read_bytes()
-
-    def fails(file, **members):
-        file.write(b"half")
-        raise OSError("disk full")
-
-    monkeypatch.setattr(np, "savez", fails)
-    with pytest.raises(OSError, match="disk full"):
-        jm.save(tmp_path / "a", planned(jm.DelaunayGraph()))
-    assert (tmp_path / "a").read_bytes() == before
-    assert os.listdir(tmp_path) == ["a"]

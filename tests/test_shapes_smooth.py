@@ -74,6 +74,6 @@ test_bad_input_is_refused = refusals(
     (lambda p, s: shapes.Smoother(p, s[:-2], 1.0), "1 nodes are in no face, first row 39"),
     (lambda p, s: shapes.Smoother(p[np.append(0, np.arange(39))], s, 1.0), "1 faces have no size"),
     (lambda p, s: shapes.Smoother(p, np.ones((4, 3), int), 1.0), "have"),
-    (lambda p, s: shapes.Smoother(p, s, 1.0).at(p[:3]), "this wall has"),
+    (lambda p, s: shapes.Smoother(p, s, 1.0).at(p[:3]), "is for positions"),
     of=closed,
 )

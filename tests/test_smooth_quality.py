@@ -68,15 +68,3 @@ def test_inverted_and_flat_cells_are_bad_by_a_finite_number_that_falls_as_they_t
     assert np.all(np.diff(values) > 0)
     np.testing.assert_allclose(values[2], 2 / 1e-3, rtol=1e-6)
     assert np.all(slopes[1:] < 0)
-
-
-def test_it_is_a_penalty_under_jit_vmap_and_in_float32():
-    mesh = pair("quad")
-    many = jnp.asarray(np.stack([shaken(mesh, 0.05, seed) for seed in range(3)]))
-    batched = jax.jit(jax.vmap(lambda points: jm.smooth_quality(mesh, points)))(many)
-    alone = [jm.smooth_quality(mesh, points) for points in many]
-    for name in MEASURES:
-        np.testing.assert_allclose(getattr(batched, name), [getattr(one, name) for one in alone], rtol=1e-12)
-    single = jm.smooth_quality(mesh, many[0].astype(jnp.float32))
-    assert single.aspect_ratio.dtype == jnp.float32
-    np.testing.assert_allclose(single.aspect_ratio, alone[0].aspect_ratio, rtol=1e-4)

@@ -31,6 +31,9 @@ METHODS = {
     "delaunay": jm.DelaunayGraph(),
     "full": full(jm.ThinPlateSpline(), 1),
     "reduced": few(),
+    "multiscale": jm.Multiscale(),
+    "compact": jm.CompactRBF(2.0),
+    "local": jm.LocalCorrection(2.0),
 }
 
 
@@ -73,14 +76,14 @@ def test_the_surface_arrives_and_the_far_field_stays(name, rebuild):
     assert (np.asarray(points[mesh.fixed]) == mesh.points[mesh.fixed]).all()
 
 
-@over("dimension", [2], nightly=[3])
-def test_delaunay_steps_with_kept_ids_equal_one(dimension):
-    """The graph stands on the undeformed mesh: the path does not matter, nor the number of steps."""
+@over("name dimension", [("delaunay", 2)], nightly=[("delaunay", 3), ("multiscale", 2), ("compact", 2), ("local", 2)])
+def test_steps_of_a_correction_equal_one(name, dimension):
+    """It stands on the undeformed mesh: the path does not matter, nor the number of steps."""
     mesh = body(dimension)
     path = turned(mesh, steps=5)
-    plan = planned("delaunay", dimension)
+    plan = planned(name, dimension)
     _, points = jm.march(plan, path)
-    np.testing.assert_allclose(points, jm.deform(plan, path[-1]), rtol=0, atol=2e-15 * np.abs(mesh.points).max() * 2)
+    np.testing.assert_allclose(points, jm.deform(plan, path[-1]), rtol=0, atol=4e-15 * np.abs(mesh.points).max())
 
 
 def test_steps_by_hand():
@@ -91,19 +94,6 @@ def test_steps_by_hand():
         plan = jm.prepare(np.asarray(points), mesh.moving, mesh.fixed, method=METHODS["few"])
         points = jm.deform(plan, mesh.points[mesh.moving] + target - points[mesh.moving])
     np.testing.assert_allclose(marched("few", True)[1], points, rtol=0, atol=1e-12)
-
-
-def test_one_coarse_step_and_three_of_the_correction():
-    """The paper's recipe (section 3.2) with the graph kept: the correction is linear, so its thirds add up to one step."""
-    mesh, u = body(2), turned(body(2))[-1]
-    coarse = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=few())
-    graph = jm.prepare(mesh.points, mesh.boundary, method=jm.DelaunayGraph())
-    points = np.asarray(jm.deform(coarse, u))
-    target = mesh.points[mesh.boundary] + np.concatenate([u, np.zeros((len(mesh.fixed), 2))])
-    offset = target - points[mesh.boundary]
-    for _ in range(3):
-        points = points + np.asarray(jm.deform(graph, offset / 3)) - mesh.points
-    np.testing.assert_allclose(points, jm.deform(planned("few"), u), rtol=0, atol=1e-13)
 
 
 @pytest.mark.nightly

@@ -134,18 +134,6 @@ BORDER = {
 }
 """Rooms at the border, which import public names alone, and the private modules that one still imports."""
 
-HOMES = {"Content", "Elements", "Form", "Patch", "_Content"}
-"""Names of classes that files of several formats define: the list may only shrink."""
-
-
-def test_type_checkers_see_the_public_names():
-    import jaxmorph as jm
-
-    (block,) = (node for node in tree_of(ROOT / "jaxmorph" / "__init__.py").body if isinstance(node, ast.If))
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    seen = {alias.name: node.module and f".{node.module}" for node in imports for alias in node.names}
-    assert {name: module or "" for name, module in seen.items()} == jm._MODULES
-
 
 def test_outer_rooms_import_public_names_alone():
     outer = [each for each in imports_between_rooms() if each.rooms[0] in OUTER and each.rooms[1] != "_demo"]
@@ -164,7 +152,7 @@ def test_a_class_has_one_home():
         for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.ClassDef):
                 homes[node.name].add(file)
-    assert {name for name, files in homes.items() if len(files) > 1} == HOMES
+    assert not {name for name, files in homes.items() if len(files) > 1}
 
 
 def test_no_room_uses_private_names_of_another():
@@ -196,7 +184,7 @@ def test_the_driver_knows_no_method_but_the_abstract_one():
     known = {each.module for each in own_imports() if each.rooms == ("_plan", "_methods")}
     assert known <= {
         f"jaxmorph._methods.{name}"
-        for name in ("base", "blocks", "guiding", "reconstruction", "shares", "surface", "tape")
+        for name in ("base", "blocks", "multiscale", "reconstruction", "shares", "surface", "tape")
     }
 
 
@@ -314,20 +302,6 @@ def test_every_public_name_is_documented():
     import jaxmorph as jm
 
     public = [name for name in dir(jm) if not name.startswith("_")]
-    known = {
-        "prepare",
-        "deform",
-        "pullback",
-        "refit",
-        "march",
-        "replay",
-        "save",
-        "load",
-        "Plan",
-        "Mesh",
-        "Plane",
-        "RBF",
-    }
-    assert known <= set(public)
+    assert {"prepare", "deform", "Mesh", "RBF"} <= set(public)
     for name in public:
         assert getattr(jm, name).__doc__, name

@@ -196,53 +196,43 @@ def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
         around = [(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v]
         shares = [a * b for b in (1 - w, w) for a in around]
         start[place] = sum(share * np.array(corner) for share, corner in zip(shares, corners, strict=True))
-    control = start.copy()
+    control, d = start.copy(), 2 if flat else 3
+
+    def stays(*index):
+        return any(k in planes for k, planes in zip(index, fixed, strict=False))
+
     for kind, numbers, values in listed:
-        if kind in ("FFD_CONTROL_POINT_2D", "FFD_CONTROL_POINT"):
-            d = 2 if flat else 3
+        value, ends = values[0], np.split(np.array(numbers[-6:], float), 2) if len(numbers) > 5 else None
+        if kind.startswith("FFD_CONTROL_POINT"):
             way = np.zeros(3)
-            way[:d] = np.array(numbers[d:]) * values[0] if len(values) == 1 else values
+            way[:d] = np.array(numbers[d:]) * value if len(values) == 1 else values
             index = [*numbers[:d], *([-1] if flat else [])]
-            if any(k in planes for k, planes in zip(index, fixed, strict=True)):
-                continue
             every = [a for a in range(d) if index[a] == -1]
-            for place in np.ndindex(counts):
+            for place in np.ndindex(counts) if not stays(*index) else ():
                 named = all(i in (-1, k) for i, k in zip(index, place, strict=True))
-                stays = not flat and len(every) == 1 and place[every[0]] in fixed[every[0]]
-                control[place] += way if named and not stays else 0
-        elif kind in ("FFD_CAMBER_2D", "FFD_THICKNESS_2D"):
-            control[numbers[0], 0, :, 1] += -values[0] if "THICK" in kind else values[0]
-            control[numbers[0], 1, :, 1] += values[0]
-        elif kind in ("FFD_CAMBER", "FFD_THICKNESS"):
-            i, j = numbers
-            if i in fixed[0] or j in fixed[1] or {0, 1} & set(fixed[2]):
-                continue
-            control[i, j, 0, 2] += -values[0] if "THICK" in kind else values[0]
-            control[i, j, 1, 2] += values[0]
+                held = not flat and len(every) == 1 and place[every[0]] in fixed[every[0]]
+                control[place] += way if named and not held else 0
+        elif kind.startswith(("FFD_CAMBER", "FFD_THICKNESS")):
+            for side in (0, 1) if flat or not (stays(*numbers, 0) or stays(*numbers, 1)) else ():
+                control[(*numbers, side)][..., d - 1] += -value if "THICK" in kind and side == 0 else value
         elif kind == "FFD_GULL":
-            if numbers[0] not in fixed[1]:
-                control[:, numbers[0], :, 2] += values[0]
+            control[:, numbers[0], :, 2] += 0 if stays(-1, numbers[0]) else value
         elif kind == "FFD_NACELLE":
             i, j, k, *way = numbers
             for theta in dict.fromkeys([j, counts[1] - 1 - j]):
-                if i in fixed[0] or theta in fixed[1] or k in fixed[2]:
+                if stays(i, theta, k):
                     break
-                control[slice(None) if i == -1 else i, theta, k] += values[0] * np.array([way[0], 0, way[1]])
-        elif kind == "FFD_CONTROL_SURFACE":
-            a, b = np.array(numbers[:3]), np.array(numbers[3:])
-            for place in itertools.product(range(counts[0] - 2), range(2, counts[1] - 2), range(counts[2])):
-                control[place] = turned(control[place], a, b, -values[0])
-        elif kind == "FFD_ROTATION":
-            control = turned(control, np.array(numbers[:3]), np.array(numbers[3:]), values[0])
+                control[slice(None) if i == -1 else i, theta, k] += value * np.array([way[0], 0, way[1]])
+        elif kind in ("FFD_CONTROL_SURFACE", "FFD_ROTATION"):
+            part, sign = (control[:-2, 2:-2], -1) if "SURFACE" in kind else (control, 1)
+            part[...] = turned(part, *ends, sign * value)
         elif kind == "FFD_TWIST":
-            j, a, b = numbers[0], np.array(numbers[1:4]), np.array(numbers[4:7])
+            j, (a, b) = numbers[0], ends
             share = (control[0, j, 0, 1] - a[1]) / (b[1] - a[1])
-            if j in fixed[1] or not 0 <= share <= 1:
-                continue
             about = a + share * (b - a)
-            spun = turned(control[:, j], about, about + np.array([0, 1, 0]), np.rad2deg(math.atan(values[0] / length)))
+            spun = turned(control[:, j], about, about + np.array([0, 1, 0]), np.rad2deg(math.atan(value / length)))
             for i, k in itertools.product(range(counts[0]), range(counts[2])):
-                if i not in fixed[0] and k not in fixed[2]:
+                if 0 <= share <= 1 and not stays(i, j, k):
                     control[i, j, k] = spun[i, k]
     return start, control
 
@@ -454,15 +444,6 @@ def test_what_is_not_taken_is_told_by_its_name(folder, change, says):
         config(folder, **given)
 
 
-def test_the_angle_of_attack_is_told_and_left_alone(folder):
-    with pytest.warns(UserWarning, match="ANGLE_OF_ATTACK is left alone"):
-        case = config(folder, "HICKS_HENNE, ANGLE_OF_ATTACK", "(1, 0.3); (1.0)", "0.0, 2.0")
-    x, after = moved(case)
-    np.testing.assert_array_equal(x, after)
-    assert case.names == ("HICKS_HENNE[0]", "ANGLE_OF_ATTACK[1]")
-
-
-# SU2's own tutorials in what concerns the mesh: RAE2822, NACA0012 (unsteady), the wedge, the bend; each with what is said of it
 HALF_BOX = f"0, -1, 0, 1, -1, 0, 1, 1, 0, 0, 1, 0, {', '.join('0' * 12)}"
 TUTORIALS = {
     "RAE2822": ("HICKS_HENNE", "( 1, 0.5 )", "0.01", "OPT_RELAX_FACTOR= 1E2\nOPT_LINE_SEARCH_BOUND= 1E6\n",
@@ -476,7 +457,7 @@ TUTORIALS = {
               ["DV_PARAM= FFD_CONTROL_POINT_2D has 5 parameters, left out: 0 0"]),
     "heat": ("FFD_SETTING", "(( UPPER, 14, 1, 0.0, 1.0 ), ( LOWER, 14, 1, 0.0, 1.0 ))", "0",
              f"FFD_DEFINITION= (UPPER, {HALF_BOX}); \\\n (LOWER, {HALF_BOX}, 0.0)\nFFD_DEGREE= ( 14, 1, 0); ( 14, 1, 0)\n",
-             ["FFD_DEFINITION= box LOWER has 24 numbers, left out: 0.0"]),
+             ["FFD_DEFINITION= box LOWER has 24 parameters, left out: 0.0"]),
     "RBF": ("HICKS_HENNE", "( 1, 0.5 )", "0.1", "DEFORM_KIND= RBF\nRBF_DATA_REDUCTION= YES\nRBF_GREEDY_TOLERANCE= 1E-3\n",
             ["not honoured .*: DEFORM_KIND= RBF"]),
     "bend": ("TRANSLATION", "(0, 1, 0)", "0.1", "MARKER_SYM= ( symmetry )\nDEFORM_COEFF = 1.0e6\nDEFORM_LIMIT = 1E6\n",
@@ -501,12 +482,6 @@ def test_what_su2_would_do_otherwise_is_told_and_its_tutorials_run(folder, case)
     for each, warning in zip(says, told, strict=True):
         assert re.search(each, str(warning.message))
         assert warning.filename == __file__
-
-
-def test_markers_that_the_mesh_lacks_are_left_out(folder):
-    with pytest.warns(UserWarning, match="DV_MARKER= the mesh has no marker flap, slat"):
-        case = config(folder, "HICKS_HENNE", "(1, 0.3)", "0.01", marker="flap, airfoil, slat")
-    assert (case.moving, case.fixed) == (("airfoil",), ("farfield",))
 
 
 @pytest.mark.filterwarnings("default")

@@ -3,7 +3,6 @@
 import csv
 import json
 import pathlib
-import re
 
 import jax
 import meshes
@@ -11,7 +10,8 @@ import numpy as np
 import pytest
 import pyvista
 from meshes import write_ring
-from runs import over, refusals
+from oracles import jacobian
+from runs import over, refusals, refused
 
 import jaxmorph as jm
 from jaxmorph import io, shapes
@@ -77,12 +77,11 @@ def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
     path = lambda p: shapes.path(shape, ring.points[:24], unravel(p), steps)  # noqa: E731
     plans = jm.march(plan, path(flat))[0]
     slope = shapes.pullback(shape, plan if steps == 1 else plans, given, weights)
-    value = lambda p: np.vdot(weights, jm.march(plan, path(p))[1])  # noqa: E731
-    h = 1e-5
-    for k in (0, 12, 13):
-        step = h * np.eye(len(flat))[k]
-        difference = (value(flat + step) - value(flat - step)) / (2 * h)
-        np.testing.assert_allclose(jax.flatten_util.ravel_pytree(slope)[0][k], difference, rtol=1e-7)
+    value = lambda p: np.vdot(weights, jm.march(plan, path(flat.at[np.array([0, 12, 13])].set(p)))[1])  # noqa: E731
+    slopes = jax.flatten_util.ravel_pytree(slope)[0]
+    np.testing.assert_allclose(
+        slopes[np.array([0, 12, 13])], jacobian(value, flat[np.array([0, 12, 13])], 1e-3), rtol=1e-7
+    )
 
 
 SQUARE = {"low": [0, 0], "high": [1, 1], "points": [3, 3], "moved": [{"at": [0, 1], "by": [1, 0]}]}
@@ -200,20 +199,12 @@ SET = 'set = { "wall2.rotate" = 8 }'
         (f"{SENSITIVITY} x.npz", SET, r"x.npz: the name should end in .csv or .json"),
         ("sensitivity ring.su2 volume.npz x.csv --set a=1", SET, "--set without --job"),
         (DEFORM, "set = 3", "job.toml: set is a table of names and numbers, found 3"),
-        (DEFORM, "set = { a = 'x' }", "job.toml: set.a is a number, or a list of numbers, found 'x'"),
+        (DEFORM, "set = { a = 'x' }", "job.toml: argument --set: 'a=x' is not NAME"),
     ],
 )
 def test_design_variables_that_make_no_sense(here, capsys, words, set_to, message):
     pathlib.Path("job.toml").write_text(JOB.replace(SET, set_to))
-    if "NAME=" in message:  # told by the parser
-        with pytest.raises(SystemExit):
-            main(words.split())
-    else:
-        assert main(words.split()) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert "NAME=" in message or said.err.count("\n") == 1
-    assert re.search(message, said.err), said.err
+    refused(capsys, words.split(), message)
 
 
 @pytest.mark.nightly
@@ -249,15 +240,10 @@ def test_a_surface_sensitivity_goes_on_to_a_job_without_the_volume(ring, tmp_pat
     words = ["sensitivity", "--job", str(tmp_path / "job.toml"), str(tmp_path / "wall.csv"), str(tmp_path / "d.json")]
     assert main(words) == 0
     table = json.loads((tmp_path / "d.json").read_text())
-    for name, place in (("box[1,1,0]", (0, 0)), ("hicks-henne.upper[1]", (1, 1)), ("cst.lower[0]", (2, 0))):
-        values = []
-        for h in (1e-6, -1e-6):
-            moved = list(given)
-            number = np.asarray(given[place[0]], float)
-            moved[place[0]] = number + h * np.eye(1, number.size, place[1]).reshape(number.shape)
-            values.append(np.vdot(sens, wall(*moved)))
+    for name, k, place in (("box[1,1,0]", 0, 0), ("hicks-henne.upper[1]", 1, 1), ("cst.lower[0]", 2, 0)):
+        slopes = jacobian(lambda own, k=k: np.vdot(sens, wall(*given[:k], own, *given[k + 1 :])), given[k], 1e-3)
         found = next(row["dJ_dvalue"] for key, row in table.items() if key.endswith(name))
-        np.testing.assert_allclose(found, (values[0] - values[1]) / 2e-6, rtol=1e-6)
+        np.testing.assert_allclose(found, slopes.ravel()[place], rtol=1e-6)
     io.write_sensitivity(tmp_path / "part.csv", np.arange(20), sens[:20])
     assert main([*words[:3], str(tmp_path / "part.csv"), words[4]]) == 2
-    assert "4 of the 24 moving nodes are missing (first 20)" in capsys.readouterr().err
+    assert "4 of the 24 nodes are missing (first 20)" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The default's coarse field follows the body: what the fit is, and what becomes of boundary layers."""
+"""The default's coarse field follows the body: what the fit is, its share, and what becomes of boundary layers."""
 
 import functools
 import warnings
@@ -15,6 +15,7 @@ import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
 from jaxmorph._host.surface.skin import behind_tips, beside_tips, chords, edges, sharp_tips, thinned
+from jaxmorph._methods.shares import KEPT, LARGEST, SHARES, motions, share_of
 
 WHOLE_FIT = jm.SurfaceReconstruction(jm.FittedRBF(share=1))
 
@@ -104,22 +105,6 @@ def test_both_lengths_are_differentiable():
         assert abs(difference) > 1e-3
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("code", ["8306", "9412"])
-def test_kinks_invert_nothing(code):
-    """The displacement of the lower side is another share of the upper one's: a kink at both edges of a thin section."""
-    mesh, plan, base, upper = airfoil(code)
-    rng = np.random.default_rng(int(code))
-    ratios = []
-    for _ in range(4):
-        amplitudes, share = rng.normal(size=8) * 0.02 / np.arange(1, 9), rng.uniform(-1, 1)
-        height = np.sin(np.pi * base[:, :1] * np.arange(1, 9)) @ amplitudes
-        inverted, ratio = judged(mesh, jm.deform(plan, up(base, np.where(upper, 1, share) * height)))
-        assert inverted == 0
-        ratios.append(ratio)
-    assert np.mean(ratios) > 0.78
-
-
 def test_grid_lines_stay_at_right_angles_to_a_cambered_wall():
     """10 % of camber turns the wall by up to 22 degrees, and the classic method's grid lines not at all."""
     mesh, plan, base, _ = airfoil("9412")
@@ -131,23 +116,6 @@ def test_grid_lines_stay_at_right_angles_to_a_cambered_wall():
     assert float(jm.wall_quality(mesh, "airfoil", points).mean_angle) < 4.5
     classic = jm.deform(jm.prepare(mesh, "airfoil", "farfield", method=jm.RBF.classic()), u)
     assert float(jm.wall_quality(mesh, "airfoil", classic).mean_angle) > 9
-
-
-@pytest.mark.nightly
-def test_a_bump_stays_on_its_side():
-    mesh, plan, base, upper = airfoil("8306")
-    u = up(base, np.where(upper, 0.1 * np.sin(np.pi * base[:, 0]) ** 3, 0))
-    points = np.asarray(jm.deform(plan, u))
-    moved = np.linalg.norm(points - mesh.points, axis=1) / 0.1
-    inner = np.setdiff1d(np.arange(len(points)), mesh.patch("airfoil"))
-    x, y = mesh.points[inner].T
-    order = np.argsort(base[~upper, 0])
-    below = np.interp(x, *base[~upper][order].T) - y
-    near = (x > 0) & (x < 1) & (below > 0) & (below < 0.3)
-    assert near.sum() > 100
-    assert moved[inner][near].max() < 0.35
-    assert moved[inner].max() < 1.15
-    assert judged(mesh, points)[0] == 0
 
 
 def test_edges_and_chord_of_a_circle():
@@ -180,33 +148,6 @@ def test_thinned_places_do_not_depend_on_their_order():
     np.testing.assert_array_equal(np.sort(order[again]), chosen)
     assert len(chosen) == 20
     np.testing.assert_array_equal(thinned(places, 50), np.arange(50))
-
-
-def test_chord_of_a_sphere():
-    """Area over twice the span: pi / 2 diameters; from the distances of neighbours alone about as much."""
-    i = np.arange(800) + 0.5
-    polar, azimuth = np.arccos(1 - 2 * i / 800), np.pi * (1 + 5**0.5) * i
-    points = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
-    ends, share = chords(points, np.zeros(800, dtype=int))
-    span = np.linalg.norm(points[ends[0, 0]] - points[ends[0, 1]])
-    assert share[0] * span == pytest.approx(np.pi, rel=0.2)
-
-
-@pytest.mark.nightly
-def test_a_free_side_stays_flat():
-    """Half of a body with its plane named nowhere: no displacement across the plane, so none of the plane's nodes."""
-    mesh = cases.wing(points=1000, stations=7)
-    wing = mesh.patch("wing")
-    u = np.zeros((len(wing), 3))
-    u[:, 2] = 0.1 * mesh.points[wing, 1] ** 2
-    named = np.union1d(wing, mesh.patch("farfield"))
-    side = np.setdiff1d(np.flatnonzero(np.abs(mesh.points[:, 1] - mesh.points[:, 1].min()) < 1e-9), named)
-    assert len(side) > 10
-    free = jm.prepare(mesh.points, wing, mesh.patch("farfield"))
-    np.testing.assert_array_equal(np.asarray(jm.deform(free, u))[side, 1], mesh.points[side, 1])
-    assert not len(free.surface.ids[0].edges)
-    fitted = jm.prepare(mesh, "wing", ("farfield", "tip"), symmetry="root")
-    assert len(fitted.surface.ids[0].edges)
 
 
 def far_away(radius):
@@ -328,3 +269,110 @@ def test_a_sharp_blade_turns_in_its_passage():
     np.testing.assert_allclose(
         jm.deform(whole, mesh.points[sides] @ matrix), mesh.points @ (matrix + np.eye(2)), atol=1e-11
     )
+
+
+def with_fit(share):
+    return jm.SurfaceReconstruction(jm.FittedRBF(share=share))
+
+
+@functools.cache
+def box_in_circle():
+    """An O-grid of quads about a rectangle 5 : 1 with right corners."""
+    side = np.linspace(-1, 1, 21)
+    long, short = np.linspace(-2.5, 2.5, 41), 0.5 * side[::4]
+    wall = np.concatenate(
+        [
+            np.column_stack([long[:-1], 0 * long[:-1] - 0.5]),
+            np.column_stack([0 * short[:-1] + 2.5, short[:-1]]),
+            np.column_stack([long[:0:-1], 0 * long[1:] + 0.5]),
+            np.column_stack([0 * short[1:] - 2.5, short[:0:-1]]),
+        ]
+    )
+    depth = np.concatenate([[0], np.cumsum(0.01 * 1.3 ** np.arange(20))])[:, None, None]
+    far = wall / np.linalg.norm(wall, axis=1)[:, None]
+    t = depth / depth[-1]
+    points = (1 - t) * wall + t * depth[-1] * far
+    ids = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
+    around = np.roll(ids, -1, axis=1)
+    quads = np.stack([ids[:-1], ids[1:], around[1:], around[:-1]], axis=-1).reshape(-1, 4)
+    return jm.Mesh(points.reshape(-1, 2), {"quad": quads}, {"body": ids[0], "far": ids[-1]})
+
+
+def ratio(mesh, points):
+    """The smallest ratio of a corner's Jacobian after the motion to that before."""
+    quads = mesh.cells["quad"]
+    corners = [quads[:, [k, (k + 1) % 4, (k + 3) % 4]] for k in range(4)]
+    now, before = (
+        np.concatenate([np.linalg.det(np.asarray(x)[c[:, 1:]] - np.asarray(x)[c[:, :1]]) for c in corners])
+        for x in (points, mesh.points)
+    )
+    return (now / before).min()
+
+
+def test_a_share_mixes_the_fit_and_least_squares():
+    mesh = box_in_circle()
+    u = 0.1 * np.sin(mesh.points[mesh.patch("body")])
+    fit, plain, mixed = (
+        np.asarray(jm.deform(jm.prepare(mesh, "body", "far", method=with_fit(s)), u)) for s in (1, 0, 0.3)
+    )
+    np.testing.assert_allclose(mixed, 0.3 * fit + 0.7 * plain, atol=1e-13)
+    assert np.abs(fit - plain).max() > 1e-3
+
+
+def test_a_plan_says_its_share():
+    plan = jm.prepare(box_in_circle(), "body", "far")
+    share = share_of(plan.method)
+    assert share in (*SHARES, 0)
+    assert share < 1
+    assert f"share {share:g} of the fit" in repr(plan)
+    assert share_of(jm.prepare(box_in_circle(), "body", "far", method=with_fit(0.7)).method) == pytest.approx(0.7)
+
+
+@pytest.mark.slow
+def test_the_paper_airfoil_keeps_the_whole_fit():
+    assert share_of(jm.prepare(cases.naca0015(), "airfoil", "farfield").method) == 1
+
+
+@pytest.mark.slow
+def test_the_share_is_the_largest_that_keeps_enough():
+    """The oracle moves the mesh by each trial, and measures its corners."""
+    mesh = box_in_circle()
+    chosen = share_of(jm.prepare(mesh, "body", "far").method)
+    plans = {s: jm.prepare(mesh, "body", "far", method=with_fit(s)) for s in (*SHARES, 0.0)}
+    failed = set()
+    for u in motions(mesh.points[mesh.patch("body")], np.zeros(len(mesh.patch("body")), int)):
+        for sign in (1, -1):
+            low, high = 0.0, LARGEST[2]
+            if ratio(mesh, jm.deform(plans[0.0], sign * high * u)) < KEPT:
+                while high - low > 1e-4 * high:
+                    middle = (low + high) / 2
+                    is_kept = ratio(mesh, jm.deform(plans[0.0], sign * middle * u)) >= KEPT
+                    low, high = (middle, high) if is_kept else (low, middle)
+            least = ratio(mesh, jm.deform(plans[0.0], sign * high * u))
+            for share, enough in SHARES.items():
+                kept = ratio(mesh, jm.deform(plans[share], sign * high * u))
+                assert share > chosen or kept > (enough - 0.01) * least
+                failed |= {share} if kept < (enough + 0.01) * least else set()
+    assert failed >= {share for share in SHARES if share > chosen}
+
+
+def test_pieces_choose_the_share_of_the_whole():
+    mesh = box_in_circle()
+    plan = jm.prepare(mesh, "body", "far")
+    boundary = jm.Boundary(mesh, "body", "far")
+    for chunk in (jm.prepare_surface(boundary).plan, next(jm.prepare_in_chunks(boundary, size=300))[1]):
+        assert share_of(chunk.method) == share_of(plan.method)
+    alone = jm.Boundary(mesh.points, mesh.patch("body"), mesh.patch("far"))
+    half = jm.prepare_surface(alone, faces=jm.boundary_faces(mesh))
+    assert share_of(half.plan.method) is None
+    pieces = []
+    for quads in np.array_split(mesh.cells["quad"], 3):
+        nodes, rows = np.unique(quads, return_inverse=True)
+        pieces.append((jm.Mesh(mesh.points[nodes], {"quad": rows.reshape(quads.shape)}), nodes))
+    assert share_of(half.judged(pieces).plan.method) == share_of(plan.method)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, np.nan, "half"])
+def test_a_share_is_from_zero_to_one(share):
+    with pytest.raises(ValueError, match="share"):
+        jm.FittedRBF(share=share)

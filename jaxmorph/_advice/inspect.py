@@ -15,8 +15,7 @@ from .._host.package.cores import Beside
 from .._host.package.errors import MeshError
 from .._host.package.rounding import Tree, roundoff
 from .._host.sources.reduction import KDTree, drop_close
-from .._host.surface.crossings import crossing_faces
-from .._host.surface.gaps import share_left
+from .._host.surface.gaps import crossing_faces, share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls
 from .._mesh.mesh import Mesh

@@ -20,11 +20,10 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._plan.deform import deform
 from .._plan.plan import Plan
-from .._quality import measures
-from .._quality.proof import bernstein
-from .._quality.proof.form import form_of, nodes_of
-from .._quality.proof.proof import proof
-from .._quality.proof.search import DEPTH, blocks
+from .._quality import bernstein, measures
+from .._quality.bounds import DEPTH, blocks
+from .._quality.jacobian_form import form_of, nodes_of
+from .._quality.proof import proof
 from .._quality.quality import places, signs_of, standards_of
 from .._quality.vector import corners
 

@@ -15,7 +15,7 @@ from .._host.package.arguments import between, checked, whole
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
-from .._quality.proof.proof import proven_margin
+from .._quality.proof import proven_margin
 from .._quality.quality import check_solid, places, quality
 from .._quality.report import QualityReport
 from .constraints import prepared

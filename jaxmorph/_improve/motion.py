@@ -7,7 +7,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
 from .._boundary.periodic import Pairing
@@ -198,5 +197,5 @@ def _columns(function: Callable, y: Nodal) -> Float[Array, "n d d"]:
 
 def _shares(kind: str) -> Float[Array, "s c e"]:
     """The corners' coefficients in all samples' edges: `frames` is linear in corners."""
-    edges = measures.frames(kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in np.eye(CORNERS[kind])])
+    edges = measures.frames(kind, Vector([jnp.eye(CORNERS[kind])] * DIMENSION[kind]))
     return jnp.stack([edge[0] for edge in edges], axis=2)

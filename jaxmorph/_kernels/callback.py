@@ -28,9 +28,9 @@ def _called(*arguments: Any, function: Callable, shape: tuple, dtype: np.dtype, 
     """Calls the function for a batch, whose axes come first, of size 1 where nothing varies."""
     results = np.empty((*batch, *shape), dtype)
     arrays = [np.asarray(argument) for argument in arguments]
+    arrays = [np.broadcast_to(array, (*batch, *array.shape[len(batch) :])) for array in arrays]
     for place in np.ndindex(*batch):
-        rows = [tuple(i if size > 1 else 0 for i, size in zip(place, array.shape, strict=False)) for array in arrays]
-        results[place] = function(*(array[row] for array, row in zip(arrays, rows, strict=True)))
+        results[place] = function(*(array[place] for array in arrays))
     return results
 
 

@@ -89,18 +89,18 @@ MOST_ROWS = 4  # most rows that one loop sums on a GPU; a displacement has two o
 
 
 # The transpose of a sum over a kernel's block contracts a few rows of a cotangent with the block's
-# long axis. On a CPU it takes a quarter of the time as one matrix-vector product a row; under
-# `vmap` one product of matrices is faster.
+# long axis. On a CPU it takes a quarter of the time as one matrix-vector product a row; for many
+# rows, as under `vmap`, one product of matrices is faster.
 
 
 def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Float[Array, "k c"]:
     """`rows @ block`, both of one dtype, with all derivatives and transformations."""
-    return _product.bind(rows, block, axis=0)
+    return _product.bind(rows.T, block, axis=0).T
 
 
 def few_rows_times_transposed(rows: Float[Array, "k c"], block: Float[Array, "s c"]) -> Float[Array, "k s"]:
     """`rows @ block.T` as `few_rows_times`, without a transposed copy of the block."""
-    return _product.bind(rows, block, axis=1)
+    return _product.bind(rows.T, block, axis=1).T
 
 
 def _contract(rows, block, axis):
@@ -108,48 +108,30 @@ def _contract(rows, block, axis):
     return jax.lax.dot_general(rows, block, dimensions, precision="highest")  # a GPU would round float32 to ten bits
 
 
-def _few_rows(rows, block, *, axis):
-    if axis == 0:
-        return _contract(rows, block, axis)
-    return jnp.stack([_contract(row, block, axis) for row in rows])
+def _few_rows(columns, block, *, axis):
+    if axis == 0 or columns.shape[1] > MOST_ROWS:
+        return _contract(columns.T, block, axis).T
+    return jnp.stack([_contract(row, block, axis) for row in columns.T], axis=1)
 
 
-def few_rows_in_one_loop(rows: Float[Array, "k s"], block: Float[Array, "..."], axis: int) -> Float[Array, "k c"]:
+def few_rows_in_one_loop(columns: Float[Array, "s k"], block: Float[Array, "..."], axis: int) -> Float[Array, "c k"]:
     """The product as one reduction of all rows, for GPUs: the block is never in memory."""
-    if len(rows) > MOST_ROWS:
-        return _contract(rows, block, axis)
-    terms = tuple(block * (row[:, None] if axis == 0 else row[None]) for row in rows)
+    if columns.shape[1] > MOST_ROWS:
+        return _contract(columns.T, block, axis).T
+    terms = tuple(block * (row[:, None] if axis == 0 else row[None]) for row in columns.T)
     zeros = (jnp.zeros((), block.dtype),) * len(terms)
 
     def add(a, b):
         return tuple(x + y for x, y in zip(a, b, strict=True))
 
-    return jnp.stack(jax.lax.reduce(terms, zeros, add, (axis,)))
+    return jnp.stack(jax.lax.reduce(terms, zeros, add, (axis,)), axis=1)
 
 
-def _abstract(rows, block, *, axis):
-    varies = {"vma": rows.vma | block.vma} if hasattr(rows, "vma") else {}
-    return rows.update(shape=(rows.shape[0], block.shape[1 - axis]), **varies)
-
-
-def _batched(arguments, axes, *, axis):
-    rows, block = arguments
-    if axes[1] is None:
-        return _contract(jnp.moveaxis(rows, axes[0], 0), block, axis), 0
-    return jax.vmap(functools.partial(_few_rows, axis=axis), axes)(rows, block), 0
-
-
-def _transposed_in_block(cotangent, rows, block, *, axis):
-    left, right = (rows, cotangent) if axis == 0 else (cotangent, rows)
-    return jnp.matmul(left.T, right, precision="highest")
-
-
-_product = Primitive("few_rows_times")
-_product.def_impl(jax.jit(_few_rows, static_argnames="axis"))
-_product.def_abstract_eval(_abstract)
-# with the other axis: XLA would compute block.T anew
-ad.defbilinear(_product, lambda ct, rows, block, *, axis: _product.bind(ct, block, axis=1 - axis), _transposed_in_block)
-batching.primitive_batchers[_product] = _batched
-mlir.register_lowering(_product, mlir.lower_fun(_few_rows, multiple_results=False))
+_product = linear_primitive(
+    "few_rows_times",
+    _few_rows,
+    rows=lambda block, axis: block.shape[1 - axis],
+    turned=lambda block, axis: ((block,), {"axis": 1 - axis}),  # XLA would compute block.T anew
+)
 for _platform in ("cuda", "rocm"):
     mlir.register_lowering(_product, mlir.lower_fun(few_rows_in_one_loop, multiple_results=False), platform=_platform)

@@ -16,7 +16,6 @@ from .._host.cells.topology import (
     KNOWN,
     NODES,
     SHAPES,
-    VTK_LAGRANGE,
     VTK_QUADRATIC,
     canonical_type,
     filling,
@@ -49,6 +48,8 @@ SHOWN = 6
 """Numbers of an array that a sentence lists."""
 
 Arrays = Mapping[str, Any]
+ByName = dict[str, np.ndarray]
+Block = tuple[int, np.ndarray, Any]  # dimension, corners (k, c) and value of a block of cells
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,12 +75,12 @@ class Patch(NamedTuple):
     nodes: np.ndarray
 
 
-def distinct(patches: Iterable[Patch]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+def distinct(patches: Iterable[Patch]) -> tuple[ByName, tuple[str, ...]]:
     """Gives each set of nodes a name, and notes duplicate names, of which the first one stays.
 
     Other sets add their own name. Sets of the same name and nodes are one.
     """
-    found: dict[str, np.ndarray] = {}
+    found: ByName = {}
     notes = []
     for name, own, nodes in patches:
         new, nodes = name, np.unique(nodes)
@@ -130,7 +131,7 @@ class Grid:
     own: tuple[str, str] = ("cells", "points")
     whole: tuple[Any, Any] = (None, None)
 
-    def of_blocks(self, values: Iterable[Any], *, full: bool = False) -> Iterator[tuple[int, np.ndarray, Any]]:
+    def of_blocks(self, values: Iterable[Any], *, full: bool = False) -> Iterator[Block]:
         """Yields dimension, corners and value of blocks below the highest dimension, or of it."""
         levels = [DIMENSION.get(kind, 2 if kind == "polygon" else 0) for kind, _ in self.blocks]
         for level, (_, corners), value in zip(levels, self.blocks, values, strict=False):
@@ -150,25 +151,31 @@ def of_meshio(mesh: Any) -> Grid:
     return Grid(np.asarray(mesh.points), blocks, **arrays, point_sets=getattr(mesh, "point_sets", {}), content=mesh)
 
 
-def _of_size(shape: str, size: int) -> str:
+def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
+    if not len(ids):
+        return kind, ids
+    shape, order = LAGRANGE.get(kind), MESHIO
+    if shape is not None:
+        kind, order = sized(shape, ids.shape[1]), VTK_ORDER
+    check_width(kind, ids.shape[-1])
+    return kind, reordered(kind, ids, order, None) if kind in NODES else ids
+
+
+def sized(shape: str, size: int) -> str:
     return shape if size == CORNERS[shape] else f"{shape}{size}"
 
 
-def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
-    shape, order = LAGRANGE.get(kind), MESHIO
-    if shape is not None and len(ids):
-        kind, order = _of_size(shape, ids.shape[1]), VTK_ORDER
-    if kind in NODES and len(ids) and ids.shape[1:] != (NODES[kind],):
-        raise ValueError(f"cells of type {kind} have {ids.shape[-1]} nodes, not {NODES[kind]}.")
-    return kind, reordered(kind, ids, order, None) if kind in NODES and len(ids) else ids
+def check_width(kind: str, size: int) -> None:
+    if size != NODES.get(kind, size):
+        raise ValueError(f"cells of type {kind} have {size} nodes, not {NODES[kind]}.")
 
 
 def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
     """Names a cell type as meshio does (VTK's from order 3 on), and orders its nodes so."""
-    ids, shape = np.asarray(ids), SHAPES[kind]
-    if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
+    ids, names = np.asarray(ids), {shape: name for name, shape in LAGRANGE.items()}
+    if kind in CORNERS or kind in VTK_QUADRATIC or SHAPES[kind] not in names:
         return kind, reordered(kind, ids, None, MESHIO)
-    return next(name for name, lagrange in LAGRANGE.items() if lagrange == shape), reordered(kind, ids, None, VTK_ORDER)
+    return names[SHAPES[kind]], reordered(kind, ids, None, VTK_ORDER)
 
 
 def imported(name: str, extra: str) -> Any:
@@ -211,7 +218,7 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     return Parts(np.ascontiguousarray(points), cells, patches, origin)
 
 
-def _cells(grid: Grid) -> dict[str, np.ndarray]:
+def _cells(grid: Grid) -> ByName:
     cells = filling(gathered((kind, ids) for kind, ids in grid.blocks if len(ids) and kind in DIMENSION))
     if not cells:
         there = ", ".join(dict.fromkeys(kind for kind, _ in grid.blocks)) or "nodes"
@@ -238,12 +245,9 @@ def _sets(grid: Grid) -> Iterator[Patch]:
         if name.startswith(PREFIX) and np.ndim(values) == 1:
             yield Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
     for name, members in grid.cell_sets.items():
-        nodes = [
-            corners[np.asarray(inside, dtype=np.int64)].ravel()
-            for _, corners, inside in grid.of_blocks(members)
-            if _has_some(inside)
-        ]
-        if nodes and name != BOUNDING:
+        blocks = grid.of_blocks(members if name != BOUNDING else ())
+        nodes = [ids[np.asarray(rows, int)].ravel() for _, ids, rows in blocks if _has_some(rows)]
+        if nodes:
             yield Patch(name, grid.own[0], np.concatenate(nodes))
     for name, members in grid.point_sets.items():
         yield Patch(name, grid.own[1], np.asarray(members, dtype=np.int64))
@@ -252,33 +256,39 @@ def _sets(grid: Grid) -> Iterator[Patch]:
 def _physical(grid: Grid) -> Iterator[Patch]:
     """Yields gmsh's physical groups, and Netgen's; an unnamed group is `physical_` and its tag."""
     names = {tuple(np.asarray(info).tolist()): name for name, info in grid.field_data.items() if np.size(info) == 2}
-    found = _by_number(grid, next((grid.cell_data[name] for name in GROUPS if name in grid.cell_data), []))
-    nodes = gathered(((tag, level), nodes) for level, tag, nodes in found if tag > 0)
+    groups = next((grid.cell_data[name] for name in GROUPS if name in grid.cell_data), ())
+    nodes = gathered(((tag, level), nodes) for level, tag, nodes in _by_number(grid.of_blocks(groups)) if tag > 0)
     for (tag, level), members in nodes.items():
         yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
 
 
-def _marked(grid: Grid) -> tuple[str, dict[str, np.ndarray]]:
+def _marked(grid: Grid) -> tuple[str, ByName]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
-    for name in _markers(grid.cell_data):
-        found = [each for each in _by_number(grid, grid.cell_data[name]) if each[0]]
+    for name, blocks in _marker_arrays(grid):
+        found = [each for each in _by_number(blocks) if each[0]]
         highest = max((level for level, *_ in found), default=0)  # edges beside faces have numbers of their own
         patches = gathered((f"{name}_{number}", nodes) for level, number, nodes in found if level == highest)
         if patches:
             return name, patches
-    for name in _markers(grid.point_data):
-        values = np.asarray(grid.point_data[name])
-        if _are_whole(values) and values.any():
-            numbers = np.unique(values[values != 0]).tolist()
-            return name, {f"{name}_{int(number)}": np.flatnonzero(values == number) for number in numbers}
     return "", {}
 
 
-def _by_number(grid: Grid, parts: Iterable[np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Yields dimension, number and nodes of cells of lower dimension, by whole numbers."""
-    for level, corners, values in grid.of_blocks(parts):
-        for number in np.unique(values).tolist() if _are_whole(values) else ():
-            yield level, int(number), corners[np.asarray(values) == number].ravel()
+def _marker_arrays(grid: Grid) -> Iterator[tuple[str, Iterable[Block]]]:
+    for name in _markers(grid.cell_data):
+        yield name, grid.of_blocks(grid.cell_data[name])
+    for name in _markers(grid.point_data):
+        nodes, values = np.arange(len(grid.points)), np.asarray(grid.point_data[name])
+        if values.ndim == 1:
+            yield name, [(1, nodes[values != 0], values[values != 0])]
+
+
+def _by_number(blocks: Iterable[Block]) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yields dimension, number and nodes of blocks whose values are whole numbers."""
+    for level, ids, values in blocks:
+        values = np.asarray(values)
+        if values.ndim == 1 and (values == np.floor(values)).all():
+            for number in np.unique(values).tolist():
+                yield level, int(number), ids[values == number].ravel()
 
 
 def _left(grid: Grid, taken: str) -> Iterator[str]:
@@ -297,10 +307,6 @@ def _left(grid: Grid, taken: str) -> Iterator[str]:
         yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
 
 
-def _has_some(members: Any) -> bool:
-    return members is not None and np.size(members) > 0
-
-
 def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
     for name, values in grid.point_data.items():
         yield "nodes", name, [values]
@@ -308,6 +314,10 @@ def _arrays(grid: Grid) -> Iterator[tuple[str, str, list[Any]]]:
         yield "faces", name, [value for *_, value in grid.of_blocks(values)]
         if name.lower() in MARKERS:
             yield "cells", name, [value for *_, value in grid.of_blocks(values, full=True)]
+
+
+def _has_some(members: Any) -> bool:
+    return members is not None and np.size(members) > 0
 
 
 def _numbers(parts: list[np.ndarray]) -> list[int]:
@@ -326,10 +336,6 @@ def regions_note(names: Iterable[str]) -> Iterator[str]:
 
 def _markers(arrays: Arrays) -> list[str]:
     return sorted((name for name in arrays if name.lower() in MARKERS), key=lambda name: MARKERS.index(name.lower()))
-
-
-def _are_whole(values: Any) -> bool:
-    return np.ndim(values) == 1 and bool((values == np.floor(values)).all())
 
 
 def checked_parts(

@@ -23,7 +23,7 @@ def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) 
     names = [kind_of_block(block.type, np.asarray(block.data))[0] for block in new.cells]
     kinds = np.repeat(names, [len(block.data) for block in new.cells])
     ends = np.cumsum([len(block.data) for block in new.cells])[:-1]
-    new.cell_data.update({name: np.split(values, ends) for name, values in _dealt(mesh, cell_arrays, kinds).items()})
+    new.cell_data.update({name: np.split(values, ends) for name, values in _of_cells(mesh, cell_arrays, kinds).items()})
     return new
 
 
@@ -32,11 +32,9 @@ def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None)
     old = _origin(mesh, pyvista.UnstructuredGrid)
     new = pyvista.wrap(vtk.new_grid(mesh.cells, _points(mesh, None))) if old is None else old.copy()
     new.points = _points(mesh, np.asarray(new.points))
-    point_arrays, cell_arrays = _for_grid(mesh, new, point_data, cell_data)
-    for name, values in point_arrays.items():
-        new.point_data[name] = values
-    for name, values in cell_arrays.items():
-        new.cell_data[name] = values
+    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
+    new.point_data.update(point_arrays)
+    new.cell_data.update(_of_cells(mesh, cell_arrays, vtk.kinds_of(new)))
     return new
 
 
@@ -49,22 +47,10 @@ def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays |
         new.ShallowCopy(old)
         was = vtk.coordinates(old)
         new.SetPoints(vtk.points_of(_points(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)))
-    point_arrays, cell_arrays = _for_grid(mesh, vtk.unstructured(new), point_data, cell_data)
-    vtk.add_arrays(new.GetPointData(), point_arrays)
-    vtk.add_arrays(new.GetCellData(), cell_arrays)
-    return new
-
-
-def _for_grid(mesh: Parts, grid: Any, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
     point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
-    kinds = vtk.kinds_of(grid) if cell_arrays else np.zeros(0, object)
-    if "polyhedron" not in kinds:
-        return point_arrays, _dealt(mesh, cell_arrays, kinds)
-    # A cell that was cut has the value of its first piece.
-    solid, ids = vtk.solid_cells(kinds), mesh.source.cell_ids
-    place = np.full(len(kinds), -1)
-    place[solid[ids[::-1]]] = np.arange(len(ids))[::-1]
-    return point_arrays, _placed(cell_arrays, place)
+    vtk.add_arrays(new.GetPointData(), point_arrays)
+    vtk.add_arrays(new.GetCellData(), _of_cells(mesh, cell_arrays, vtk.kinds_of(vtk.unstructured(new))))
+    return new
 
 
 def _origin(mesh: Parts, kind: type) -> Any:
@@ -105,20 +91,18 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
     return both[0], both[1]
 
 
-def _dealt(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarray]:
+def _of_cells(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarray]:
     """Reorders arrays from `mesh.cells` to cells of types `kinds`; other cells get NaN."""
-    # Cells of one type have one order in both meshes. `place` is the row of a cell in the arrays,
-    # or -1 for a cell of another type, which takes the row of NaN at the end.
+    # `place` is the row of a cell in the arrays, or -1 for a cell of another type, which takes the
+    # row of NaN at the end.
     place = np.full(len(kinds), -1)
+    if "polyhedron" in kinds:  # a cell that was cut has the value of its first piece
+        solid, ids = vtk.solid_cells(kinds), mesh.source.cell_ids
+        place[solid[ids[::-1]]] = np.arange(len(ids))[::-1]
     first = 0
-    for kind, corners in mesh.cells.items():
-        ids = np.flatnonzero(kinds == kind)
-        place[ids] = first + np.arange(len(ids))
+    for kind, corners in mesh.cells.items() if "polyhedron" not in kinds else ():
+        place[kinds == kind] = first + np.arange(len(corners))  # cells of one type have one order in both
         first += len(corners)
-    return _placed(arrays, place)
-
-
-def _placed(arrays: Arrays, place: np.ndarray) -> dict[str, np.ndarray]:
     dealt = {}
     for name, values in arrays.items():
         if (place < 0).any():

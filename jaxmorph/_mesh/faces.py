@@ -10,15 +10,16 @@ import numpy as np
 from scipy import sparse
 
 from .._host.cells.adjacency import columns_of, sorted_columns, twins
-from .._host.cells.topology import FACES
+from .._host.cells.topology import CORNERS, FACES
 
 BLOCK = 1 << 13
+
+TwoArrays = tuple[np.ndarray, np.ndarray]
 
 _SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
 """Numbers of faces, of triangles and of quads by type."""
 
 _BASE = {"tetra": 3, "pyramid": 4, "wedge": 3, "hexahedron": 4}
-_LAST = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,13 +61,7 @@ class Faces:
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Gathers ids (..., size) of faces of `size` corners; `~f` is f seen by its neighbour."""
-        # A window of `size` labels is one element of a void type, at every place where a face may
-        # begin. So one index gathers all corners of a face.
-        start = self.starts[np.where(faces < 0, ~faces, faces)]
-        labels = np.ascontiguousarray(self.labels)
-        kind = np.dtype((np.void, size * labels.itemsize))
-        windows = np.ndarray(len(labels) - size + 1, kind, labels, strides=(labels.itemsize,))
-        rows = windows[start].view(labels.dtype).reshape(*faces.shape, size)
+        rows = self.labels[self.starts[np.where(faces < 0, ~faces, faces)][..., None] + np.arange(size)]
         return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
 
     def padded(self, faces: np.ndarray) -> np.ndarray:
@@ -80,7 +75,7 @@ class Faces:
     def nodes(self, first: int, last: int) -> np.ndarray:
         return self.labels[self.starts[first] : self.starts[last]]
 
-    def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
+    def of_cells(self) -> TwoArrays:
         """Lists faces cell by cell, `~f` for the neighbour; where cells begin, and the end."""
         # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells.
         # The conversion from columns to rows is a counting sort in linear time.
@@ -114,10 +109,8 @@ def joined_faces(parts: list[Faces]) -> Faces:
     """Joins faces whose cells are numbered throughout: two equal outer faces are an inner one."""
     # Outer faces are padded to one width, so that `twins` pairs them. The first of two equal faces
     # stays, with the owner of the second as its neighbour.
-    labels = np.concatenate([part.labels for part in parts])
-    sizes = np.concatenate([part.sizes for part in parts])
-    owner = np.concatenate([part.owner for part in parts])
-    neighbour = np.concatenate([part.neighbour for part in parts])
+    fields = ("labels", "sizes", "owner", "neighbour")
+    labels, sizes, owner, neighbour = (np.concatenate([getattr(part, name) for part in parts]) for name in fields)
     faces = Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), owner, neighbour)
     outer, width = np.flatnonzero(neighbour < 0), int(sizes.max())
     groups = [outer[sizes[outer] == size] for size in np.unique(sizes[outer]).tolist()]
@@ -178,7 +171,7 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
     """Numbers corners of cells whose faces begin at `starts`; marks cells shaped as their type."""
     # Blocks of cells keep memory small. The faces of a pyramid or a wedge are sorted so that the
     # base comes first: the quad of a pyramid, a triangle of a wedge.
-    corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)
+    corners = np.empty((len(starts), CORNERS[kind]), faces.labels.dtype)
     good = np.empty(len(starts), bool)
     for at in range(0, len(starts), BLOCK):
         block = slice(at, at + BLOCK)
@@ -191,7 +184,7 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
     return corners, good
 
 
-def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _from_base(faces: Faces, kind: str, around: np.ndarray) -> TwoArrays:
     """Numbers cells from their first face, seen from inside; marks cells shaped as their type."""
     # A wall, another face that touches the base, shares an edge with it. On a walk round the wall,
     # exactly one edge leaves the base: its foot is a corner of the base, its head the corner above.
@@ -203,20 +196,15 @@ def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray,
     walls = around[:, 2:] if kind == "wedge" else around[:, 1:]
     start = np.ascontiguousarray(np.moveaxis(faces.corners(walls, side), 0, 2))  # operations then run along cells
     corners = np.ascontiguousarray(base.T)
-    is_base = np.zeros(start.shape, bool)
-    for corner in corners:
-        is_base |= start == corner
+    is_base = (start == corners[:, None, None]).any(axis=0)
     # A wall has one edge that leaves the base; the face opposite to the base has none.
     leaves = is_base & ~np.roll(is_base, -1, axis=1)
     count = leaves.sum(axis=1, dtype=np.int8)
     foot = np.where(count, (leaves * start).sum(axis=1, dtype=base.dtype), -1)
     head = (leaves * np.roll(start, -1, axis=1)).sum(axis=1, dtype=base.dtype)
-    tops, good = [], (count <= 1).all(axis=0)
-    for corner in corners:
-        hit = foot == corner
-        tops.append((hit * head).sum(axis=0, dtype=base.dtype))
-        good &= hit.sum(axis=0, dtype=np.int8) == 1
-    top = np.stack(tops, axis=1)
+    hit = foot == corners[:, None]
+    top = (hit * head).sum(axis=1, dtype=base.dtype).T
+    good = (count <= 1).all(axis=0) & (hit.sum(axis=1, dtype=np.int8) == 1).all(axis=0)
     if kind in ("tetra", "pyramid"):
         good &= (top == top[:, :1]).all(axis=1)
         top = top[:, :1]

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
+from .._host.cells.adjacency import is_among
 from .._host.cells.lagrange import ORDERS, node_keys, of_order
-from .._host.cells.pieces import boundary_sides, linear_cells
+from .._host.cells.pieces import boundary_sides, linear_cells, owned_sides, places_of, steps_of
 from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, solid
 from .._host.package.arguments import check, checked, shown, whole
 from .._host.package.text import patch_names
@@ -19,7 +20,9 @@ from .._kernels.values import is_known
 from . import exchange, export, vtk
 from .exchange import checked_parts, floats
 from .polyhedra import Polyhedra
-from .refined import outer_sides, refined
+
+PointsLike = Real[ArrayLike, "n d"] | Sequence[Any]
+"""Coordinates as public functions take them: arrays of real numbers, or lists."""
 
 
 class Mesh(Module):
@@ -93,7 +96,7 @@ class Mesh(Module):
         return np.arange(len(self.points)) if nodes is None else nodes
 
     @checked
-    def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
+    def in_file_order(self, points: PointsLike) -> np.ndarray:
         """Computes coordinates (N, D) of all nodes of the file from this mesh's `points` (n, d).
 
         `jaxmorph.io.write` writes these. D is 3 if the file has three coordinates, also for a mesh
@@ -164,12 +167,20 @@ class Mesh(Module):
         """
         if self.polyhedra is not None:
             raise ValueError(f"{self} has polyhedra or polygons: jm.boundary_faces(mesh) lists their outer faces.")
-        cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
-        inner = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == self.points.shape[1]}
-        is_inner = [np.zeros(0, bool), *(np.full(len(ids), kind in inner) for kind, ids in cells.items())]
+        inner = {kind: np.asarray(ids) for kind, ids in self.cells.items() if DIMENSION[kind] == self.points.shape[1]}
+        numbers = [first + np.arange(len(self.cells[kind])) for kind, first in self._firsts.items() if kind in inner]
         among = self.patch(*patches) if patches else None
-        sides, owner = outer_sides(inner, len(self.points), among, self.between)
-        return Mesh(self.points, sides, self.patches), np.flatnonzero(np.concatenate(is_inner))[owner]
+        sides, owners = {}, [np.zeros(0, np.int64)]
+        for kind, (ids, owner) in sorted(owned_sides(inner, len(self.points), among).items()):
+            is_outer = slice(None) if self.between is None else ~is_among(ids, self.between)
+            sides[kind] = ids[is_outer]
+            owners.append(np.concatenate(numbers)[owner[is_outer]])
+        return Mesh(self.points, sides, self.patches), np.concatenate(owners)
+
+    @property
+    def _firsts(self) -> dict[str, int]:
+        """The number of the first cell of each type."""
+        return dict(zip(self.cells, np.cumsum([0, *map(len, self.cells.values())]).tolist(), strict=False))
 
     @checked
     def refined(self, steps: int) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
@@ -182,12 +193,21 @@ class Mesh(Module):
 
         **Raises:** `ValueError` for fewer steps than 1.
         """
-        cells = {kind: np.asarray(ids) for kind, ids in self.cells.items()}
-        points, pieces, owner = refined(cells, np.asarray(self.points), whole("steps", steps))
-        return Mesh(points, pieces), owner
+        whole("steps", steps)
+        points, tables = _lattices(self, steps)
+        found, numbers = {}, self._firsts
+        for kind, table in tables.items():
+            for shape, rows in steps_of(SHAPES[kind], steps).items():
+                owner = numbers[kind] + np.repeat(np.arange(len(table)), len(rows))
+                found.setdefault(shape, []).append((table[:, rows].reshape(-1, rows.shape[1]), owner))
+        joined = {shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)] for shape in sorted(found)}
+        owners = [owner for _, owner in joined.values()]
+        return Mesh(points, {shape: ids for shape, (ids, _) in joined.items()}), np.concatenate(
+            [*owners, np.zeros(0, int)]
+        )
 
     @checked
-    def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
+    def moved(self, points: PointsLike) -> "Mesh":
         """Makes a mesh with coordinates `points` (n, d), and the cells and patches of this mesh.
 
         **Raises:** `ValueError` when the shape of `points` differs.
@@ -288,25 +308,38 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
         raise ValueError(f"`order` is {order}; meshes of order 2, 3 and 4 can be made.")
     if mesh.is_curved or mesh.polyhedra is not None or not mesh.cells:
         raise ValueError(f"{mesh} cannot be elevated: linear cells are needed, of the types {', '.join(CORNERS)}.")
-    targets = {kind: of_order(kind, order) for kind in mesh.cells}
-    keys = {kind: node_keys(np.asarray(ids), targets[kind]) for kind, ids in mesh.cells.items()}
-    # a new node is known by its corners and their weights, in ascending order: cells that share a
-    # face agree on it
-    every = np.concatenate([key.reshape(-1, key.shape[2]) for key in keys.values()])
-    nodes, number = np.unique(every, axis=0, return_inverse=True)
-    n, number = len(mesh.points), number.ravel()
-    cells, first = {}, 0
-    for kind, ids in mesh.cells.items():
-        k, new = keys[kind].shape[:2]
-        cells[targets[kind].name] = np.column_stack(
-            [np.asarray(ids), n + number[first : first + k * new].reshape(k, new)]
-        )
-        first += k * new
-    corners, weights = nodes[:, ::2], nodes[:, 1::2]
     old = np.asarray(mesh.points)
-    added = np.einsum("nc,ncd->nd", weights / weights.sum(axis=1, keepdims=True), old[corners])
-    points = np.concatenate([old, added.astype(old.dtype)])
+    places, tables = _lattices(mesh, order)
+    number = np.full(len(places), -1)
+    for kind, table in tables.items():
+        number[table[:, : CORNERS[kind]]] = mesh.cells[kind]
+    new = np.flatnonzero(number < 0)
+    number[new] = len(old) + np.arange(len(new))
+    cells = {of_order(kind, order).name: number[table] for kind, table in tables.items()}
+    points = np.concatenate([old, places[new]])
     return Mesh(points, cells, _patches(mesh, cells, len(points)))
+
+
+def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Points (p, d) of the lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
+    # A point between corners is known by these and their weights, in ascending order: cells that
+    # share a face agree on it. The corners come first.
+    points, shapes = np.asarray(mesh.points), {kind: SHAPES[kind] for kind in mesh.cells}
+    corners = {kind: np.asarray(mesh.cells[kind])[:, : CORNERS[shape]] for kind, shape in shapes.items()}
+    used = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, corners.values())]))
+    keys, places, tables, first = [np.zeros((0, 16), np.int64)], [points[:0]], {}, 0
+    for kind, shape in shapes.items():
+        keys.append(node_keys(corners[kind], of_order(shape, steps)).reshape(-1, 16))
+        inner = places_of(kind, steps)[CORNERS[shape] :]
+        places.append(
+            np.einsum("sn,knd->ksd", inner, points[np.asarray(mesh.cells[kind])]).reshape(-1, points.shape[1])
+        )
+    _, rows, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
+    for kind, part in zip(shapes, keys[1:], strict=True):
+        new = len(used) + number.ravel()[first : first + len(part)].reshape(len(corners[kind]), -1)
+        tables[kind] = np.concatenate([np.searchsorted(used, corners[kind]), new], axis=1)
+        first += len(part)
+    return np.concatenate([points[used], np.concatenate(places)[rows]]).astype(points.dtype), tables
 
 
 def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:

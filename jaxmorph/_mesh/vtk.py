@@ -1,30 +1,30 @@
 """VTK's unstructured grids as a `Grid`, and a `Mesh` as one of VTK's grids."""
 
+import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from .._host.cells.orders import VTK_ORDER, reordered
-from .._host.cells.topology import CORNERS, DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
-from .exchange import Arrays, Grid, Parts, checked_parts, imported, parts
+from .._host.cells.topology import DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
+from .exchange import Arrays, Grid, Parts, check_width, checked_parts, imported, parts, sized
 from .faces import Faces, faces_of_cells, joined_faces
 from .polyhedra import cells_of_faces, spread
 
-POLYHEDRON = 42
-
-AXIS_ALIGNED = {8: ("quad", [0, 1, 3, 2]), 11: ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
-"""Pixels and voxels: the type with their corners, and the order of these."""
+AXIS_ALIGNED = {8: [0, 1, 3, 2], 11: [0, 1, 3, 2, 4, 5, 7, 6]}
+"""The order of the corners of pixels and voxels."""
 
 OTHERS = {
-    **{0: ("empty", 0), 1: ("vertex", 0), 2: ("poly_vertex", 0), 4: ("poly_line", 1), 6: ("triangle_strip", 2)},
-    **{7: ("polygon", 2), POLYHEDRON: ("polyhedron", 3)},
+    **{8: ("quad", 2), 11: ("hexahedron", 3), 0: ("empty", 0), 1: ("vertex", 0), 2: ("poly_vertex", 0)},
+    **{4: ("poly_line", 1), 6: ("triangle_strip", 2), 7: ("polygon", 2), 42: ("polyhedron", 3)},
 }
 """Names and dimensions of VTK's other linear cells."""
 
 _KINDS = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()}
-_KINDS |= {number: kind for number, (kind, _) in (AXIS_ALIGNED | OTHERS).items()}
+_KINDS |= {number: kind for number, (kind, _) in OTHERS.items()}
 _SHAPES = {number: shape for shape, number in VTK_LAGRANGE.items()}
+_LEVELS = dict(OTHERS.values()) | DIMENSION
 
 
 def vtk(name: str) -> Any:
@@ -84,26 +84,21 @@ def kinds_of(grid: Any) -> np.ndarray:
 
 def _kind(number: int, size: int) -> str:
     if number in _SHAPES:
-        shape = _SHAPES[number]
-        return shape if size == CORNERS[shape] else f"{shape}{size}"
+        return sized(_SHAPES[number], size)
     if number not in _KINDS:
         names = vtk("vtkCommonDataModel").vtkCellTypeUtilities
         return names.GetClassNameFromTypeId(number).removeprefix("vtk")
     return _KINDS[number]
 
 
-def _dimension(kind: str) -> int:
-    return DIMENSION.get(kind, dict(OTHERS.values()).get(kind, 3))
-
-
 def solid_cells(kinds: np.ndarray) -> np.ndarray:
-    levels = {kind: _dimension(kind) for kind in set(kinds.tolist())}
+    levels = {kind: _LEVELS.get(kind, 3) for kind in set(kinds.tolist())}
     highest = max(levels.values(), default=0)
     return np.flatnonzero(np.isin(kinds, [kind for kind, level in levels.items() if level == highest]))
 
 
 def dimension_of(grid: Any) -> int:
-    return max(map(_dimension, set(kinds_of(grid).tolist())), default=0)
+    return max((_LEVELS.get(kind, 3) for kind in set(kinds_of(grid).tolist())), default=0)
 
 
 def of_vtk(grid: Any) -> Grid:
@@ -113,26 +108,27 @@ def of_vtk(grid: Any) -> Grid:
     that no mesh has, and for ids of nodes that are not there.
     """
     points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
-    outside = ids[(ids < 0) | (ids >= len(points))]
-    if len(outside):
-        raise ValueError(f"a cell names node {outside[0]}, but there are {len(points)} points.")
+    _check_ids("a cell", ids, len(points))
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
-    unknown = sorted(top.keys() - {*NODES, "polyhedron"})
-    _refuse(kind for kind in unknown if _dimension(kind) > 1)
-    blocks, whole, outer, done = [], (None, None), None, {}
+    _refuse(kind for kind in sorted(top.keys() - {*NODES, "polyhedron"}) if _LEVELS.get(kind, 3) > 1)
+    blocks, whole, outer = [], (None, None), None
     if "polyhedron" in top:
         blocks, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
-        done = top
     for kind in dict.fromkeys(kinds.tolist()):
-        if kind not in done:
+        if outer is None or kind not in top:
             blocks += _of_kind(grid, kind, np.flatnonzero(kinds == kind))
     data = data_of(grid.GetCellData())
     cell_data = {name: [values[rows] for *_, rows in blocks] for name, values in data.items()}
     read = [(kind, corners) for kind, corners, _ in blocks]
-    known: dict[str, Any] = {"content": grid, "outer": outer, "whole": whole}
-    return Grid(points, read, data_of(grid.GetPointData()), cell_data, **known)
+    return Grid(points, read, data_of(grid.GetPointData()), cell_data, content=grid, outer=outer, whole=whole)
+
+
+def _check_ids(what: str, ids: np.ndarray, count: int) -> None:
+    outside = ids[(ids < 0) | (ids >= count)]
+    if len(outside):
+        raise ValueError(f"{what} names node {outside[0]}, but there are {count} points.")
 
 
 def _refuse(kinds: Iterable[str], where: str = "") -> None:
@@ -144,20 +140,14 @@ def _refuse(kinds: Iterable[str], where: str = "") -> None:
 def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
     sizes = np.diff(starts)[rows]
-    if kind in NODES and (sizes != NODES[kind]).any():
-        raise ValueError(f"cells of type {kind} have {sizes[sizes != NODES[kind]][0]} nodes, not {NODES[kind]}.")
     for size in np.unique(sizes).tolist():
+        check_width(kind, size)
         chosen = rows[sizes == size]
-        nodes = ids[starts[chosen][:, None] + np.arange(size)]
-        yield kind, _canonical(kind, nodes, numbers[chosen]), chosen
-
-
-def _canonical(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    nodes = np.asarray(nodes, np.int64)
-    for number, (other, order) in AXIS_ALIGNED.items():
-        if other == kind and (numbers == number).any():
-            nodes[numbers == number] = nodes[numbers == number][:, order]
-    return reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes
+        nodes = ids[starts[chosen][:, None] + np.arange(size)].astype(np.int64)
+        for number, order in AXIS_ALIGNED.items():
+            if (numbers[chosen] == number).any():
+                nodes[numbers[chosen] == number] = nodes[numbers[chosen] == number][:, order]
+        yield kind, reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes, chosen
 
 
 def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, tuple, np.ndarray]:
@@ -165,14 +155,12 @@ def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndar
 
     It returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
     """
-    curved = sorted({kind for kind in kinds[solid].tolist() if kind not in CORNERS and kind != "polyhedron"})
+    curved = sorted({kind for kind in kinds[solid].tolist() if SHAPES.get(kind, kind) != kind})
     _refuse(curved, " beside polyhedra")
-    (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
     sides = [_sides(grid, points, solid, kinds)]
     for kind in dict.fromkeys(kinds[solid][kinds[solid] != "polyhedron"].tolist()):
         cell = np.flatnonzero(kinds[solid] == kind)
-        nodes = ids[starts[solid[cell]][:, None] + np.arange(CORNERS[kind])]
-        sides.append(faces_of_cells(kind, _canonical(kind, nodes, numbers[solid[cell]]), cell))
+        sides += [faces_of_cells(kind, nodes, cell) for _, nodes, _ in _of_kind(grid, kind, solid[cell])]
     blocks, whole = cells_of_faces(joined_faces(sides), points, solid)
     blocks.sort(key=lambda block: block[0])
     faces, cells = whole.faces, np.concatenate([cell for *_, cell in blocks])
@@ -193,41 +181,36 @@ def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) 
     if len(face) and (face.min() < 0 or face.max() >= len(starts) - 1):
         raise ValueError(f"a polyhedron names face {face.max()}, but there are {len(starts) - 1}.")
     places, which = spread(starts[face], starts[face + 1])
-    labels, sizes = ids[places], np.diff(starts)[face]
-    outside = labels[(labels < 0) | (labels >= len(points))]
-    if len(outside) or (sizes < 3).any():
-        raise ValueError(f"a face of a polyhedron has {sizes.min()} nodes, or a node that is not there.")
-    begins = np.cumsum(sizes) - sizes
-    inward = _inward(points, labels, begins, np.searchsorted(cells, cell))
-    back = begins[which] + sizes[which] - 1 - (np.arange(len(labels)) - begins[which])
-    labels = labels[np.where(inward[which], back, np.arange(len(labels)))].astype(np.int64)
-    return Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), cell, np.full(len(sizes), -1))
+    labels, sizes = ids[places].astype(np.int64), np.diff(starts)[face]
+    if (sizes < 3).any():
+        raise ValueError(f"a face of a polyhedron has {sizes.min()} nodes.")
+    _check_ids("a face of a polyhedron", labels, len(points))
+    faces = Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), cell, np.full(len(sizes), -1))
+    begins, place = faces.starts[:-1], np.arange(len(labels))
+    back = (begins + faces.starts[1:] - 1)[which] - place
+    order = np.where(_inward(faces, points)[which], back, place)
+    return dataclasses.replace(faces, labels=labels[order])
 
 
-def _inward(points: np.ndarray, labels: np.ndarray, begins: np.ndarray, cell: np.ndarray) -> np.ndarray:
+def _inward(faces: Faces, points: np.ndarray) -> np.ndarray:
     """Finds faces that point into their cell: VTK asks for outward ones, but programs differ."""
-    sizes = np.diff(begins, append=len(labels))
-    which = np.repeat(np.arange(len(begins)), sizes)
-    after = np.arange(1, len(labels) + 1)
-    after[begins + sizes - 1] = begins
-    # A cell's faces have one sense where its edges are gone along once each way. An edge of a cell
-    # has +1 in the one sense and -1 in the other, which are summed.
-    low, high = np.sort(np.stack([labels, labels[after]]), axis=0)
-    order = np.lexsort((high, low, cell[which]))
-    edges = np.stack([cell[which], low, high])[:, order]
-    first = np.flatnonzero((np.diff(edges, axis=1, prepend=-1) != 0).any(axis=0))
-    ways = np.add.reduceat(np.where(labels < labels[after], 1, -1)[order], first)
-    count = int(cell.max(initial=-1)) + 1
-    is_mixed = np.bincount(edges[0, first], ways != 0, count) > 0
+    # A cell's faces have one sense where its edges are gone along once each way. A node has a
+    # random number. Those of an edge's ends make a number whose sign is that of the way, so that
+    # the numbers of such a cell add up to zero.
+    random = np.random.default_rng(0).integers(2**64, size=len(points), dtype=np.uint64)
+    here, begins, cell, count = random[faces.labels], faces.starts[:-1], faces.owner, faces.count
+    after, balance = faces.after(here), np.zeros(count, np.uint64)
+    np.add.at(balance, np.repeat(cell, faces.sizes), here * after * (here - after))
     # Normals are summed over the triangles between a face's mean and its edges.
-    middle = np.add.reduceat(points[labels], begins) / sizes[:, None]
-    arms = points[labels] - middle[which]
-    normal = np.add.reduceat(np.cross(arms, points[labels[after]] - middle[which]), begins)
-    number = np.bincount(cell, minlength=count)[:, None]
-    centre = np.stack([np.bincount(cell, middle[:, k], count) for k in range(3)], axis=1) / number
+    corners = points[faces.labels]
+    middle = np.add.reduceat(corners, begins) / faces.sizes[:, None]
+    arms = corners - np.repeat(middle, faces.sizes, axis=0)
+    normal = np.add.reduceat(np.cross(arms, faces.after(arms)), begins)
+    number = np.maximum(np.bincount(cell, minlength=count), 1)
+    centre = np.stack([np.bincount(cell, column, count) / number for column in middle.T], axis=1)
     volume = np.einsum("fk,fk->f", normal, middle - centre[cell])
-    most = np.bincount(cell, volume, count)[~is_mixed]
-    return np.where(is_mixed[cell], volume < 0, 2 * (most < 0).sum() > len(most))
+    most = np.bincount(cell, volume, count)[(balance == 0) & (np.bincount(cell, minlength=count) > 0)]
+    return np.where(balance[cell] != 0, volume < 0, 2 * (most < 0).sum() > len(most))
 
 
 def mesh_of(grid: Any) -> Parts:

@@ -2,18 +2,33 @@
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.package.arguments import between
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .surface import Surface
+
+matmul = functools.partial(jnp.matmul, precision="highest")
+einsum = functools.partial(jnp.einsum, precision="highest")
+
+Scalar = Float[Array, ""]
+Flag = Bool[Array, ""]
+Point = Float[Array, " d"]
+Points = Float[Array, "n d"]
+"""Coordinates or displacements of a mesh's points."""
+Rows = Float[Array, "b d"]
+"""Coordinates or displacements of the rows of a surface."""
+
+Pairs = Int[Array, "e 2"]
+"""Pairs of nodes."""
 
 BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
 
@@ -40,7 +55,7 @@ class AbstractField(Module):
     """Evaluates a displacement field, written for one point."""
 
     @abc.abstractmethod
-    def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
+    def __call__(self, x: Point, ids: PyTree) -> Point:
         """Computes the displacement at `x`; `ids` are those of `connect` or `place` for it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
@@ -75,20 +90,32 @@ class AbstractMethod(Module):
         """Finds ids for the surface, and for every point (n rows). Once, on the host."""
 
     @abc.abstractmethod
-    def fit(self, ids: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
+    def fit(self, ids: PyTree, surface: Rows, points: Points) -> PyTree:
         """Computes the part of the solve that does not depend on `u`. Traced."""
 
     @abc.abstractmethod
-    def field(
-        self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], u: Float[Array, "b d"]
-    ) -> AbstractField:
+    def field(self, ids: PyTree, factors: PyTree, surface: Rows, u: Rows) -> AbstractField:
         """Makes the displacement field. Traced, and linear in `u` for a method that is `linear`."""
+
+    def place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows) -> PyTree:
+        """Returns the ids of a point; an `AbstractPlacing` computes its place. Traced."""
+        return ids
+
+    def carry(self, ids: PyTree, factors: PyTree, surface: Rows, points: Points) -> PyTree:
+        """Computes factors on the mesh after a step of `march`, by default with `fit`. Traced.
+        Factors that belong to the places of points stay as they are.
+        """
+        return self.fit(ids, surface, points)
+
+    def carry_place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree) -> PyTree:
+        """Changes a point's place after a step of `march`; it stays by default. Traced."""
+        return placed
 
     def control(self, ids: PyTree) -> Control:
         """Returns the rows that control the field, on the host; none by default."""
         return Control()
 
-    def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
+    def check(self, ids: PyTree, factors: PyTree, u: Rows) -> None:
         """Raises or warns when the factors are unusable, by a trial displacement `u`. Once, on the
         host, after the first `fit`.
         """
@@ -119,35 +146,22 @@ class AbstractPlacing(AbstractMethod):
     """
 
     @abc.abstractmethod
-    def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
+    def place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows) -> PyTree:
         """Computes the place of a point: its ids, and numbers that do not depend on `u`. Traced."""
 
-    def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
-        """Computes factors on the mesh after a step of `march`, by default with `fit`. Traced.
-        Factors that belong to the places of points stay as they are.
-        """
-        return self.fit(ids, surface, points)
 
-    def carry_place(
-        self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], placed: PyTree
-    ) -> PyTree:
-        """Changes a point's place after a step of `march`; it stays by default. Traced."""
-        return placed
+def or_one(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Makes divisors of values that are not negative."""
+    return jnp.where(values > 0, values, 1)
 
 
-# The three functions of an `AbstractPlacing`, with its arguments, for any method
+def has_part(method: AbstractMethod, kind: type) -> bool:
+    """Checks whether a method is of a kind, or made of such a method."""
 
+    def is_part(node: object) -> bool:
+        return isinstance(node, kind)
 
-def place(method: AbstractMethod, x: Float[Array, " d"], ids: PyTree, *data: PyTree) -> PyTree:
-    return method.place(x, ids, *data) if isinstance(method, AbstractPlacing) else ids
-
-
-def carry(method: AbstractMethod, ids: PyTree, factors: PyTree, *data: Any) -> PyTree:
-    return method.carry(ids, factors, *data) if isinstance(method, AbstractPlacing) else method.fit(ids, *data)
-
-
-def carry_place(method: AbstractMethod, x: Float[Array, " d"], *data: PyTree) -> PyTree:
-    return method.carry_place(x, *data) if isinstance(method, AbstractPlacing) else data[-1]
+    return any(map(is_part, jax.tree.leaves(method, is_leaf=is_part)))
 
 
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
@@ -162,7 +176,7 @@ def check_kind(value: Any, kind: type, name: str, example: str, *, optional: boo
 def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
     """A converter to one real number in an interval, `ends` as for `between`, or a `ValueError`."""
 
-    def convert(value: Any) -> Float[Array, ""]:
+    def convert(value: Any) -> Scalar:
         if is_known(value):
             between(name, value, low, high, ends)
         value = jnp.asarray(float(value) if isinstance(value, int) else value)
@@ -171,6 +185,6 @@ def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, en
     return convert
 
 
-def length_or_none(name: str) -> Callable[[Any], Any]:
-    convert = number(name, 0)
+def number_or_none(name: str, *limits: Any) -> Callable[[Any], Any]:
+    convert = number(name, *limits)
     return lambda value: None if value is None else convert(value)

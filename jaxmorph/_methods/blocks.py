@@ -4,17 +4,17 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import PyTree
 
 from .._kernels.compile import is_for_cpu
-from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing
+from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing, Points, Rows
 from .sparse import Interpolation
 
 WIDER = 256  # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 FEW = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
-def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
+def map_points(field: AbstractField, points: Points, ids: PyTree) -> Points:
     """Evaluates the field at every point; derivatives compute blocks anew and store none."""
     if field.block_size is None:
         return field.evaluate(points, ids)
@@ -22,33 +22,19 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
 
 
 def place_points(
-    method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
+    method: AbstractMethod, points: Points, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree = None
 ) -> PyTree:
+    """Computes every point's place; or changes places `placed` after a step of `march`."""
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return ids
-    return _placed(lambda x, ids: method.place(x, ids, factors, surface), (points, ids))
 
+    def place(x, ids, *placed):
+        change = method.carry_place if placed else method.place
+        return change(x, ids, factors, surface, *placed)
 
-def carry_points(
-    method: AbstractMethod,
-    rows: tuple[Float[Array, "n d"], PyTree, PyTree],
-    factors: PyTree,
-    surface: Float[Array, "b d"],
-) -> PyTree:
-    """Changes every point's place by `carry_place`; `rows` are points, ids and places."""
-    points, ids, placed = rows
-    if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
-        return placed
-    carried = _placed(
-        lambda x, ids, placed: method.carry_place(x, ids, factors, surface, placed),
-        (points, ids, without_tables(placed)),
-    )
-    return with_tables_of(placed, carried)
-
-
-def _placed(function: Callable[..., PyTree], rows: tuple) -> PyTree:
-    place = jax.checkpoint(jax.vmap(function))
-    return map_rows(lambda rows: place(*rows), rows, BLOCK)
+    every = jax.checkpoint(jax.vmap(place))
+    rows = (points, ids) if placed is None else (points, ids, without_tables(placed))
+    return map_rows(lambda rows: every(*rows), rows, BLOCK)
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
 from .._kernels.values import area_vectors, as_jax, largest, norm, root
-from .base import AbstractField, AbstractMethod, number
+from .base import AbstractField, AbstractMethod, Rows, Scalar, einsum, matmul, number, or_one
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
 
@@ -27,7 +27,7 @@ class InverseDistanceIds(eqx.Module):
 
 class InverseDistanceFactors(eqx.Module):
     area: Float[Array, " b"]
-    extent: Float[Array, ""]
+    extent: Scalar
 
 
 class InverseDistance(AbstractMethod):
@@ -54,7 +54,7 @@ class InverseDistance(AbstractMethod):
 
     far: float = eqx.field(static=True, default=3.0)
     near: float = eqx.field(static=True, default=5.0)
-    alpha: Float[Array, ""] = eqx.field(converter=number("alpha", 0), default=0.25)
+    alpha: Scalar = eqx.field(converter=number("alpha", 0), default=0.25)
     rotations: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
@@ -78,7 +78,7 @@ class InverseDistance(AbstractMethod):
         moves = jnp.arange(len(surface)) < ids.moving
         middle = jnp.sum(jnp.where(moves[:, None], surface, 0), axis=0) / ids.moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
-        extent = jnp.where(extent > 0, extent, 1)  # all nodes at one place: any length serves
+        extent = or_one(extent)  # all nodes at one place: any length serves
         area = _areas(ids.faces, surface) if ids.faces else jnp.ones(len(surface), surface.dtype)
         return InverseDistanceFactors(area, extent)
 
@@ -90,8 +90,8 @@ class InverseDistance(AbstractMethod):
 class InverseDistanceField(AbstractField):
     method: InverseDistance
     factors: InverseDistanceFactors
-    surface: Float[Array, "b d"]
-    u: Float[Array, "b d"]
+    surface: Rows
+    u: Rows
     turns: Float[Array, "b d d"] | None
 
     @property
@@ -104,11 +104,11 @@ class InverseDistanceField(AbstractField):
     def evaluate(self, points, ids):
         weights = self._weights(points)
         if self.turns is None:
-            return jnp.matmul(weights, self.u, precision="highest")
-        about = self.u - jnp.einsum("bij,bj->bi", self.turns, self.surface, precision="highest")
-        turn = jnp.einsum("kb,bij->kij", weights, self.turns, precision="highest")
-        turned = jnp.einsum("kij,kj->ki", turn, points, precision="highest")
-        return jnp.matmul(weights, about, precision="highest") + turned
+            return matmul(weights, self.u)
+        about = self.u - einsum("bij,bj->bi", self.turns, self.surface)
+        turn = einsum("kb,bij->kij", weights, self.turns)
+        turned = einsum("kij,kj->ki", turn, points)
+        return matmul(weights, about) + turned
 
     def _weights(self, points: Float[Array, "k d"]) -> Float[Array, "k b"]:
         far, near, alpha = self.method.far, self.method.near, self.method.alpha.astype(points.dtype)
@@ -137,14 +137,14 @@ def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]
     return whole * jnp.sqrt(squared) if exponent % 2 else whole
 
 
-def _normals(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
+def _normals(faces: Faces, surface: Rows) -> Rows:
     total = jnp.zeros_like(surface)
     for ids in faces.values():
         total = total.at[ids].add(area_vectors(surface[ids])[:, None])
     return total
 
 
-def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
+def _areas(faces: Faces, surface: Rows) -> Float[Array, " b"]:
     """Each node's share of its faces; a node without any has the mean share."""
     total = jnp.zeros(len(surface), surface.dtype)
     for ids in faces.values():
@@ -152,7 +152,7 @@ def _areas(faces: Faces, surface: Float[Array, "b d"]) -> Float[Array, " b"]:
     return jnp.where(total > 0, total, total.mean())
 
 
-def _turns(faces: Faces, surface: Float[Array, "b d"], u: Float[Array, "b d"]) -> Float[Array, "b d d"]:
+def _turns(faces: Faces, surface: Rows, u: Rows) -> Float[Array, "b d d"]:
     # Normals are linear in 2-D, and quadratic in 3-D: N(x + u) = N(x) + N'(x) u + N(u). So their
     # change is zero, bit for bit, where u is.
     before, change = jax.jvp(lambda places: _normals(faces, places), (surface,), (u,))
@@ -164,10 +164,8 @@ def _turns(faces: Faces, surface: Float[Array, "b d"], u: Float[Array, "b d"]) -
     scale = jnp.where(is_known, 1 / jnp.sqrt(jnp.where(is_known, squared, 1)), 0)
     cosine = jnp.where(is_known, jnp.sum(before * after, axis=1) * scale, 1)
     opposite = 1 / jnp.maximum(1 + cosine, float(jnp.finfo(before.dtype).eps) ** 0.5)
-    if before.shape[1] == 2:
-        sine = (before[:, 0] * change[:, 1] - before[:, 1] * change[:, 0]) * scale
-        less = jnp.where(cosine > 0, -(sine**2) * opposite, cosine - 1)
-        return jnp.stack([jnp.stack([less, -sine], axis=1), jnp.stack([sine, less], axis=1)], axis=1)
+    d = before.shape[1]
+    before, change = (jnp.pad(rows, ((0, 0), (0, 3 - d))) for rows in (before, change))
     axis = jnp.cross(before, change) * scale[:, None]
     skew = jnp.cross(axis[:, None], jnp.eye(3, dtype=axis.dtype)[None]).swapaxes(1, 2)
-    return skew + jnp.matmul(skew, skew, precision="highest") * opposite[:, None, None]
+    return (skew + matmul(skew, skew) * opposite[:, None, None])[:, :d, :d]

@@ -9,8 +9,11 @@ from jaxtyping import Array, Float, Int
 from .._host.package.arguments import checked
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
-from .base import AbstractPlacing
+from .base import AbstractMethod, AbstractPlacing, Rows, or_one
+from .corrections import DelaunayGraph, NearWall
+from .inverse_distance import InverseDistance
 from .rbf.basis import WendlandC2
+from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import InterpolatedField, Reach
@@ -79,9 +82,7 @@ class Sweep(eqx.Module):
     entries: Int[Array, "s r w"]
     owner: Int[Array, "s r"]
 
-    def substituted(
-        self, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
-    ) -> Float[Array, "b d"]:
+    def substituted(self, source: Int[Array, " e"], entries: Float[Array, " e"], values: Rows) -> Rows:
         used = self.entries >= 0
         weights = jnp.where(used, entries[self.entries], 0)
         nodes = jnp.where(used, source[self.entries], 0)
@@ -103,7 +104,7 @@ class Hierarchy(eqx.Module):
     forward: Sweep
     backward: Sweep
 
-    def solve(self, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
+    def solve(self, entries: Float[Array, " e"], values: Rows) -> Rows:
         def product(c):
             reached = entries[:, None] * c[self.column]
             return c + jax.ops.segment_sum(reached, self.row, len(c), indices_are_sorted=True)
@@ -122,8 +123,28 @@ class MultiscaleFactors(eqx.Module):
 
 
 def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    return WendlandC2(1.0)(squared_distance / jnp.where(squared_radius > 0, squared_radius, 1))
+    return WendlandC2(1.0)(squared_distance / or_one(squared_radius))
 
 
 def _squared(vectors: Float[Array, "*n d"]) -> Float[Array, "*n"]:
     return jnp.sum(vectors**2, axis=-1)
+
+
+def carrying() -> AbstractMethod:
+    """Returns IDWarp's method, for a body whose grid nothing holds, as an overset grid."""
+    return InverseDistance(rotations=True)
+
+
+def guiding(method: AbstractMethod) -> AbstractMethod:
+    """Returns the method that guides nodes along boundaries: the coarse field of `method`, with a
+    `Multiscale` correction. Such nodes lie outside of the hull of moving and fixed nodes, where no
+    graph reaches, and have no cells among themselves. Near moving and fixed nodes they follow
+    exactly.
+    """
+    coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
+    if coarse.needs_cells or isinstance(coarse, DelaunayGraph | NearWall):
+        coarse = FittedRBF()
+    if coarse is method and coarse.exact:
+        return coarse
+    layered = isinstance(method, SurfaceReconstruction) and isinstance(method.correction, NearWall)
+    return SurfaceReconstruction(coarse, NearWall(Multiscale(), method.correction.width) if layered else Multiscale())

@@ -6,10 +6,16 @@ import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
-from .base import AbstractField, AbstractMethod, AbstractPlacing, Control, carry, carry_place, check_kind, place
+from .base import (
+    AbstractField,
+    AbstractMethod,
+    AbstractPlacing,
+    Control,
+    check_kind,
+    has_part,
+)
 from .blocks import map_points, place_points
-from .delaunay import DelaunayGraph, begin_graph
-from .nearwall import NearWall
+from .corrections import DelaunayGraph, NearWall, begun_graph
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 from .surface import Surface
@@ -65,7 +71,8 @@ class SurfaceReconstruction(AbstractPlacing):
         return self.coarse.linear and self.correction.linear
 
     def connect(self, surface: Surface, points):
-        begin_graph(self.correction, surface, len(points))
+        if len(points) > (surface.nodes >= 0).sum() and has_part(self.correction, DelaunayGraph):
+            begun_graph(surface)
         everywhere, more = surface.among(points)
         coarse, coarse_ids = self.coarse.connect(everywhere, more)
         coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], coarse_ids)
@@ -83,16 +90,16 @@ class SurfaceReconstruction(AbstractPlacing):
     def carry(self, ids, factors, surface, points):
         coarse, _, correction = ids
         coarse_factors, placed, correction_factors = factors
-        carried = carry(self.coarse, coarse, coarse_factors, surface, points)
-        return carried, placed, carry(self.correction, correction, correction_factors, surface, points)
+        carried = self.coarse.carry(coarse, coarse_factors, surface, points)
+        return carried, placed, self.correction.carry(correction, correction_factors, surface, points)
 
     def place(self, x, ids, factors, surface):
-        coarse = place(self.coarse, x, ids[0], factors[0], surface)
-        return coarse, place(self.correction, x, ids[1], factors[2], surface)
+        coarse = self.coarse.place(x, ids[0], factors[0], surface)
+        return coarse, self.correction.place(x, ids[1], factors[2], surface)
 
     def carry_place(self, x, ids, factors, surface, placed):
-        coarse = carry_place(self.coarse, x, ids[0], factors[0], surface, placed[0])
-        return coarse, carry_place(self.correction, x, ids[1], factors[2], surface, placed[1])
+        coarse = self.coarse.carry_place(x, ids[0], factors[0], surface, placed[0])
+        return coarse, self.correction.carry_place(x, ids[1], factors[2], surface, placed[1])
 
     def control(self, ids):
         coarse, correction = self.coarse.control(ids[0]), self.correction.control(ids[2])
@@ -132,8 +139,4 @@ class SumField(AbstractField):
 
 def sees_free_sides(method: AbstractMethod) -> bool:
     """Checks whether a method is or has a `FittedRBF`, whose field depends on `Surface.is_open`."""
-
-    def is_fitted(node: object) -> bool:
-        return isinstance(node, FittedRBF)
-
-    return any(map(is_fitted, jax.tree.leaves(method, is_leaf=is_fitted)))
+    return has_part(method, FittedRBF)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -12,14 +12,15 @@ from jaxtyping import Array, Float
 from scipy.sparse import csr_array, diags_array
 
 from .._host.cells.topology import CORNERS, DIMENSION, FRAMES, SHAPES
-from .._host.linear.products import FLAT, cofactors
+from .._host.linear.products import FLAT, cofactors, dot
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax, is_known
-from .base import AbstractMethod
-from .nearwall import WallPlace
+from .base import Rows, Scalar
+from .corrections import WallPlace
 from .rbf.fitted import FittedRBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import Interpolation
+from .surface import ByKind
 
 KEPT = 0.8
 """Smallest Jacobian ratio that least squares alone leave after a trial motion."""
@@ -45,27 +46,6 @@ AT_ONCE = 8
 LEAN = 0.02
 """Share of the inertia that is added along the coordinates, more along the first ones."""
 
-Cells = Mapping[str, np.ndarray]
-
-
-@dataclasses.dataclass(frozen=True)
-class WallTrial:
-    """Data of trial motions: the walls, and cells near them.
-
-    - `surface` (b, d): the surface's rows. `vectors` extends motions (t, m, d) of the moving nodes
-      to displacements (b, s, t, d) of them, for the fit and for least squares.
-    - `moving` (m, d), `walls` (m,): the moving nodes, and the wall of each.
-    - `points` (k, d), `placed`: points near the walls, and their places. `cells` have rows of them.
-    """
-
-    surface: Float[Array, "b d"]
-    vectors: Callable[[Any], Float[Array, "b s t d"]]
-    moving: Float[np.ndarray, "m d"]
-    walls: np.ndarray
-    points: Float[np.ndarray, "k d"]
-    placed: Any
-    cells: Cells
-
 
 def has_fit(method: Any) -> bool:
     return isinstance(method, SurfaceReconstruction) and isinstance(method.coarse, FittedRBF)
@@ -86,7 +66,7 @@ def share_in(method: Any, share: Any) -> Any:
     return dataclasses.replace(method, coarse=dataclasses.replace(method.coarse, share=share))
 
 
-def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def near_cells(cells: ByKind, nodes: np.ndarray, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Selects cells near some of `count` nodes, layer by layer: their nodes, and rows of these."""
     linear = {kind: np.asarray(ids)[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}
     is_near = np.zeros(count, dtype=bool)
@@ -98,13 +78,13 @@ def near_cells(cells: Cells, nodes: np.ndarray, count: int) -> tuple[np.ndarray,
     return used, {SHAPES[kind]: np.searchsorted(used, ids) for kind, ids in chosen.items()}
 
 
-def _layers(cells: Cells, is_near: np.ndarray, most: int) -> Cells:
+def _layers(cells: ByKind, is_near: np.ndarray, most: int) -> ByKind:
     """Adds layers of cells to `is_near`, while all are `most` cells at most, or thins the first."""
 
-    def layer() -> Cells:
+    def layer() -> ByKind:
         return {kind: ids[is_near[ids].any(axis=1)] for kind, ids in cells.items()}
 
-    def size(cells: Cells) -> int:
+    def size(cells: ByKind) -> int:
         return sum(map(len, cells.values()))
 
     chosen, grown = {}, layer()
@@ -118,35 +98,45 @@ def _layers(cells: Cells, is_near: np.ndarray, most: int) -> Cells:
     return chosen
 
 
-def judged(method: AbstractMethod, ids: Any, factors: Any, trial: WallTrial) -> AbstractMethod:
-    """Returns the method with the largest share that keeps enough in all trial motions."""
-    return share_in(method, _largest_share(method, ids[0], factors[0], trial))
+def largest_share(
+    method: Any,
+    surface: Any,
+    vectors: Callable[[Any], Any],
+    trials: Iterator[Float[np.ndarray, "m d"]],
+    near: Any,
+    cells: ByKind,
+) -> float:
+    """Finds the largest share that keeps enough in all trial motions.
 
-
-def _largest_share(method: Any, ids: Any, factors: Any, trial: WallTrial) -> float:
-    matrix = _correction(trial.placed[1], len(trial.surface))
+    `surface` has the points, ids and factors of a plan's surface. `vectors` extends motions
+    (t, m, d) of the moving nodes to displacements (b, s, t, d) of the surface's rows, for the fit
+    and for least squares. `near` has points near the walls and their places, between which are the
+    `cells`.
+    """
+    coarse, rows, factors = method.coarse, surface.points, surface.factors[0]
+    matrix = _correction(near.placed[1], len(rows))
     if matrix is None:
         return 1.0
-    used, coarse = np.unique(matrix.indices), method.coarse
+    used = np.unique(matrix.indices)
     matrix = csr_array(matrix[:, used])
-    places = np.concatenate([np.asarray(trial.surface)[used], trial.points])
-    rows = np.asarray(_kernel(coarse, factors, as_jax(places)))
-    corners = _JudgedCorners.of(np.asarray(trial.points, float), trial.cells)
-    alive, trials = dict(SHARES), motions(trial.moving, trial.walls)
+    kernel = np.asarray(_kernel(coarse, factors, as_jax(np.concatenate([np.asarray(rows)[used], near.points]))))
+    ids, inverse = _corners(np.asarray(near.points, float), cells)
+    alive = dict(SHARES)
     while u := list(itertools.islice(trials, AT_ONCE)):
-        rest = [np.zeros_like(trial.moving)] * (AT_ONCE - len(u))  # one shape, so one program
-        vectors = trial.vectors(np.stack([*u, *rest]))
-        weights = _weights(coarse, ids, factors, trial.surface, jnp.array([1.0, 0.0]), vectors)
-        field = _times(rows, np.asarray(weights))
-        offset = np.asarray(vectors)[used] - field[: len(used)]  # eq. (5)
+        rest = [np.zeros_like(u[0])] * (AT_ONCE - len(u))  # one shape, so one program
+        extended = vectors(np.stack([*u, *rest]))
+        weights = _weights(coarse, surface.ids[0], factors, rows, jnp.array([1.0, 0.0]), extended)
+        field = _times(kernel, np.asarray(weights))
+        offset = np.asarray(extended)[used] - field[: len(used)]  # eq. (5)
         moved = field[len(used) :] + _times(matrix, offset)
         for k in range(len(u)):
-            ratios = _Ratios.of(*(corners.gradients(moved[:, of, k]) for of in (0, 1)))
+            fit, plain = (_gradients(_edges(moved[:, of, k], ids), inverse) for of in (0, 1))
+            terms = {share: _invariants(share * fit + (1 - share) * plain) for share in (*alive, 0.0)}
             for sign in (1, -1):
-                size = sign * ratios.size(sign)
-                least = ratios.least(0.0, size)
+                size = _size(terms[0.0], sign)
+                least = _ratios(terms[0.0], size).min(initial=np.inf)
                 for share, enough in list(alive.items()):
-                    if ratios.least(share, size) < enough * least:
+                    if _ratios(terms[share], size).min(initial=np.inf) < enough * least:
                         del alive[share]
             if not alive:
                 return 0.0
@@ -178,41 +168,30 @@ def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Iterator[Flo
 def _shapes(x: Float[np.ndarray, "m d"]) -> Iterator[tuple[np.ndarray, int]]:
     """Yields heights (m,) over the axes, longest first, from -1 to 1, and the axis of motion."""
     thin = x.shape[1] - 1
-    for axis in range(thin + 1):
+    for axis, a in enumerate(x.T):
+        powers, turn = [a, a**2, a**3, np.sin(np.pi * a)], 2 * np.pi * a
+        waves = [np.cos(np.pi * a), np.sin(turn), np.cos(turn)]
         yield np.ones(len(x)), axis
-        powers = [x[:, axis], x[:, axis] ** 2, x[:, axis] ** 3, np.sin(np.pi * x[:, axis])]
-        waves = [np.cos(np.pi * x[:, axis]), np.sin(2 * np.pi * x[:, axis]), np.cos(2 * np.pi * x[:, axis])]
-        for across in range(thin + 1):
-            if across != axis:
-                yield from ((height, across) for height in (powers + waves if axis < thin else powers[1:]))
-        if axis == thin:
-            yield x[:, axis], axis
-            continue
-        for side in (x[:, thin] > 0, x[:, thin] < 0):
-            yield from ((side * np.exp(-(((x[:, axis] - at) / 0.24) ** 2)), thin) for at in (-0.5, 0.0, 0.5))
-        yield from ((np.clip(sign * x[:, axis] - 0.4, 0, 1) ** 2 / 0.36, thin) for sign in (-1, 1))
+        others = np.delete(np.arange(thin + 1), axis).tolist()
+        yield from itertools.product(powers + waves if axis < thin else powers[1:], others)
+        yield from itertools.product(_bumps(a, x[:, thin]) if axis < thin else [a], [thin])
 
 
-@dataclasses.dataclass(frozen=True)
-class _JudgedCorners:
-    """Corners of cells: ids (d + 1, c) of a corner and the ends of its edges; inverse edges."""
+def _bumps(a: np.ndarray, across: np.ndarray) -> list[np.ndarray]:
+    """Makes bumps of each side, and bends of both ends."""
+    bumps = [np.exp(-(((a - at) / 0.24) ** 2)) for at in (-0.5, 0.0, 0.5)]
+    ends = [np.clip(sign * a - 0.4, 0, 1) ** 2 / 0.36 for sign in (-1, 1)]
+    return [side * bump for side in (across > 0, across < 0) for bump in bumps] + ends
 
-    ids: np.ndarray
-    inverse: np.ndarray
 
-    @classmethod
-    def of(cls, points: np.ndarray, cells: Cells) -> "_JudgedCorners":
-        none = np.zeros((0, points.shape[1] + 1), dtype=int)
-        ids = np.concatenate([none, *(own[:, frame] for kind, own in cells.items() for frame in FRAMES[kind])]).T
-        edges = _edges(points, ids).transpose(2, 0, 1)
-        has_sign = np.abs(np.linalg.det(edges)) > FLAT * np.prod(np.linalg.norm(edges, axis=1), axis=1)
-        inverse = np.linalg.inv(edges[has_sign]).transpose(1, 2, 0)
-        return cls(np.ascontiguousarray(ids[:, has_sign]), np.ascontiguousarray(inverse))
-
-    def gradients(self, moved: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "d d c"]:
-        """Computes gradients of a displacement."""
-        edges = _edges(moved, self.ids)
-        return np.sum([edges[:, k, None] * self.inverse[k][None] for k in range(len(edges))], axis=0)
+def _corners(points: np.ndarray, cells: ByKind) -> tuple[np.ndarray, Float[np.ndarray, "d d c"]]:
+    """Lists corners of cells: ids (d + 1, c) of a corner and its edges' ends; inverse edges."""
+    none = np.zeros((0, points.shape[1] + 1), dtype=int)
+    ids = np.concatenate([none, *(own[:, frame] for kind, own in cells.items() for frame in FRAMES[kind])]).T
+    edges = _edges(points, ids).transpose(2, 0, 1)
+    has_sign = np.abs(np.linalg.det(edges)) > FLAT * np.prod(np.linalg.norm(edges, axis=1), axis=1)
+    inverse = np.linalg.inv(edges[has_sign]).transpose(1, 2, 0)
+    return np.ascontiguousarray(ids[:, has_sign]), np.ascontiguousarray(inverse)
 
 
 def _edges(values: np.ndarray, ids: np.ndarray) -> Float[np.ndarray, "d d c"]:
@@ -220,76 +199,50 @@ def _edges(values: np.ndarray, ids: np.ndarray) -> Float[np.ndarray, "d d c"]:
     return np.stack([values[:, end] - values[:, ids[0]] for end in ids[1:]], axis=1)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Ratios:
-    """Corner Jacobians after a motion, relative to before: det(1 + size (s F + (1 - s) P)).
-
-    `terms` (k, j, c) are the coefficients of size^k s^j (1 - s)^(k - j), for gradients F by the fit
-    and P by least squares.
-    """
-
-    terms: list[list[np.ndarray]]
-
-    @classmethod
-    def of(cls, fit: Float[np.ndarray, "d d c"], plain: Float[np.ndarray, "d d c"]) -> "_Ratios":
-        def square(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-            return np.trace(a) * np.trace(b) - (a * b.swapaxes(0, 1)).sum(axis=(0, 1))
-
-        def cube(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-            return (a * np.array(cofactors([*b]))).sum(axis=(0, 1))
-
-        terms = [[np.trace(plain), np.trace(fit)], [square(plain, plain) / 2, square(plain, fit), square(fit, fit) / 2]]
-        if len(fit) == 3:
-            terms.append([cube(plain, plain) / 3, cube(fit, plain), cube(plain, fit), cube(fit, fit) / 3])
-        return cls(terms)
-
-    def coefficients(self, share: float) -> list[np.ndarray]:
-        """Returns the coefficients of size, size^2, ... for a share of the fit."""
-        mixed = []
-        for k, parts in enumerate(self.terms, 1):
-            weights = [share**j * (1 - share) ** (k - j) for j in range(k + 1)]
-            mixed.append(np.add.reduce([weight * part for weight, part in zip(weights, parts, strict=True) if weight]))
-        return mixed
-
-    def least(self, share: float, size: float) -> float:
-        return float(_polynomial(self.coefficients(share), size).min(initial=np.inf))
-
-    def size(self, sign: int) -> float:
-        """Finds the size of a motion that leaves the ratio `KEPT`, or the largest size."""
-        size, terms = LARGEST[len(self.terms)], self.coefficients(0.0)
-        while len(terms[0]):
-            ratios = _polynomial(terms, sign * size)
-            worst = int(ratios.argmin())
-            if ratios[worst] >= KEPT - 1e-6:
-                break
-            low, terms_of_worst = 0.0, [term[[worst]] for term in terms]
-            for _ in range(40):
-                middle = (low + size) / 2
-                is_kept = _polynomial(terms_of_worst, sign * middle).item() >= KEPT
-                low, size = (middle, size) if is_kept else (low, middle)
-            size = low
-        return size
+def _gradients(edges: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "d d c"]:
+    # sums of products of rows: `numpy.einsum` takes six times as long
+    return np.sum([edges[:, k, None] * inverse[k][None] for k in range(len(edges))], axis=0)
 
 
-def _polynomial(terms: list[np.ndarray], size: float) -> Float[np.ndarray, " c"]:
-    total = np.zeros_like(terms[0])
-    for term in reversed(terms):
-        total = size * (total + term)
+def _invariants(gradient: Float[np.ndarray, "d d c"]) -> list[np.ndarray]:
+    """Coefficients of size, size^2, ... in det(1 + size G), the Jacobian's ratio after a motion."""
+    rows = cofactors([*gradient])
+    minors = [np.trace(np.array(rows))] if len(gradient) == 3 else []
+    return [np.trace(gradient), *minors, dot(rows[0], gradient[0])]
+
+
+def _ratios(invariants: list[np.ndarray], size: float) -> Float[np.ndarray, " c"]:
+    total: Any = 0.0
+    for invariant in reversed(invariants):
+        total = size * (total + invariant)
     return 1 + total
+
+
+def _size(invariants: list[np.ndarray], sign: int) -> float:
+    """Finds the size of a motion that leaves the ratio `KEPT`, or the largest size."""
+    size = LARGEST[len(invariants)]
+    while len(invariants[0]):
+        ratios = _ratios(invariants, sign * size)
+        worst = int(ratios.argmin())
+        if ratios[worst] >= KEPT - 1e-6:
+            break
+        low, of_worst = 0.0, [invariant[[worst]] for invariant in invariants]
+        for _ in range(40):
+            middle = (low + size) / 2
+            is_kept = _ratios(of_worst, sign * middle).item() >= KEPT
+            low, size = (middle, size) if is_kept else (low, middle)
+        size = low
+    return sign * size
 
 
 def _correction(placed: Any, count: int) -> csr_array | None:
     """Assembles the correction's matrix from surface rows to points, if it interpolates."""
     if isinstance(placed, Interpolation):
-        weights = np.asarray(placed.weights)
-        if placed.reached is not None:
-            weights = np.where(np.asarray(placed.reached).reshape(len(weights), -1), weights, 0)
-        starts = np.arange(0, weights.size + 1, weights.shape[1])
-        return csr_array((weights.ravel(), np.asarray(placed.nodes).ravel(), starts), (len(weights), count))
+        return placed.matrix(count)
     correction = _correction(placed.correction, count) if isinstance(placed, WallPlace) else None
     if correction is None:
         return None
-    return csr_array(_correction(placed.wall, count) + diags_array(np.asarray(placed.outside)) @ correction)
+    return csr_array(placed.wall.matrix(count) + diags_array(np.asarray(placed.outside)) @ correction)
 
 
 @compiled
@@ -302,7 +255,7 @@ def _kernel(coarse: FittedRBF, factors: Any, points: Float[Array, "k d"]) -> Flo
 def _weights(coarse: FittedRBF, ids: Any, factors: Any, surface: Array, shares: Array, vectors: Array) -> Array:
     """Computes weights (k, s, t, d) of the field for shares and displacements (b, s, t, d)."""
 
-    def weights(share: Float[Array, ""], vectors: Float[Array, "b d"]) -> Float[Array, "k d"]:
+    def weights(share: Scalar, vectors: Rows) -> Float[Array, "k d"]:
         field = dataclasses.replace(coarse, share=share).field(ids, factors, surface, vectors)
         return jnp.concatenate([field.beta, field.alpha], axis=1).T
 

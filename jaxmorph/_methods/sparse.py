@@ -2,6 +2,8 @@
 
 import dataclasses
 import weakref
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +14,7 @@ from scipy.sparse import csr_array
 
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField
+from .base import AbstractField, Flag, Points, Rows, Scalar
 
 WIDTH = 16  # entries in a row of the table
 
@@ -39,6 +41,14 @@ class Interpolation(eqx.Module):
     weights: Float[Array, "*n k"]
     reached: Bool[Array, "..."] | None = None
     table: Table | None = None
+
+    def matrix(self, columns: int) -> csr_array:
+        """Assembles the operator of many points. On the host."""
+        weights = np.array(self.weights, float)
+        if self.reached is not None:
+            weights = np.where(np.asarray(self.reached).reshape(len(weights), -1), weights, 0)
+        starts = np.arange(len(weights) + 1) * weights.shape[1]
+        return csr_array((weights.ravel(), np.array(self.nodes).ravel(), starts), (len(weights), columns))
 
     def with_table(self, count: int, parts: int) -> "Interpolation":
         """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host."""
@@ -92,14 +102,14 @@ class Reach(eqx.Module):
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n k"]
 
-    def weighted(self, weights: Float[Array, " k"], is_lost: Bool[Array, ""] | bool = False) -> Interpolation:
+    def weighted(self, weights: Float[Array, " k"], is_lost: Flag | bool = False) -> Interpolation:
         """Gives weights to the nodes; NaN where a node `is_lost`, which would belong to them."""
         weights = jnp.where(is_lost, jnp.nan, weights)
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 
 class InterpolatedField(AbstractField):
-    u: Float[Array, "b d"]
+    u: Rows
 
     @property
     def block_size(self) -> None:
@@ -178,14 +188,17 @@ SLACK = 0.05
 """Search slack, relative to the radius: it serves bases that differ by less than half of it."""
 
 
-class Searched(eqx.Module):
-    points: Float[Array, "n d"]
-    surface: Float[Array, "b d"]
-    distance: Float[Array, ""]
+def lost_unless(is_certain: Flag, is_lost: Callable[[], Any]) -> Flag:
+    """Checks whether a node was lost, where it is not certain that none was."""
+    return jax.lax.cond(is_certain, lambda: jnp.array(False), is_lost)
 
-    def certain(
-        self, radius: Float[Array, ""], surface: Float[Array, "b d"], points: Float[Array, "n d"]
-    ) -> Bool[Array, ""]:
+
+class Searched(eqx.Module):
+    points: Points
+    surface: Rows
+    distance: Scalar
+
+    def certain(self, radius: Scalar, surface: Rows, points: Points) -> Flag:
         """True if all nodes within a radius were surely found: nodes may have come nearer since."""
         shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
         mean = shifts[0].mean(axis=0)

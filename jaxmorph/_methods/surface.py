@@ -12,13 +12,15 @@ from .._host.surface.skin import chords
 from .._host.surface.walls import walls
 
 T = TypeVar("T")
+ByKind = Mapping[str, np.ndarray]
+"""Corners (k, c) of cells or faces, by their type."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
     """The cells of a mesh of n points, and the planes in which nodes slide."""
 
-    corners: Mapping[str, np.ndarray]  # node ids (k, corners) by type, of the cells of highest dimension
+    corners: ByKind  # node ids (k, corners) by type, of the cells of highest dimension
     normals: np.ndarray  # (p, d) unit normals of the symmetry planes, parallel or at right angles
     on_plane: np.ndarray  # (n, p) whether a node lies on a plane
 
@@ -49,7 +51,7 @@ class Surface:
     moving: int
     images: np.ndarray
     matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-    faces: Mapping[str, np.ndarray] | None = None
+    faces: ByKind | None = None
     is_open: bool | None = None
     cells: Cells | None = None
     in_planes: np.ndarray | None = None
@@ -59,11 +61,11 @@ class Surface:
 
     @property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.once("walls", self._walls)
+        def found():
+            wall = walls(self.points, self.moving, self.faces, self.in_planes)
+            return wall, *chords(self.points, wall, self.faces)
 
-    def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        wall = walls(self.points, self.moving, self.faces, self.in_planes)
-        return wall, *chords(self.points, wall, self.faces)
+        return self.once("walls", found)
 
     def once(self, key: Any, make: Callable[[], T]) -> T:
         """Caches a value for all surfaces that are `altered` from this one. `key` names it, with

@@ -5,24 +5,21 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array, diags_array, vstack
 
 from .base import AbstractMethod
-from .delaunay import DelaunayGraph
+from .corrections import DelaunayGraph, LocalCorrection, NearWall
 from .inverse_distance import SMALLEST, InverseDistance, InverseDistanceFactors, nearest_bound
-from .local import LocalCorrection
 from .multiscale import Hierarchy, Multiscale
-from .nearwall import NearWall
 from .rbf import basis as bases
 from .rbf.expansion import Expansion, RBFFactors
-from .rbf.fitted import FitFactors, FittedRBF, WallIds, deflection
+from .rbf.fitted import Cholesky, FitFactors, FittedRBF, WallIds, deflection
 from .rbf.rbf import RBF
+from .rbf.system import polynomial
 from .reconstruction import SurfaceReconstruction
-from .sparse import Interpolation
 
 CODES = (
     "add", "shift", "take", "put", "sparse", "dense", "cholesky", "ldl", "kernel", "mean", "plane", "turn", "pair",
@@ -74,7 +71,9 @@ class Tape:
         self.rows.append(rows)
         return len(self.rows) - 1
 
-    def array(self, values: Any, kind: str = "f8") -> int:
+    def array(self, values: Any, kind: str = "") -> int:
+        """Adds an array of its own `kind`: numbers of eight bytes, ids of four."""
+        kind = kind or ("f8" if np.asarray(values).dtype.kind == "f" else "i4")
         key = id(values), kind
         if key not in self.known:  # the entry holds the array, whose `id` no other one then gets
             self.known[key] = len(self.arrays), values
@@ -88,29 +87,29 @@ class Tape:
     def sparse(self, out: int, source: int, matrix: Any) -> None:
         matrix = csr_array(matrix)
         matrix.eliminate_zeros()
-        arrays = self.array(matrix.indptr, "i8"), self.array(matrix.indices, "i4"), self.array(matrix.data)
+        arrays = self.array(matrix.indptr, "i8"), self.array(matrix.indices), self.array(matrix.data)
         self.step("sparse", out, source, *arrays)
 
     def dense(self, out: int, source: int, matrix: Any, flags: int = 0) -> None:
         """Adds a matrix times a register; `flags` are `FLAT`, `TURNED` and `MINUS`."""
         self.step("dense", out, source, self.array(matrix), number=flags)
 
-    def cholesky(self, out: int, lower: Any, size: Any, flags: int = 0) -> None:
-        """Solves in place by the factor of a matrix with rows and columns multiplied by `size`."""
-        packed = lower[np.tril_indices(len(lower))]
-        self.step("cholesky", out, -1, self.array(packed), self.array(size), number=flags)
+    def cholesky(self, out: int, factor: Cholesky, flags: int = 0) -> None:
+        """Solves in place."""
+        packed = factor.lower[np.tril_indices(len(factor.lower))]
+        self.step("cholesky", out, -1, self.array(packed), self.array(factor.size), number=flags)
 
     def ldl(self, out: int, matrix: np.ndarray) -> None:
         """Solves by Bunch and Kaufman's factors of a symmetric matrix, in place."""
         lower, blocks, order = scipy.linalg.ldl(matrix)
         packed = lower[order][np.tril_indices(len(lower))]
         diagonals = np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0)
-        self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order, "i4"))
+        self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order))
 
     def rows_in_place(self, name: str, out: int, is_chosen: Any, matrix: Any) -> None:
         """A step "plane" with its normal, or "turn" with its matrix, for the chosen rows."""
         if is_chosen.any():
-            self.step(name, out, -1, self.array(np.flatnonzero(is_chosen), "i4"), self.array(matrix))
+            self.step(name, out, -1, self.array(np.flatnonzero(is_chosen)), self.array(matrix))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,11 +118,13 @@ class Places:
 
     points: int
     placed: Any
-    share: np.ndarray | None = None  # of each point in the field; None: 1
+    share: Any = 1.0  # of each point in the field, or of all
 
-    def of(self, placed: Any, share: np.ndarray | None = None) -> "Places":
-        both = [each for each in (self.share, share) if each is not None]
-        return Places(self.points, placed, functools.reduce(np.multiply, both) if both else None)
+    def of(self, placed: Any, share: Any = 1.0) -> "Places":
+        return Places(self.points, placed, self.share * share)
+
+    def recorded(self, tape: Tape) -> int:
+        return tape.array(self.share) if np.ndim(self.share) else -1
 
 
 Field = Callable[[Tape, int, Places], None]
@@ -132,11 +133,11 @@ Field = Callable[[Tape, int, Places], None]
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceRows:
-    """The surface's rows: register of their displacement, array of their points, zero rows."""
+    """The surface's rows: register of their displacement, array of their points."""
 
     u: int
     points: int
-    is_held: np.ndarray
+    count: int
 
 
 @functools.singledispatch
@@ -151,12 +152,11 @@ def recorded(method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: S
 @recorded.register
 def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
     coarse = recorded(method.coarse, tape, ids[0], factors[0], rows)
-    at_surface, offset = (tape.register(len(rows.is_held)) for _ in range(2))
+    at_surface, offset = (tape.register(rows.count) for _ in range(2))
     coarse(tape, at_surface, Places(rows.points, factors[1]))
     tape.step("add", offset, rows.u, number=1)
     tape.step("add", offset, at_surface, number=-1)  # eq. (5)
-    left = SurfaceRows(offset, rows.points, np.zeros_like(rows.is_held))
-    correction = recorded(method.correction, tape, ids[2], factors[2], left)
+    correction = recorded(method.correction, tape, ids[2], factors[2], SurfaceRows(offset, rows.points, rows.count))
 
     def add(tape: Tape, out: int, places: Places) -> None:
         coarse(tape, out, places.of(places.placed[0]))
@@ -173,19 +173,19 @@ def _(method, tape, ids, factors, rows) -> Field:
 
 @recorded.register
 def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
-    count = len(rows.is_held)
+    count = rows.count
     values = tape.register(count)
-    own, row, column = np.arange(count), np.asarray(ids.row), np.asarray(ids.column)
-    has_function = np.asarray(ids.nearest) != own
+    own, row, column = np.arange(count), ids.row, ids.column
+    has_function = ids.nearest != own
     tape.sparse(values, rows.u, csr_array((has_function.astype(float), (own, own)), (count, count)))
-    below = csr_array((np.asarray(factors.entries), (row, column)), (count, count))
-    order = np.asarray(_topological(row, column, count))
-    arrays = tape.array(below.indptr, "i8"), tape.array(below.indices, "i4"), tape.array(below.data)
-    tape.step("forward", values, -1, *arrays, tape.array(order, "i4"))
+    below = csr_array((factors.entries, (row, column)), (count, count))
+    order = _topological(row, column, count)
+    arrays = tape.array(below.indptr, "i8"), tape.array(below.indices), tape.array(below.data)
+    tape.step("forward", values, -1, *arrays, tape.array(order))
     return _Interpolated(values)
 
 
-def _topological(row: np.ndarray, column: np.ndarray, count: int) -> np.ndarray:
+def _topological(row: Any, column: Any, count: int) -> np.ndarray:
     """Orders rows so that each comes after all columns of its entries."""
     level = np.zeros(count, np.int64)
     while True:
@@ -199,10 +199,10 @@ def _topological(row: np.ndarray, column: np.ndarray, count: int) -> np.ndarray:
 @recorded.register
 def _(method: NearWall, tape, ids, factors, rows) -> Field:
     correction = recorded(method.correction, tape, ids.correction, factors.correction, rows)
-    count = len(rows.is_held)
+    count = rows.count
 
     def add(tape: Tape, out: int, places: Places) -> None:
-        place, outside = places.placed, np.asarray(places.placed.outside)
+        place, outside = places.placed, places.placed.outside
         wall, inner = _matrix(places.of(place.wall), count), places.of(place.correction, outside)
         if isinstance(correction, _Interpolated) and correction.values == rows.u:  # one product in place of two
             tape.sparse(out, rows.u, wall + _matrix(inner, count))
@@ -215,7 +215,7 @@ def _(method: NearWall, tape, ids, factors, rows) -> Field:
 
 def _system_of(factors: RBFFactors) -> np.ndarray:
     """Multiplies the factors of eq. (3) again: half of a symmetric matrix's factors is enough."""
-    lu, order = np.asarray(factors.lu), np.asarray(factors.order)
+    lu, order = factors.lu, factors.order
     matrix = np.empty_like(lu)
     matrix[order] = (np.tril(lu, -1) + np.eye(len(lu))) @ np.triu(lu)
     return (matrix + matrix.T) / 2
@@ -232,14 +232,8 @@ class _Interpolated:
 
 
 def _matrix(places: Places, columns: int) -> csr_array:
-    placed: Interpolation = places.placed
-    nodes, weights = np.array(placed.nodes), np.array(placed.weights, float)
-    if placed.reached is not None:
-        reached = np.asarray(placed.reached)
-        weights = np.where(reached if reached.ndim == 2 else reached[:, None], weights, 0)
-    weights = weights if places.share is None else weights * places.share[:, None]
-    starts = np.arange(len(nodes) + 1) * nodes.shape[1]
-    matrix = csr_array((weights.ravel(), nodes.ravel(), starts), (len(nodes), columns))
+    matrix = places.placed.matrix(columns)
+    matrix = csr_array(diags_array(np.broadcast_to(places.share, matrix.shape[:1])) @ matrix)
     matrix.sum_duplicates()
     return matrix
 
@@ -250,8 +244,8 @@ def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows)
     numbers = tape.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
 
     def add(tape: Tape, out: int, places: Places) -> None:
-        share = -1 if places.share is None else tape.array(places.share)
-        tape.step("mean", out, rows.u, places.points, rows.points, numbers, share, tape.array(factors.area))
+        arrays = places.points, rows.points, numbers, places.recorded(tape), tape.array(factors.area)
+        tape.step("mean", out, rows.u, *arrays)
 
     return add
 
@@ -259,7 +253,7 @@ def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows)
 @recorded.register
 def _(method: RBF, tape, ids, factors: RBFFactors, rows) -> Field:
     coefficients, sources = tape.register(len(factors.lu)), method.control(ids).sources
-    tape.sparse(coefficients, rows.u, _stacked([_chosen(sources, len(rows.is_held))], len(factors.lu)))
+    tape.sparse(coefficients, rows.u, _stacked([_chosen(sources, rows.count)], len(factors.lu)))
     return _expansion(method.expansion, tape, factors, coefficients)
 
 
@@ -274,101 +268,54 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
     scale, basis = float(factors.scale), expansion.basis
     radius = float(getattr(basis, "radius", getattr(basis, "support_radius", 1.0)))
     factor = 1.0 if basis.scale_free else 1 / (scale * radius) ** 2
-    numbers = tape.array([*np.asarray(factors.centre), scale, factor])
-    sources = tape.array(np.asarray(factors.sources).T)
+    numbers = tape.array([*factors.centre, scale, factor])
+    sources = tape.array(factors.sources.T)
     tail = len(factors.lu) - len(factors.sources)
 
     def add(tape: Tape, out: int, places: Places) -> None:
-        share = -1 if places.share is None else tape.array(places.share)
-        number = FUNCTIONS.index(kind) + 256 * tail
-        tape.step("kernel", out, values, places.points, sources, numbers, share, number=number)
+        arrays = places.points, sources, numbers, places.recorded(tape)
+        tape.step("kernel", out, values, *arrays, number=FUNCTIONS.index(kind) + 256 * tail)
 
     return add
 
 
 @recorded.register
 def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field:
-    ids, factors = jax.tree.map(np.asarray, (ids, factors))
-    return _Fit(method, tape, ids, factors, rows).recorded()
-
-
-@dataclasses.dataclass(frozen=True)
-class _Fit:
-    """`FittedRBF.field` as steps.
-
-    The sources outside of the fit, fixed ones, rings and those behind tips, have values that are
-    linear in the `rest` of the surface. Held sources have no displacement, so their rest is that
-    of the affine part alone: four rows in place of hundreds.
-    """
-
-    method: FittedRBF
-    tape: Tape
-    ids: WallIds
-    factors: FitFactors
-    rows: SurfaceRows
-
-    def recorded(self) -> Field:
-        tape, ids, factors, u = self.tape, self.ids, self.factors, self.rows.u
-        count, tail = len(self.rows.is_held), len(factors.rbf.lu)
-        values, moving, fixed = tape.register(tail), len(ids.moving), len(ids.fixed)
-        if not len(ids.edges):
-            tape.sparse(values, u, _stacked([_chosen(np.append(ids.moving, ids.fixed), count)], tail))
-            return _expansion(self.method.rbf.expansion, tape, factors.rbf, values)
-        affine, rest = tape.register(factors.polynomial.shape[1]), tape.register(count)
-        tape.dense(affine, u, factors.polynomial, TURNED)
-        tape.cholesky(affine, factors.moments, np.ones(len(factors.moments)))
-        tape.step("add", rest, u, number=1)
-        tape.dense(rest, affine, factors.polynomial, MINUS)
-        for share, solved in self._solved(rest, affine):
-            tape.sparse(values, solved, _stacked([share * _chosen(np.arange(moving), moving)], tail))
-        polynomial = np.zeros((tail, factors.polynomial.shape[1]))
-        polynomial[:moving] = factors.polynomial[ids.moving]
-        polynomial[moving + fixed :][: len(ids.far)] = factors.ring
-        tape.dense(values, affine, polynomial)
-        held, rings, behind = self._outside
-        empty = csr_array((moving, count))
-        tape.sparse(values, u, _stacked([empty, held, 0 * rings, behind], tail))
-        tape.sparse(values, rest, _stacked([empty, 0 * held, rings], tail))
-        return _expansion(self.method.rbf.expansion, tape, factors.rbf, values)
-
-    @functools.cached_property
-    def _outside(self) -> tuple[csr_array, csr_array, csr_array]:
-        """Values at fixed sources, rings and behind tips, of those at the surface's rows."""
-        count = len(self.rows.is_held)
-        return _chosen(self.ids.fixed, count), _rings(self.ids, count), _behind_tips(self.ids, count)
-
-    def _solved(self, rest: int, affine: int) -> Sequence[tuple[float, int]]:
-        """Records the solves of the fit and of least squares, each with its share."""
-        tape, ids, factors = self.tape, self.ids, self.factors
-        share, moving, count = self.method.share, len(ids.moving), tape.rows[rest]
-        share = 1.0 if share is None else float(share)
-        held = np.flatnonzero(self.rows.is_held[ids.fixed])
-        others = np.delete(np.arange(factors.outside.shape[1]), held)
-        outside, at_nodes, along = map(tape.register, (len(others), len(ids.nodes), len(ids.edges)))
-        tape.sparse(outside, rest, csr_array(vstack(self._outside))[others])
-        tape.step("take", at_nodes, rest, tape.array(ids.nodes, "i4"))
-        of_affine, solved = factors.polynomial[ids.fixed[held]], []
-        if share > 0:
-            fitted, outer = tape.register(moving), factors.outer
-            solved.append((share, fitted))
-            tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
-            tape.dense(fitted, at_nodes, factors.nodes, TURNED)
-            tape.dense(fitted, along, factors.edges, TURNED)
-            tape.dense(fitted, outside, outer[..., others], FLAT | MINUS)
-            tape.dense(fitted, affine, outer[..., held] @ of_affine, FLAT)
-            tape.cholesky(fitted, factors.lower, factors.scale, FLAT)
-        if share < 1:
-            plain, outer = tape.register(moving), factors.outside
-            solved.append((1 - share, plain))
-            tape.dense(plain, at_nodes, factors.nodes, TURNED)
-            tape.dense(plain, outside, outer[:, others], MINUS)
-            tape.dense(plain, affine, outer[:, held] @ of_affine)
-            tape.cholesky(plain, factors.squares, factors.size)
-        return solved
+    u, expansion, count = rows.u, method.rbf.expansion, rows.count
+    terms = np.asarray(polynomial(jnp.asarray(factors.rbf.sources), method.rbf.degree))
+    moving, tail = len(ids.moving), len(factors.rbf.lu)
+    values = tape.register(tail)
+    if not len(ids.edges):
+        tape.sparse(values, u, _stacked([_chosen(np.append(ids.moving, ids.fixed), count)], tail))
+        return _expansion(expansion, tape, factors.rbf, values)
+    affine, rest, outer = map(tape.register, (factors.polynomial.shape[1], count, factors.outside.shape[1]))
+    tape.dense(affine, u, factors.polynomial, TURNED)
+    tape.cholesky(affine, factors.affine)
+    tape.step("add", rest, u, number=1)
+    tape.dense(rest, affine, factors.polynomial, MINUS)
+    outside = [_chosen(ids.fixed, count), _rings(ids, count), _behind_tips(ids, count)]
+    tape.sparse(outer, rest, vstack(outside))
+    at_nodes, along = map(tape.register, (len(ids.nodes), len(ids.edges)))
+    tape.step("take", at_nodes, rest, tape.array(ids.nodes))
+    tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
+    share = 1.0 if method.share is None else float(method.share)
+    systems = (share, factors.outer, factors.fit, FLAT), (1 - share, factors.outside, factors.plain, 0)
+    for part, columns, factor, flags in systems:
+        if part > 0:
+            solved = tape.register(moving)
+            tape.dense(solved, at_nodes, factors.nodes, TURNED)
+            if flags:
+                tape.dense(solved, along, factors.edges, TURNED)
+            tape.dense(solved, outer, columns, flags | MINUS)
+            tape.cholesky(solved, factor, flags)
+            tape.sparse(values, solved, _stacked([part * _chosen(np.arange(moving), moving)], tail))
+    tape.sparse(values, rest, _stacked([csr_array((moving, count)), *outside], tail))
+    tape.dense(values, affine, np.pad(terms, ((0, tail - len(terms)), (0, 0))))
+    return _expansion(expansion, tape, factors.rbf, values)
 
 
 def _chosen(rows: Any, columns: int) -> csr_array:
-    return csr_array((np.ones(len(rows)), np.asarray(rows), np.arange(len(rows) + 1)), (len(rows), columns))
+    return csr_array((np.ones(len(rows)), rows, np.arange(len(rows) + 1)), (len(rows), columns))
 
 
 def _stacked(blocks: Sequence[csr_array], rows: int) -> csr_array:

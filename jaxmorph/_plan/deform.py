@@ -1,11 +1,11 @@
-"""Moves a mesh by its plan: points, sensitivities and velocities."""
+"""Moves a mesh by its plan: points, sensitivities and velocities, on all cores and devices."""
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +17,7 @@ from .._host.package.cores import Beside, cores
 from .._kernels.compile import Constant, compiled, float64_mode, is_direct
 from .._kernels.values import is_known, is_readable
 from .._methods.blocks import is_rows, with_tables, without_tables
-from .devices import rows_from
+from .devices import AXIS, Layout, pad_rows, rows_from
 from .plan import Plan, Shared, VolumePart, deform_surface, extended, move, shared_by
 
 T = TypeVar("T")
@@ -125,18 +125,11 @@ def with_transposes(plan: Any, parts: int = 1) -> Any:
     """
     if not isinstance(plan, Plan) or plan.layout is not None or not is_readable(plan):
         return plan
-    operators = filter(is_rows, jax.tree.leaves(plan, is_leaf=is_rows))
-    if parts == 1 and all(operator.table is not None for operator in operators):
-        return plan
-    placed = with_tables(
-        plan.volume.placed if parts == 1 else without_tables(plan.volume.placed), len(plan.surface.points), parts
-    )
-    plan = eqx.tree_at(
-        lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None or is_rows(leaf)
-    )
-    if plan.surface.guide is None:
-        return plan
-    return eqx.tree_at(lambda plan: plan.surface.guide.plan, plan, with_transposes(plan.surface.guide.plan))
+    placed = with_tables(without_tables(plan.volume.placed), len(plan.surface.points), parts)
+    surface, guide = plan.surface, plan.surface.guide
+    if guide is not None:
+        surface = dataclasses.replace(surface, guide=dataclasses.replace(guide, plan=with_transposes(guide.plan)))
+    return dataclasses.replace(plan, surface=surface, volume=dataclasses.replace(plan.volume, placed=placed))
 
 
 def transposable(plan: Any, *arguments: Any) -> Any:
@@ -231,9 +224,9 @@ def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constan
     def cut(leaf: Any) -> Any:
         if not is_rows(leaf):
             return _rows_of(leaf, start, size)
-        bare, length = _rows_of(leaf.without_table(), start, size), len(leaf.table.owner) // number
+        length = len(leaf.table.owner) // number
         table = _rows_of(leaf.table, k * length, length)
-        return eqx.tree_at(lambda rows: rows.table, bare, table, is_leaf=lambda leaf: leaf is None)
+        return dataclasses.replace(_rows_of(leaf.without_table(), start, size), table=table)
 
     rows, at = jax.tree.map(cut, volume, is_leaf=is_rows), rows_from(start, shared.nodes, size)
     is_counted = start + jnp.arange(size) >= k * size
@@ -251,6 +244,35 @@ def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constan
 @compiled
 def _put_together(plan: Plan, u: Any, mask: Constant, parts: PyTree) -> Float[Array, "m d"]:
     """Sums the shares, always in one order, and pulls the sum back to `u`."""
-    total = functools.reduce(lambda first, other: jax.tree.map(jnp.add, first, other), parts)
+    total = jax.tree.map(lambda *leaves: functools.reduce(jnp.add, leaves), *parts)
     u = jnp.asarray(u, plan.points.dtype)
     return jax.vjp(lambda u: _varying(_shared(plan, u), mask.value), u)[1](total)[0]
+
+
+@checked
+def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
+    """Lays the points of a plan over devices. `deform` and all other calls stay as they were.
+
+    Every device holds the whole surface and an equal share of the points; the last share is padded.
+    A gradient with respect to `u` costs one all-reduce. The devices may belong to several processes
+    (`jax.distributed`). Every process then calls `shard` with an equal plan.
+
+    **Raises:** `ValueError` without devices, for a plan that is laid over devices already, and for
+    a method that solves for all nodes at once.
+    """
+    if plan.layout is not None:
+        raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")
+    if plan.method.needs_cells:
+        raise ValueError(
+            f"{type(plan.method).__name__} solves for all nodes at once: its plan is not laid over devices."
+        )
+    layout = Layout.over(devices, len(plan.volume.points))
+    volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
+    placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
+    return dataclasses.replace(
+        plan,
+        method=layout.placed(plan.method),
+        surface=layout.placed(plan.surface),
+        volume=layout.placed(dataclasses.replace(volume, placed=placed), AXIS),
+        layout=layout,
+    )

@@ -39,9 +39,9 @@ class Layout:
         return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf), sharding), tree)
 
 
-def pad_rows(leaf: Array, layout: Layout) -> Array:
+def pad_rows(leaf: Array, layout: Layout | None) -> Array:
     """Repeats the last row of a leaf until all devices have an equal number of rows."""
-    padding = -layout.count % layout.mesh.size
+    padding = 0 if layout is None else -layout.count % layout.mesh.size
     return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (padding, *leaf.shape[1:]))]) if padding else leaf
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -90,7 +91,7 @@ def export(
     if layer is not None:
         if tape.dimension != 2:
             raise ValueError("`layer` is for the plan of a plane; this plan is in 3-D.")
-        own = [tape.array(rows_of("layer.points", layer.points, len(chosen)), "i4"), *layer.axes]
+        own = [tape.array(rows_of("layer.points", layer.points, len(chosen))), *layer.axes]
     sizes = tape.dimension, len(chosen), plan.n_moving, len(tape.arrays), len(tape.rows), len(tape.steps)
     _write(path, tape, [*sizes, first, rest, moving, *own])
 
@@ -125,7 +126,7 @@ def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> 
     rows, at = rows[at >= 0], at[at >= 0]
     order = np.argsort(at)
     if len(rows):
-        tape.step("put", POINTS, assigned, tape.array(at[order], "i4"), tape.array(rows[order], "i4"))
+        tape.step("put", POINTS, assigned, tape.array(at[order]), tape.array(rows[order]))
     return first
 
 
@@ -145,14 +146,14 @@ def _kept(tape: Tape, own: int, images: Images) -> None:
     _alike(tape, own, images.pairings)
 
 
-def _keep(tape: Tape, rows: int, images: Images, on_plane: object) -> None:
-    for k, normal in enumerate(np.asarray(images.normals) if on_plane is not None else ()):
+def _keep(tape: Tape, rows: int, images: Images, on_plane: Any) -> None:
+    for k, normal in enumerate(np.asarray(images.normals)):
         tape.rows_in_place("plane", rows, np.asarray(on_plane)[:, k], normal)
 
 
 def _alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:
     for pairing in pairings:
-        first, second = tape.array(pairing.first, "i4"), tape.array(pairing.second, "i4")
+        first, second = tape.array(pairing.first), tape.array(pairing.second)
         tape.step("pair", rows, -1, first, second, tape.array(pairing.matrix))
         is_alone = np.isin(np.arange(tape.rows[rows]), np.asarray(pairing.alone))
         tape.rows_in_place("turn", rows, is_alone, pairing.keeps)
@@ -170,14 +171,13 @@ def _guided(tape: Tape, guide: Guide, vectors: int) -> int:
     plan, points = guide.plan, np.asarray(guide.plan.points)
     known, every = len(plan.surface.nodes), tape.rows[vectors]
     first = eye(known, every)
-    given, u, led, moved = (tape.register(rows) for rows in (known, every, known, every))
-    tape.sparse(given, vectors, first)
-    _kept(tape, given, plan.images)
-    tape.sparse(u, given, first.T)
+    u, led, moved = (tape.register(rows) for rows in (every, known, every))
+    tape.sparse(u, vectors, first.T @ first)
+    _kept(tape, u, plan.images)
     _on_walls(tape, u, guide.tracks, points)
     tape.sparse(led, u, first)
     _kept(tape, led, plan.images)
-    volume = without_tables(plan.volume)
+    volume = jax.tree.map(np.asarray, without_tables(plan.volume))
     _field(tape, plan, led)(tape, moved, Places(tape.array(points), volume.placed))
     _keep(tape, moved, plan.images, volume.on_plane)
     tape.rows_in_place("turn", moved, np.arange(every) < known, np.zeros((tape.dimension,) * 2))
@@ -192,13 +192,11 @@ def _guided(tape: Tape, guide: Guide, vectors: int) -> int:
 def _field(tape: Tape, plan: Plan, own: int) -> Field:
     images, surface = plan.images, plan.surface
     u = tape.register(len(images.rows))
-    tape.step("take", u, own, tape.array(images.rows, "i4"))
+    tape.step("take", u, own, tape.array(images.rows))
     for kind, matrix in enumerate(np.asarray(images.matrices)[1:], start=1):
         tape.rows_in_place("turn", u, np.asarray(images.kind) == kind, matrix)
-    own_rows = np.asarray(images.rows)
-    is_held = (own_rows >= plan.n_moving) & (own_rows < len(surface.nodes) - plan.n_guided)
-    rows = SurfaceRows(u, tape.array(surface.points), is_held)
-    return recorded(plan.method, tape, surface.ids, surface.factors, rows)
+    rows = SurfaceRows(u, tape.array(surface.points), tape.rows[u])
+    return recorded(plan.method, tape, *jax.tree.map(np.asarray, (surface.ids, surface.factors)), rows)
 
 
 def _assigned(tape: Tape, plan: Plan, own: int) -> int:
@@ -206,11 +204,10 @@ def _assigned(tape: Tape, plan: Plan, own: int) -> int:
     places, base = tape.register(tape.rows[own]), np.asarray(plan.surface_points)
     tape.step("add", places, own, number=1)
     tape.step("shift", places, -1, tape.array(base))
-    guide = plan.surface.guide
-    for pairing in () if guide is None else guide.pairings:
+    for pairing in plan.surface.pairings:
         first, second, shift = map(np.asarray, (pairing.first, pairing.second, pairing.shift))
         matched = (base[first] + shift == base[second]).all(axis=1) & (not pairing.is_rotation)
-        rows = tape.array(first[matched], "i4"), tape.array(second[matched], "i4")
+        rows = tape.array(first[matched]), tape.array(second[matched])
         tape.step("copy", places, -1, *rows, tape.array(shift))
     return places
 

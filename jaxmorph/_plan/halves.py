@@ -24,7 +24,7 @@ from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.reconstruction import sees_free_sides
 from .._methods.shares import near_cells, needs_share
-from .._methods.surface import Surface
+from .._methods.surface import ByKind, Surface
 from .plan import Plan, SurfacePart, VolumePart
 from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of, with_share
 
@@ -49,7 +49,7 @@ class SurfaceHalf:
 
     plan: Plan
     nodes: Int[np.ndarray, " k"]
-    faces: Mapping[str, np.ndarray] | None
+    faces: ByKind | None
     is_open: bool
 
     def __getstate__(self) -> dict[str, Any]:
@@ -75,12 +75,10 @@ class SurfaceHalf:
 
         **Raises:** `ValueError` for a node that does not move.
         """
-        ids, moving = rows_of("nodes", nodes, 2**62), self.moving
-        order = np.argsort(moving, kind="stable")
-        rows = order[np.minimum(np.searchsorted(moving, ids, sorter=order), len(order) - 1)]
-        wrong = moving[rows] != ids
-        if wrong.any():
-            raise ValueError(f"{wrong.sum()} of {len(ids)} nodes do not move, first {ids[wrong][0]}.")
+        ids = rows_of("nodes", nodes, 2**62)
+        rows = _rows_among(self.moving, ids)
+        if (rows < 0).any():
+            raise ValueError(f"{(rows < 0).sum()} of {len(ids)} nodes do not move, first {ids[rows < 0][0]}.")
         return rows
 
     @checked
@@ -113,7 +111,7 @@ class SurfaceHalf:
         if not len(given):
             raise ValueError("the piece has no points.")
         place = self._places(nodes, given)
-        surface, on_plane = self._surface
+        surface = self._surface
         self._check_sides(surface, given, place)
         x, count, base = given.astype(plan.points.dtype), len(given), np.asarray(plan.points)
         x[place[place >= 0]] = base[place >= 0]
@@ -121,11 +119,10 @@ class SurfaceHalf:
         together = np.concatenate([x, base[place < 0]])
         surface = surface.altered(nodes=np.where(surface.nodes < 0, -1, rows[surface.nodes]))
         ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], plan.method.connect(surface, together)[1]))
-        if on_plane is not None:
-            on_plane = np.stack([plane.holds(together)[:count] for plane in plan.boundary.planes], axis=1)
-            on_plane = as_jax(on_plane)
+        planes = plan.boundary.planes
+        on_plane = np.array([plane.holds(together)[:count] for plane in planes], bool).reshape(len(planes), count).T
         own = dataclasses.replace(plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32)))
-        volume = VolumePart(as_jax(x), on_plane, ids, None)
+        volume = VolumePart(as_jax(x), as_jax(on_plane), ids, None)
         placed = _placed(plan.method, own, volume.points, ids)
         volume = dataclasses.replace(volume, placed=placed)
         return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
@@ -144,34 +141,41 @@ class SurfaceHalf:
         """
         if not needs_share(self.plan.method, self.plan.surface.ids):
             return self
-        near = [self._near(solid(mesh.linear.cells, mesh.points.shape[1]), mesh.points, ids) for mesh, ids in pieces]
+        near = []
+        for mesh, nodes in pieces:
+            of_walls, cells = (
+                np.flatnonzero(np.isin(nodes, self.moving)),
+                solid(mesh.linear.cells, mesh.points.shape[1]),
+            )
+            rows, cells = near_cells(cells, of_walls, len(mesh.points))
+            near.append((np.asarray(nodes)[rows], np.asarray(mesh.points)[rows], cells))
         parts = [near] if comm is None else comm.gather(near)
         method = None if parts is None else self._judged([piece for part in parts for piece in part]).plan.method
         method = method if comm is None else comm.bcast(method)
         return dataclasses.replace(self, plan=dataclasses.replace(self.plan, method=method))
 
-    def _near(self, cells: Mapping[str, Any], points: Any, nodes: Any) -> tuple[np.ndarray, np.ndarray, dict]:
-        """Cuts the cells near the walls out of a piece: ids, points, and cells between ids."""
-        nodes = np.asarray(nodes)
-        ids = np.where(nodes < 0, -2 - np.arange(len(nodes)), nodes)  # no two nodes have one id
-        near, cells = near_cells(cells, np.flatnonzero(np.isin(nodes, self.moving)), len(nodes))
-        return ids[near], np.asarray(points)[near], {kind: ids[near][rows] for kind, rows in cells.items()}
-
     def _judged(self, pieces: list[tuple[np.ndarray, np.ndarray, dict]]) -> "SurfaceHalf":
-        ids, first = np.unique(np.concatenate([ids for ids, _, _ in pieces]), return_index=True)
-        points = np.concatenate([points for _, points, _ in pieces])[first]
-        kinds = sorted({kind for _, _, cells in pieces for kind in cells})
-        cells = {kind: np.concatenate([own[kind] for _, _, own in pieces if kind in own]) for kind in kinds}
-        cells = {kind: np.searchsorted(ids, corners) for kind, corners in cells.items()}
+        """Joins pieces of ids, points and cells between rows; nodes without an id stay apart."""
+        starts = np.cumsum([0, *(len(ids) for ids, _, _ in pieces)])
+        ids = np.concatenate([ids for ids, _, _ in pieces])
+        points = np.concatenate([points for _, points, _ in pieces])
+        _, first, row = np.unique(
+            np.where(ids < 0, -2 - np.arange(len(ids)), ids), return_index=True, return_inverse=True
+        )
+        together: dict[str, list[np.ndarray]] = {}
+        for start, (_, _, cells) in zip(starts, pieces, strict=False):
+            for kind, corners in cells.items():
+                together.setdefault(kind, []).append(row[start + corners])
+        ids, cells = ids[first], {kind: np.concatenate(together[kind]) for kind in sorted(together)}
         near, cells = near_cells(cells, np.flatnonzero(np.isin(ids, self.moving)), len(ids))
-        return self._with_share(points[near], np.where(ids[near] < 0, -1, ids[near]), cells)
+        return self._with_share(points[first[near]], ids[near], cells)
 
-    def _with_share(self, points: np.ndarray, nodes: np.ndarray, cells: Mapping[str, np.ndarray]) -> "SurfaceHalf":
+    def _with_share(self, points: np.ndarray, nodes: np.ndarray, cells: ByKind) -> "SurfaceHalf":
         try:
             part = self.attach(points, nodes)
         except ValueError:  # pieces that do not fit are told of when they are attached
             return self
-        return dataclasses.replace(self, plan=with_share(self.plan, self._surface[0], part.volume, cells))
+        return dataclasses.replace(self, plan=with_share(self.plan, self._surface, part.volume, cells))
 
     def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
         """Refuses points on a free side, if the surface was prepared without."""
@@ -186,15 +190,14 @@ class SurfaceHalf:
             )
 
     @functools.cached_property
-    def _surface(self) -> tuple[Surface, np.ndarray | None]:
-        """The surface as methods see it, and a mask of the half's points on every plane."""
+    def _surface(self) -> Surface:
+        """The surface as methods see it."""
         boundary = changed(self.plan.boundary, pairings=(), tracks=(), is_open=self.is_open)
         if self.faces is not None:
             faces = {kind: boundary.nodes[rows] for kind, rows in self.faces.items()}
             boundary = changed(boundary, faces=faces)
         images = self.plan.images  # their order is that of the places in double precision
-        surface, _, on_plane = surface_of(boundary, np.asarray(images.rows)[np.asarray(images.kind) == 0])
-        return surface, on_plane
+        return surface_of(boundary, np.asarray(images.rows)[np.asarray(images.kind) == 0])[0]
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
         """Finds the row (k,) in `points` of each node of the half; -1 for an absent node."""
@@ -203,14 +206,10 @@ class SurfaceHalf:
             raise ValueError(
                 f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of {len(points)} points."
             )
-        # Each id is looked up among the half's sorted nodes; where another node stands, the point
-        # is none of the surface. `place` then turns the table round: rows of points by the half's
-        # nodes.
-        order = np.argsort(self.nodes, kind="stable")
-        at = np.minimum(np.searchsorted(self.nodes[order], ids), len(order) - 1)
-        present = np.flatnonzero((self.nodes[order][at] == ids) & (ids >= 0))
-        rows = order[at[present]]
-        twice = np.flatnonzero(np.bincount(rows, minlength=len(order)) > 1)
+        rows = np.where(ids < 0, -1, _rows_among(self.nodes, ids))
+        present = np.flatnonzero(rows >= 0)
+        rows = rows[present]
+        twice = np.flatnonzero(np.bincount(rows, minlength=len(self.nodes)) > 1)
         if twice.size:
             raise ValueError(f"{twice.size} nodes are named more than once in `nodes`, first {self.nodes[twice[0]]}.")
         base = np.asarray(self.plan.points)
@@ -226,6 +225,18 @@ class SurfaceHalf:
         place = np.full(len(self.nodes), -1, dtype=np.int64)
         place[rows] = present
         return place
+
+
+def _rows_among(known: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """Finds the row of each id among the `known` ones; -1 where it is absent."""
+    order = np.argsort(known, kind="stable")
+    rows = order[np.minimum(np.searchsorted(known, ids, sorter=order), len(order) - 1)]
+    return np.where(known[rows] == ids, rows, -1)
+
+
+def _check_kinds(boundary: Any, method: Any) -> None:
+    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
+    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
 
 
 def prepare_surface(
@@ -258,8 +269,7 @@ def prepare_surface(
     **Raises:** `ValueError` as `prepare` does, for ids that come twice in `nodes`, and for a method
     that solves on cells.
     """
-    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
-    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+    _check_kinds(boundary, method)
     count = len(boundary.points)
     if faces is not None:
         boundary = with_faces(boundary, OuterFaces.numbered(Mesh(boundary.points, dict(faces)).cells))
@@ -323,8 +333,7 @@ def prepare_in_chunks(
     method that solves on cells. A wrong point raises with its chunk; a `MeshError` names nodes of
     the whole mesh.
     """
-    check_kind(boundary, Boundary, "boundary", 'jm.Boundary(mesh, "wall", "far")')
-    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+    _check_kinds(boundary, method)
     if size is not None:
         whole("size", size)
         if method is not None:

@@ -70,24 +70,22 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
 
 def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Yields distances of moved points by plane, wall and pairing: field, nodes, distances."""
-    if plan.volume.on_plane is not None:
-        for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):
-            yield "off_plane", np.flatnonzero(is_on), np.abs(plane.height(points[is_on]))
-    guide, surface = plan.surface.guide, np.asarray(plan.surface_nodes)
-    for track in () if guide is None else guide.tracks:
+    for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):
+        yield "off_plane", np.flatnonzero(is_on), np.abs(plane.height(points[is_on]))
+    surface = np.asarray(plan.surface_nodes)
+    for track in plan.surface.tracks:
         nodes = surface[np.asarray(track.rows)]
         for wall in track.walls:
             yield "off_surface", nodes, np.asarray(wall.distance(jnp.asarray(points[nodes])))
-    for pairing in () if guide is None else jax.tree.map(np.asarray, guide.pairings):
+    for pairing in jax.tree.map(np.asarray, plan.surface.pairings):
         if pairing.copies:  # others are not periodic: they make one layer of cells move alike
             yield "mismatch", surface[pairing.first], pairing.misses(points[surface].astype(float))
 
 
 def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]:
     """Sliding rows newly at or beyond an end of their only wall."""
-    guide = plan.surface.guide
     base, rows = np.asarray(plan.surface_points), [np.zeros(0, dtype=int)]
-    for track in () if guide is None else guide.tracks:
+    for track in plan.surface.tracks:
         if len(track.walls) == 1:
             here, wall = np.asarray(track.rows), track.walls[0]
             rows.append(here[wall.has_end(places[here]) & ~wall.has_end(base[here])])

@@ -16,13 +16,16 @@ from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import as_jax, on_host, taken
+from .._kernels.values import taken
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractField, AbstractMethod
+from .._methods.base import AbstractField, AbstractMethod, Point, Rows
 from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.shares import share_of
 from .devices import Layout, over_points, rows_here
+
+Own = Float[Array, "o d"]
+"""Coordinates or displacements of the moving, fixed and guided nodes."""
 
 
 class SurfacePart(eqx.Module):
@@ -31,12 +34,20 @@ class SurfacePart(eqx.Module):
     has numbers from n on for nodes that the piece lacks.
     """
 
-    points: Float[Array, "b d"]
+    points: Rows
     nodes: Int[Array, " o"]
     images: Images
     ids: PyTree
     factors: PyTree
     guide: "Guide | None" = None
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        return () if self.guide is None else self.guide.tracks
+
+    @property
+    def pairings(self) -> tuple[Pairing, ...]:
+        return () if self.guide is None else self.guide.pairings
 
 
 class Guide(Module):
@@ -54,7 +65,7 @@ class Guide(Module):
     tracks: tuple[Track, ...]  # own rows that stay on walls
     rows: Int[Array, " r"]  # own rows with an assigned place, also for a method that is not exact
 
-    def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+    def __call__(self, vectors: Own) -> Own:
         plan, known = self.plan, len(self.plan.surface.nodes)
         displacement = plan.images.kept(vectors[:known])
         u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
@@ -62,7 +73,7 @@ class Guide(Module):
         u = self._alike(jnp.concatenate([u[:known], moved[known:]]))
         return self._alike(self._on_walls(u)) if self.tracks else u
 
-    def placed(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+    def placed(self, vectors: Own) -> Own:
         """Moves all own rows; periodic pairs that match bit for bit still do afterwards."""
         base = self.plan.points
         points = base + vectors
@@ -87,12 +98,12 @@ class VolumePart(eqx.Module):
     """
 
     points: Float[Array, "n d"]
-    on_plane: Bool[Array, "n p"] | None
+    on_plane: Bool[Array, "n p"]
     ids: PyTree
     placed: PyTree
     rests: Bool[Array, " n"] | None = None
 
-    def seen(self, at: Float[Array, " d"]) -> Float[Array, "n d"]:
+    def seen(self, at: Point) -> Float[Array, "n d"]:
         """The points as a method sees them: nodes of no cell are `at` one place."""
         return self.points if self.rests is None else jnp.where(self.rests[:, None], at[None], self.points)
 
@@ -140,9 +151,8 @@ class Plan(Module):
     def boundary(self) -> Boundary:
         """What moves, stays, slides and repeats, on the host; a plan keeps no faces."""
         points, moving, fixed, guided = map(np.asarray, (self.points, self.moving, self.fixed, self.guided))
-        nodes, guide = np.concatenate([moving, fixed, guided]), self.surface.guide
-        pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
-        pairings, tracks = renumbered(pairings, tracks, nodes)
+        pairings, tracks = jax.tree.map(np.asarray, (self.surface.pairings, self.surface.tracks))
+        pairings, tracks = renumbered(pairings, tracks, np.concatenate([moving, fixed, guided]))
         loose = np.zeros(0, int) if self.volume.rests is None else np.flatnonzero(self.volume.rests)
         lists = {"moving": moving, "fixed": fixed, "guided": guided, "loose": loose}
         return boundary_of_lists(points, planes=self.images.planes, pairings=pairings, tracks=tracks, **lists)
@@ -150,9 +160,7 @@ class Plan(Module):
     @property
     def is_linear(self) -> bool:
         """True where `deform` is linear in `u`: a linear method, and no curved sliding walls."""
-        guide = self.surface.guide
-        is_guide_linear = guide is None or (guide.plan.is_linear and all(track.is_linear for track in guide.tracks))
-        return self.method.linear and is_guide_linear
+        return self.method.linear and all(track.is_linear for track in self.surface.tracks)
 
     @property
     def surface_nodes(self) -> Int[Array, " o"]:
@@ -227,7 +235,7 @@ class Plan(Module):
 
 
 @compiled
-def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
+def _offset(plan: Plan, u: Any) -> Own:
     vectors, surface = plan.of_surface(u), plan.surface
     if not isinstance(plan.method, SurfaceReconstruction):
         return jnp.zeros_like(vectors)  # nothing is left to a correction
@@ -240,7 +248,7 @@ def _rows_of_originals(images: Images, count: int) -> Int[Array, " b"]:
     return jnp.where(images.kind > 0, count, images.rows)
 
 
-def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
+def extended(plan: Plan, u: Any) -> Own:
     """Checks a displacement of the moving nodes, and adds zeros for other surface nodes."""
     if not isinstance(plan, Plan):
         raise ValueError(f"the first argument must be a plan, deform(plan, u), not {type(plan).__name__}.")
@@ -250,12 +258,8 @@ def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
         raise ValueError(f"`u` holds {u.dtype}; a displacement is real numbers of shape ({m}, {d}).")
     if u.shape != (m, d):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
-    shape, dtype = (len(plan.surface.nodes), d), plan.points.dtype
-    if not on_host(plan.surface.nodes, u):
-        return jnp.zeros(shape, dtype).at[:m].set(u.astype(dtype))
-    vectors = np.zeros(shape, dtype)
-    vectors[:m] = np.asarray(u).astype(dtype)
-    return as_jax(vectors)
+    dtype = plan.points.dtype
+    return jnp.zeros((len(plan.surface.nodes), d), dtype).at[:m].set(u.astype(dtype))
 
 
 class Shared(eqx.Module):
@@ -266,7 +270,7 @@ class Shared(eqx.Module):
     are_places: bool = eqx.field(static=True)
 
 
-def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n d"]:
+def deform_surface(plan: Plan, vectors: Own) -> Float[Array, "n d"]:
     """Moves the mesh as `deform` does, by displacements of moving, then fixed nodes."""
     layout = plan.layout
 
@@ -277,7 +281,7 @@ def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n 
     return moved if layout is None else moved[: layout.count]
 
 
-def shared_by(plan: Plan, vectors: Float[Array, "o d"]) -> Shared:
+def shared_by(plan: Plan, vectors: Own) -> Shared:
     surface, vectors = plan.surface, kept(plan, vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, surface.images.vectors(vectors))
     nodes, guide = surface.nodes, surface.guide
@@ -290,9 +294,7 @@ def shared_by(plan: Plan, vectors: Float[Array, "o d"]) -> Shared:
 
 def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
     """Moves points of some rows; `at` are rows of assigned nodes, beyond the last if absent."""
-    displacement = map_points(shared.field, volume.points, volume.placed)
-    if volume.on_plane is not None:
-        displacement = shared.images.within(displacement, volume.on_plane)
+    displacement = shared.images.within(map_points(shared.field, volume.points, volume.placed), volume.on_plane)
     if volume.rests is not None:
         displacement = jnp.where(volume.rests[:, None], 0, displacement)
     moved = volume.points + displacement
@@ -302,12 +304,12 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
     return moved.at[at].set(places, mode="drop", unique_indices=True)
 
 
-def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+def moved_surface(plan: Plan, vectors: Own) -> Own:
     vectors, guide = kept(plan, vectors), plan.surface.guide
     return plan.surface_points + vectors if guide is None else guide.placed(vectors)
 
 
-def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+def kept(plan: Plan, vectors: Own) -> Own:
     """Makes displacements of the surface's own rows keep to planes, walls and periodic pairs."""
     guide = plan.surface.guide
     return plan.images.kept(vectors if guide is None else guide(vectors))

@@ -2,13 +2,13 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Real
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._boundary.boundary import Boundary, Nodes, changed, nothing_in
 from .._boundary.images import Images, images_of
@@ -21,11 +21,11 @@ from .._host.surface.walls import ordered_rows
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, check_kind
-from .._methods.guiding import carrying, guiding
+from .._methods.base import AbstractMethod, Rows, Scalar, check_kind
+from .._methods.multiscale import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.shares import WallTrial, has_fit, judged, near_cells, needs_share, share_in, share_of
-from .._methods.surface import Cells, Surface
+from .._methods.shares import has_fit, largest_share, motions, near_cells, needs_share, share_in
+from .._methods.surface import ByKind, Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
 
@@ -131,7 +131,7 @@ def refuse_cells(method: AbstractMethod) -> None:
 
 
 def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
-    surface, images, on_plane = surface_of(boundary)
+    surface, images = surface_of(boundary)
     points, like, rests = boundary.points, np.arange(len(boundary.points)), None
     if len(boundary.loose):
         # nodes of no cell may lie anywhere: methods see them at the first moving node, with its ids
@@ -140,12 +140,11 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     surface_ids, volume_ids = as_jax(method.connect(surface, points))
     if rests is not None:
         volume_ids = jax.tree.map(lambda leaf: leaf[like], volume_ids)
-    nodes = as_jax(boundary.nodes.astype(np.int32))
-    on_plane = None if on_plane is None else as_jax(on_plane)
+    nodes, base, on_plane = as_jax((boundary.nodes.astype(np.int32), boundary.points, boundary.on_planes))
     plan = Plan(
         method=method,
         surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
-        volume=VolumePart(as_jax(boundary.points), on_plane, volume_ids, None, rests),
+        volume=VolumePart(base, on_plane, volume_ids, None, rests),
         n_moving=len(boundary.moving),
         n_guided=len(boundary.guided),
     )
@@ -165,18 +164,17 @@ def with_share(
     plan: Plan,
     surface: Surface,
     near: VolumePart,
-    cells: Mapping[str, np.ndarray],
+    cells: ByKind,
 ) -> Plan:
     """Judges the share of the fit by `cells` between points `near` the walls."""
     is_own = np.asarray(plan.images.kind) == 0
     walls = np.zeros(len(plan.surface.nodes), dtype=int)
     walls[np.asarray(plan.images.rows)[is_own]] = surface.walls[0][is_own]
     moving, walls = np.asarray(plan.moving_points, float), walls[: plan.n_moving]
-    rows, vectors = plan.surface.points, functools.partial(_vectors, plan, jnp.array([1.0, 0.0]))
-    trial = WallTrial(rows, vectors, moving, walls, np.asarray(near.points), near.placed, cells)
+    vectors = functools.partial(_vectors, plan, jnp.array([1.0, 0.0]))
     with quickly_compiled():  # each program runs a few times
-        method = judged(plan.method, plan.surface.ids, plan.surface.factors, trial)
-    return dataclasses.replace(_guided_by(plan, share_of(method)), method=method)
+        share = largest_share(plan.method, plan.surface, vectors, motions(moving, walls), near, cells)
+    return dataclasses.replace(_guided_by(plan, share), method=share_in(plan.method, share))
 
 
 def _guided_by(plan: Plan, share: Any) -> Plan:
@@ -191,20 +189,16 @@ def _guided_by(plan: Plan, share: Any) -> Plan:
 
 @compiled
 def _vectors(plan: Plan, shares: Float[Array, " s"], u: Float[Array, "t m d"]) -> Float[Array, "b s t d"]:
-    def of_share(share: Float[Array, ""]) -> Float[Array, "b t d"]:
+    def of_share(share: Scalar) -> Float[Array, "b t d"]:
         guided = _guided_by(plan, share)
         return jax.vmap(lambda u: plan.images.vectors(guided.of_surface(u)), out_axes=1)(u)
 
     return jax.vmap(of_share, out_axes=1)(shares)
 
 
-def surface_of(
-    boundary: Boundary, order: np.ndarray | None = None
-) -> tuple[Surface, Images, Bool[np.ndarray, "n p"] | None]:
-    """Returns the surface that a method sees, its images, and a mask (n, p) of points on planes.
-
-    The mask is None without planes. The `order` (o,) of the surface's nodes follows from their
-    places, unless it is known.
+def surface_of(boundary: Boundary, order: np.ndarray | None = None) -> tuple[Surface, Images]:
+    """Returns the surface that a method sees, and its images. The `order` (o,) of the surface's
+    nodes follows from their places, unless it is known.
     """
     points, nodes, planes, moving = boundary.points, boundary.nodes, boundary.planes, len(boundary.moving)
     faces = boundary.surface_faces
@@ -228,7 +222,7 @@ def surface_of(
         listed=own,
         hidden=np.isin(nodes[own], boundary.hidden) if len(boundary.hidden) else None,
     )
-    return surface, images, on_plane if planes else None
+    return surface, images
 
 
 def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
@@ -243,7 +237,7 @@ def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
 
 
-def _trial(plan: Plan) -> Float[Array, "b d"]:
+def _trial(plan: Plan) -> Rows:
     """Makes a smooth displacement of the moving nodes, of size one, no polynomial; others rest."""
     points = np.asarray(plan.points)[np.asarray(plan.surface.nodes)]
     moving = points[: plan.n_moving]

@@ -16,50 +16,39 @@ from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import spacing
-from .._kernels.compile import compiled
+from .._kernels.compile import Constant, compiled
 from .._kernels.values import is_readable
-from .._methods.base import carry as carry_factors
-from .._methods.blocks import carry_points, place_points, with_tables_of, without_tables
+from .._methods.blocks import place_points, with_tables_of, without_tables
 from .devices import over_points, pad_rows
 from .judge import deviations
-from .plan import Plan, VolumePart
+from .plan import Own, Plan, VolumePart
+
+STEP = Constant(True)
 
 
 @compiled
-def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    return _fitted(plan, points)
-
-
-@compiled
-def carry(
-    plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Float[Array, "o d"] | None = None
-) -> Plan:
-    """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface. The
-    solve and layers over walls are made anew, and every point keeps its place in the graph.
+def refitted(plan: Plan, points: Any, surface: Own | None = None, step: Constant | None = None) -> Plan:
+    """Computes a plan anew on other points. With `STEP` they are those after one of its own steps:
+    the solve and layers over walls are made anew, and every point keeps its place in the graph. A
+    piece then needs the whole moved surface.
     """
-    return _fitted(plan, points, surface, carried=True)
-
-
-def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None, *, carried: bool = False) -> Plan:
+    carried = step is not None
     method, old, whole = plan.method, plan.surface, base_points(plan, points)
     own = whole[old.nodes] if surface is None else surface
     rows = old.images.points(own)
     guide = old.guide
     if guide is not None:
-        guide = eqx.tree_at(lambda guide: guide.plan, guide, _fitted(guide.plan, own, carried=carried))
+        guide = dataclasses.replace(guide, plan=refitted(guide.plan, own, None, step))
     ids, before = old.ids, old.factors
-    factors = carry_factors(method, ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
+    factors = method.carry(ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
 
     def place(shared: PyTree, volume: VolumePart) -> PyTree:
-        *data, first_moving = shared
-        points = volume.seen(first_moving)
-        if carried:
-            return carry_points(method, (points, volume.ids, volume.placed), *data)
-        placed = place_points(method, points, volume.ids, *data)
+        factors, rows, first = shared
+        before = volume.placed if carried else None
+        placed = place_points(method, volume.seen(first), volume.ids, factors, rows, before)
         return placed if volume.placed is None else with_tables_of(volume.placed, placed)
 
-    at = whole if plan.layout is None else pad_rows(whole, plan.layout)
-    volume = dataclasses.replace(plan.volume, points=at)
+    volume = dataclasses.replace(plan.volume, points=pad_rows(whole, plan.layout))
     volume = dataclasses.replace(volume, placed=over_points(plan.layout, place, (factors, rows, own[0]), volume))
     surface_part = dataclasses.replace(old, points=rows, factors=factors, guide=guide)
     return dataclasses.replace(plan, surface=surface_part, volume=volume, carried=carried)
@@ -103,10 +92,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
             "this plan is of a piece: call prepare_surface with the new surface, and attach the new points to it."
         )
     points = base_points(plan, points)
-    guide = plan.surface.guide
-    if guide is not None:
-        plan = _with(plan, *_boundary_at(guide.tracks, guide.pairings, points[plan.surface.nodes]))
-    if (guide is not None or len(plan.images.normals)) and is_readable((points, plan)):
+    surface = plan.surface
+    if surface.guide is not None:
+        plan = with_boundary(plan, *_boundary_at(surface.tracks, surface.pairings, points[surface.nodes]))
+    if (surface.guide is not None or len(plan.images.normals)) and is_readable((points, plan)):
         _check_boundary(plan, np.asarray(points))
     refit = refitted(plan, points)
     if is_readable((points, plan)):
@@ -114,12 +103,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     return refit
 
 
-def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    guide = other.surface.guide
-    return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
-
-
-def _with(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) -> Plan:
+def with_boundary(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) -> Plan:
     guide = plan.surface.guide
     if guide is None:
         return plan
@@ -129,15 +113,14 @@ def _with(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) 
 
 @compiled
 def _boundary_at(
-    tracks: tuple[Track, ...], pairings: tuple[Pairing, ...], points: Float[Array, "o d"]
+    tracks: tuple[Track, ...], pairings: tuple[Pairing, ...], points: Own
 ) -> tuple[tuple[Track, ...], tuple[Pairing, ...]]:
     return tuple(track.at(points) for track in tracks), tuple(pairing.at(points) for pairing in pairings)
 
 
 def _check_boundary(plan: Plan, points: np.ndarray) -> None:
     """Refuses points that leave a plan's planes and walls, and pairs that differ."""
-    surface, guide = np.asarray(plan.surface.nodes), plan.surface.guide
-    tracks = () if guide is None else guide.tracks
+    surface, tracks = np.asarray(plan.surface.nodes), plan.surface.tracks
     sliding = surface[np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])]
     for name, nodes, distance in deviations(plan, points):
         if name == "mismatch":

@@ -8,12 +8,11 @@ the fields, and runs no code.
 import dataclasses
 import enum
 import hashlib
-import itertools
 import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -32,11 +31,14 @@ ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
     """The classes that a file may name: subclasses of `ROOTS` of the package, and `added`."""
-    package, classes = __name__.partition(".")[0], {}
-    for kind in itertools.chain(*map(_below, ROOTS)):
-        is_own = kind.__module__.partition(".")[0] == package
-        if is_own and getattr(sys.modules.get(kind.__module__), kind.__name__, None) is kind:
-            classes[kind.__name__] = kind
+    package = __name__.partition(".")[0]
+    modules = [(name, vars(module)) for name, module in sys.modules.items() if name.partition(".")[0] == package]
+    classes: dict[str, type] = {
+        kind.__name__: kind
+        for name, content in modules
+        for kind in content.values()
+        if isinstance(kind, type) and issubclass(kind, ROOTS) and kind.__module__ == name
+    }
     for kind in added:
         if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
             raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
@@ -44,12 +46,6 @@ def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
             raise ValueError(f"two classes are called {kind.__name__}: {classes[kind.__name__]!r} and {kind!r}.")
         classes[kind.__name__] = kind
     return classes
-
-
-def _below(kind: type) -> Iterator[type]:
-    for subclass in kind.__subclasses__():
-        yield subclass
-        yield from _below(subclass)
 
 
 FORMAT, VERSION = "jaxmorph plan", 2

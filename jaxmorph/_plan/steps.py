@@ -12,9 +12,9 @@ from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .deform import transposable
-from .plan import Plan, deform_surface, moved_surface
+from .plan import Own, Plan, deform_surface, moved_surface
 from .prepare import plan_of
-from .refit import carry, refitted, with_boundary_of
+from .refit import STEP, refitted, with_boundary
 
 
 @checked
@@ -42,7 +42,7 @@ def march(
     _check_march(plan, rebuild, mesh)
     points, surface, plans = plan.points, None, []
     for j, target in enumerate(_targets(plan, path)):
-        step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else carry(plan, points, surface)
+        step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else refitted(plan, points, surface, STEP)
         points, surface = _advance(step, target)
         plans.append(step)
     return tuple(plans), points
@@ -69,9 +69,9 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
     current, points, surface = plans[0], plans[0].points, None
     for plan, target in zip(plans, targets, strict=True):
         if plan.carried:
-            current = carry(current, points, surface)
+            current = refitted(current, points, surface, STEP)
         elif current is not plan:
-            current = refitted(with_boundary_of(plan, current), points)
+            current = refitted(with_boundary(plan, current.surface.tracks, current.surface.pairings), points)
         points, surface = _advance(current, target)
     return points
 
@@ -89,7 +89,7 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
 
 
 @compiled
-def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d"], Float[Array, "o d"] | None]:
+def _advance(plan: Plan, target: Own) -> tuple[Float[Array, "n d"], Own | None]:
     vectors = target - plan.surface_points
     points = deform_surface(plan, vectors)
     if not plan.is_piece:

@@ -7,37 +7,40 @@ The determinant in the denominators is regularised as in Garanzha et al., Foldov
 lines of code, ACM Trans. Graph. 40, 2021.
 """
 
-import functools
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Real
+from jaxtyping import Array, Float
 
+from .._host.cells.lagrange import PLACES
 from .._host.cells.pieces import linear_cells, owners
 from .._host.cells.topology import DIMENSION, FRAMES, solid
 from .._host.linear.products import cofactors
 from .._host.package.arguments import between, checked
 from .._kernels.values import is_known
-from .._mesh.mesh import Mesh
+from .._mesh.mesh import Mesh, PointsLike
 from . import measures
 from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
-from .vector import Vector, corners, determinant, dot, total
+from .vector import ByType, Vector, corners, determinant, dot, total
 
 Scalar = Float[Array, "s k"]
+PerCell = Float[Array, " k"]
+Edges = Float[Array, "e d s k"]
+Some = Float[Array, "*shape"]
 
-_ROOT_3, _THIRD = 3**0.5, 3**-0.5
-IDEAL = {
-    "triangle": ((0, 0), (1, 0), (0.5, _ROOT_3 / 2)),
-    "quad": ((0, 0), (1, 0), (1, 1), (0, 1)),
-    "tetra": ((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0), (0.5, _THIRD / 2, (2 / 3) ** 0.5)),
-    "pyramid": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 0.5**0.5)),
-    "wedge": (*((0, 0, 0), (1, 0, 0), (0.5, _ROOT_3 / 2, 0)), *((0, 0, 1), (1, 0, 1), (0.5, _ROOT_3 / 2, 1))),
-    "hexahedron": (*((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)), *((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))),
+_HEIGHT = 3**0.5 / 2
+_AXES = {
+    "triangle": ((1, 0), (0.5, _HEIGHT)),
+    "quad": ((1, 0), (0, 1)),
+    "tetra": ((1, 0, 0), (0.5, _HEIGHT, 0), (0.5, _HEIGHT / 3, (2 / 3) ** 0.5)),
+    "pyramid": ((1, 0, 0), (0, 1, 0), (0.5, 0.5, 0.5**0.5)),
+    "wedge": ((1, 0, 0), (0.5, _HEIGHT, 0), (0, 0, 1)),
+    "hexahedron": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
 }
+IDEAL = {kind: (np.array(PLACES[kind]) @ np.array(axes)).tolist() for kind, axes in _AXES.items()}
 """Corners of the ideal cell of each type, edges of length one."""
 
 
@@ -52,9 +55,7 @@ class Target(NamedTuple):
     counts: Scalar
 
 
-def targets(
-    cells: dict[str, Any], points: Float[Array, "n d"], signs: dict[str, Any], ideal: bool
-) -> dict[str, Target]:
+def targets(cells: ByType, points: Float[Array, "n d"], signs: ByType, ideal: bool) -> dict[str, Target]:
     volumes = {kind: jnp.abs(volume_of(kind, corners(points, ids))) for kind, ids in cells.items()}
     sums = jnp.zeros((2, len(points)), points.dtype)
     for kind, ids in cells.items():
@@ -66,7 +67,7 @@ def targets(
     }
 
 
-def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: Any = None) -> Target:
+def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = None) -> Target:
     """Makes targets of the corners of undeformed cells.
 
     With `ideal` the targets are cells of ideal shape with the volume and handedness of the
@@ -74,7 +75,7 @@ def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: An
     `around`. An affine image of the ideal cell that is near, such as a parallelogram, is preferred.
     Without a `sign` each cell has its own handedness.
     """
-    edges, (volume, jacobians, noise) = measures.frames(kind, x), sizes_of(kind, x)
+    edges, (volume, jacobians, noise) = _edges(kind, x), sizes_of(kind, x)
     sign = jnp.where(volume < 0 if sign is None else sign < 0, -1.0, 1.0).astype(volume.dtype)
     content = sign[None] * jacobians
     folded = jnp.any(content < -noise, axis=0)
@@ -85,50 +86,49 @@ def target(kind: str, x: list[Vector], ideal: bool, sign: Any = None, around: An
     else:
         affine = _affine(kind, edges)
         is_near = jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
-        mended = [Vector(map(functools.partial(jnp.where, is_near), a, b)) for a, b in zip(affine, right, strict=True)]
-        pairs = zip(mended, edges, strict=True)
-        edges = [Vector(map(functools.partial(jnp.where, folded), new, edge)) for new, edge in pairs]
+        edges = jnp.where(folded, jnp.where(is_near, affine, right), edges)
     counts = (content > noise) | folded[None]
     inverse = 1 / jnp.where(counts, determinant(edges), 1)
-    rows = tuple(tuple(jnp.where(counts, c * inverse, 0) for c in row) for row in cofactors(edges))
+    rows = tuple(tuple(jnp.where(counts, c * inverse, 0) for c in row) for row in cofactors(list(edges)))
     return Target(rows, inverse, counts.astype(inverse.dtype))
 
 
-def _ideal(kind: str, sign: Float[Array, " k"], volume: Float[Array, " k"]) -> list[Vector]:
+def _edges(kind: str, x: Vector) -> Edges:
+    return jnp.stack([jnp.stack(edge) for edge in measures.frames(kind, x)])
+
+
+def _ideal(kind: str, sign: PerCell, volume: PerCell) -> Edges:
     """Frames of ideal cells; left-handed ones are their mirror images."""
-    shape = [Vector(jnp.full_like(volume, c) for c in corner) for corner in IDEAL[kind]]
-    size = volume / jnp.abs(measures.volume(kind, shape))
+    shape = jnp.asarray(np.array(IDEAL[kind]).T[:, :, None], volume.dtype) * jnp.ones_like(volume)[None, None]
+    size = volume / jnp.abs(measures.volume(kind, Vector(shape)))
     size = jnp.where(size > 0, size, 1) ** (1 / DIMENSION[kind])
-    return measures.frames(kind, [Vector([c[0] * sign, *c[1:]]) * size for c in shape])
+    shape = shape.at[0].multiply(sign[None]) * size[None, None]
+    return _edges(kind, Vector(shape))
 
 
-def _affine(kind: str, edges: list[Vector]) -> list[Vector]:
+def _affine(kind: str, edges: Edges) -> Edges:
     """Frames of the image of the ideal cell by the mean of the corners' affine maps."""
-    unit = measures.frames(kind, [Vector(np.full(1, float(c)) for c in corner) for corner in IDEAL[kind]])
+    unit = measures.frames(kind, Vector(np.array(IDEAL[kind], float).T[:, :, None]))
     ideal = np.array(unit)[..., 0].transpose(2, 0, 1)  # samples, edges, axes
     share = np.linalg.inv(ideal) / len(ideal)
-    columns = jnp.stack([jnp.stack(edge) for edge in edges])
-    axes = jnp.einsum("sab,bcsk->ack", share, columns, precision="highest").astype(columns.dtype)
-    means = jnp.einsum("sba,ack->bcsk", ideal, axes, precision="highest").astype(columns.dtype)
-    return [Vector(edge) for edge in means]
+    axes = jnp.einsum("sab,bcsk->ack", share, edges, precision="highest").astype(edges.dtype)
+    return jnp.einsum("sba,ack->bcsk", ideal, axes, precision="highest").astype(edges.dtype)
 
 
-def stretch(kind: str, x: list[Vector], goal: Target) -> list[Vector]:
+def stretch(kind: str, x: Vector, goal: Target) -> list[Vector]:
     """The columns of T = A W^-1 at each sample."""
     edges = measures.frames(kind, x)
     return [total(edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)) for b in range(len(edges))]
 
 
-def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
+def samples(kind: str, x: Vector, goal: Target) -> tuple[Scalar, Scalar]:
     """|T|^2 / d and det T at each sample."""
     columns = stretch(kind, x, goal)
-    squared = functools.reduce(jnp.add, [dot(column, column) for column in columns])
+    squared: Any = sum(dot(column, column) for column in columns)
     return squared / len(columns), determinant(measures.frames(kind, x)) * goal.determinant
 
 
-def energy(
-    squared: Float[Array, "*shape"], tau: Float[Array, "*shape"], softness: Any, size: float, dimension: int
-) -> Float[Array, "*shape"]:
+def energy(squared: Some, tau: Some, softness: Any, size: float, dimension: int) -> Some:
     """(1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with the regularised
     determinant chi(det T) > 0: 0 for the target cell, large where det T is not positive.
     """
@@ -142,7 +142,7 @@ class Bounds(NamedTuple):
     least: Any = 0.0
 
 
-def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bounds: Bounds) -> Float[Array, "*shape"]:
+def stiffened(energy: Some, tau: Some, bounds: Bounds) -> Some:
     """energy / ((1 - stiffness energy) (1 - least / tau)): infinite at both bounds. Without `least`
     it is that of Garanzha et al., In the Quest for Scale-optimal Mappings, ACM Trans. Graph. 43,
     2024, but for a constant and a factor. The second bound keeps small cells, whose distortion may
@@ -156,8 +156,8 @@ def stiffened(energy: Float[Array, "*shape"], tau: Float[Array, "*shape"], bound
 
 
 def energy_of_cells(
-    kind: str, x: list[Vector], goal: Target, softness: Any, size: float, bounds: Bounds | None = None
-) -> Float[Array, " k"]:
+    kind: str, x: Vector, goal: Target, softness: Any, size: float, bounds: Bounds | None = None
+) -> PerCell:
     squared, tau = samples(kind, x, goal)
     values = energy(squared, tau, softness, size, len(goal.inverse))
     if bounds is None:
@@ -187,12 +187,12 @@ def signs_of_pieces(mesh: Mesh) -> dict[str, Any]:
 @checked
 def distortion(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    points: PointsLike | None = None,
     *,
     ideal: bool = False,
     size_weight: float = 0.5,
     softness: float = 1e-3,
-) -> Float[Array, " k"]:
+) -> PerCell:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
     It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. There it
@@ -221,7 +221,8 @@ def distortion(
     if is_known(softness):
         between("softness", softness, 0)
     current, linear = places(mesh, points), linear_cells(cells, jnp.concatenate)
-    goals = targets(linear, jnp.asarray(mesh.points, current.dtype), signs_of_pieces(mesh), ideal)
+    with jax.ensure_compile_time_eval():  # not folded into a caller's program
+        goals = targets(linear, jnp.asarray(mesh.points, current.dtype), signs_of_pieces(mesh), ideal)
     parts = [
         energy_of_cells(kind, corners(current, ids), goals[kind], softness, size_weight) for kind, ids in linear.items()
     ]

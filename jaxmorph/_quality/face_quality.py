@@ -2,19 +2,27 @@
 
 import dataclasses
 import functools
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from .._host.cells.adjacency import handedness, neighbours
+from .._host.cells.adjacency import columns_of, is_among, neighbours
+from .._host.cells.topology import DIMENSION, FACES
 from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
+from .._host.package.cores import in_order
+from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
+from .quality import signs_of
 from .report import Report
-from .sides import FaceBlock, Group, Sides
 
 Vectors = Float[np.ndarray, "_d _f"]
+Points = Float[np.ndarray, "n d"]
+PerCell = Float[np.ndarray, " k"]
+
+Mask = Bool[np.ndarray, " k"]
 
 FLOOR = 1e-300  # least divisor
 
@@ -50,20 +58,20 @@ class FaceQuality(Report):
     of the inner faces' cosines. All else is as in `QualityReport`.
     """
 
-    rule: ClassVar[str] = "volumes and face pyramids"
-    measures: ClassVar[tuple[str, ...]] = MEASURES
-    rank: ClassVar[str] = "pyramid"
+    rule = "volumes and face pyramids"
+    measures = MEASURES
+    rank = "pyramid"
 
-    volume: Float[np.ndarray, " k"]
-    pyramid: Float[np.ndarray, " k"]
-    is_inverted: Bool[np.ndarray, " k"]
-    skewness: Float[np.ndarray, " k"]
-    aspect_ratio: Float[np.ndarray, " k"]
-    non_orthogonality: Float[np.ndarray, " k"]
+    volume: PerCell
+    pyramid: PerCell
+    is_inverted: Mask
+    skewness: PerCell
+    aspect_ratio: PerCell
+    non_orthogonality: PerCell
     centroid: Float[np.ndarray, "k d"]
-    counted: Bool[np.ndarray, " k"]
+    counted: Mask
     mean_non_orthogonality: float
-    volume_ratio: Float[np.ndarray, " k"]
+    volume_ratio: PerCell
 
     @checked
     def mean(self, name: str, *, weighted: bool = True) -> float:
@@ -94,6 +102,114 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
     return measured(mesh, Sides.listed(mesh), points)
 
 
+T = TypeVar("T")
+Cells = Int[np.ndarray, " b"]
+
+BLOCK = 1 << 14  # faces in a block: their columns stay in a core's cache
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FaceBlock:
+    """Some faces with equal numbers of corners: edges have two.
+
+    - `corners`: node ids (c, b), in the sense in which the owner sees the face from outside.
+    - `owner`, `behind`: the cells (b,) beside the face; `behind` is -1 where there is none.
+    - `is_between`: marks (b,) faces to other parts of the mesh.
+    - `is_shared`: the faces stand for both cells. Others stand for their owner: outer faces, and
+      pairs of which one is not its partner seen from behind.
+    - `rows`: numbers of the faces.
+    """
+
+    corners: Int[np.ndarray, "c b"]
+    owner: Cells
+    behind: Cells
+    is_between: Bool[np.ndarray, " b"]
+    is_shared: bool
+    rows: slice
+
+    @property
+    def views(self) -> tuple[tuple[int, Cells], ...]:
+        """The cells that the faces stand for: 1 with the owners, and -1 with the cells behind."""
+        views = (1, self.owner.astype(np.intp)), (-1, self.behind.astype(np.intp))
+        return views if self.is_shared else views[:1]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sides:
+    blocks: tuple[FaceBlock, ...]
+    total: int
+
+    @classmethod
+    def listed(cls, mesh: Mesh) -> "Sides":
+        """Lists the faces of the cells of the highest dimension, polyhedra and polygons whole.
+        Raises `ValueError` for a mesh without cells, or whose cells do not fill its dimension.
+        """
+        if mesh.is_curved:
+            raise ValueError("OpenFOAM's measures are for linear cells; `quality` measures curved cells.")
+        highest = max((DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids)), default=None)
+        if highest is None:
+            raise ValueError("the mesh has no cells; its quality is not defined.")
+        if highest != mesh.points.shape[1]:
+            raise ValueError(
+                "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for surfaces in 3-D."
+            )
+        return _standard(mesh, highest) if mesh.polyhedra is None else _whole(mesh.polyhedra.faces, mesh.between)
+
+    def measured(self, function: Callable[[FaceBlock], T]) -> Iterator[tuple[FaceBlock, T]]:
+        """Yields all blocks in order, each with its `function`, which all cores compute."""
+        return in_order(lambda block: (block, function(block)), self.blocks)
+
+    @functools.cached_property
+    def counts(self) -> Int[np.ndarray, " k"]:
+        counts = np.zeros(self.total, int)
+        for block in self.blocks:
+            for _, cells in block.views:
+                np.add.at(counts, cells, 1)
+        return counts
+
+
+def _standard(mesh: Mesh, highest: int) -> Sides:
+    solids = {kind: np.asarray(ids) for kind, ids in mesh.cells.items() if DIMENSION[kind] == highest}
+    counts = list(map(len, mesh.cells.values()))
+    numbers = mesh.cell_ids[np.repeat([kind in solids for kind in mesh.cells], counts)].astype(np.int32)
+    (neighbour, flipped), faces, first, used = neighbours(solids), {}, 0, 0
+    for kind, ids in solids.items():
+        columns, own, end = columns_of(ids), np.arange(first, first + len(ids)), used + len(FACES[kind]) * len(ids)
+        beyond, turned = (rows[used:end].reshape(len(ids), -1).T for rows in (neighbour, flipped))
+        for face, behind, is_turned in zip(FACES[kind], beyond, turned, strict=True):
+            is_shared = (behind >= 0) & ~is_turned
+            rows = np.flatnonzero(~is_shared | (own < behind))
+            corners = np.stack([columns[corner][rows] for corner in face])
+            faces.setdefault(len(face), []).append((corners, own[rows], behind[rows], is_shared[rows]))
+        first, used = first + len(ids), end
+    groups = []
+    for parts in faces.values():
+        corners, owner, behind, is_shared = (np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True))
+        groups.append((corners, numbers[owner], np.where(behind < 0, -1, numbers[behind]), is_shared))
+    return Sides(tuple(_blocks(groups, mesh.between)), sum(counts))
+
+
+def _whole(faces: Faces, between: np.ndarray | None) -> Sides:
+    neighbour, groups = faces.all_neighbours(), []
+    for size in np.unique(faces.sizes).tolist():
+        rows = np.flatnonzero(faces.sizes == size)
+        groups.append((faces.corners(rows, size).T, faces.owner[rows], neighbour[rows], neighbour[rows] >= 0))
+    return Sides(tuple(_blocks(groups, between)), faces.count)
+
+
+def _blocks(groups: list[tuple[np.ndarray, ...]], between: np.ndarray | None) -> Iterator[FaceBlock]:
+    first = 0
+    for *columns, is_shared in groups:
+        for flag in (True, False):
+            corners, owner, behind = (np.ascontiguousarray(column[..., is_shared == flag]) for column in columns)
+            is_outer = np.zeros(len(owner), bool) if flag or between is None else is_among(corners.T, between)
+            for at in range(0, len(owner), BLOCK):
+                some = slice(at, at + BLOCK)
+                rows = slice(first, first + len(owner[some]))
+                yield FaceBlock(corners[:, some], owner[some], behind[some], is_outer[some], flag, rows)
+                first = rows.stop
+
+
 def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
     points, base = (np.asarray(x, dtype=float) for x in (mesh.points if points is None else points, mesh.points))
     if points.shape != base.shape:
@@ -102,45 +218,47 @@ def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> Face
         shape = _Shape.measured(sides, points)
         old = shape.volume if np.array_equal(points, base) else _Shape.measured(sides, base).volume
         if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
-            sign = _turns(mesh, old)
+            sign = np.ones(
+                len(old)
+            )  # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
+            sign[mesh.cell_ids] = np.concatenate(list(signs_of(mesh).values()))
             old = sign * old
-            shape.turn(sign)
+            shape.turn(sides, sign)
         return _of_shape(sides, shape, points, old)
 
 
 @dataclasses.dataclass(eq=False)
 class _Shape:
-    """Faces of groups with centres and area vectors, middles of cells, d volumes (k,)."""
+    """Centres and area vectors (d, f) of faces, middles (d, k) and d volumes (k,) of cells."""
 
-    faces: list[tuple[Group, Vectors, Vectors]]
+    centre: Vectors
+    area: Vectors
     middle: Vectors
-    volume: Float[np.ndarray, " k"]
+    volume: PerCell
 
     @classmethod
-    def measured(cls, sides: Sides, points: Float[np.ndarray, "n d"]) -> "_Shape":
+    def measured(cls, sides: Sides, points: Points) -> "_Shape":
         """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
-        d, columns, faces = points.shape[1], np.ascontiguousarray(points.T), []
-        means, middle, volume = np.zeros((d, sides.total)), np.zeros((d, sides.total)), np.zeros(sides.total)
-        for group in sides.groups:
-            centre, area = np.empty((2, d, len(group.owner)))
-            for block, found in group.measured(functools.partial(_centre_and_area, columns)):
-                centre[:, block.rows], area[:, block.rows] = found
-                for _, cells in block.views:
-                    _add(means, cells, found[0])
-            faces.append((group, centre, area))
+        d, columns, count = points.shape[1], np.ascontiguousarray(points.T), sides.blocks[-1].rows.stop
+        (centre, area), means, sums = (
+            np.empty((2, d, count)),
+            np.zeros((d, sides.total)),
+            np.zeros((d + 1, sides.total)),
+        )
+        for block, found in sides.measured(functools.partial(_centre_and_area, columns)):
+            centre[:, block.rows], area[:, block.rows] = found
+            for _, cells in block.views:
+                _add(means, cells, found[0])
         means /= np.maximum(sides.counts, 1)
-        for group, centre, area in faces:
-            for block, parts in group.measured(functools.partial(_pyramids, centre, area, means)):
-                for (_, cells), (part, moment) in zip(block.views, parts, strict=True):
-                    np.add.at(volume, cells, part)
-                    _add(middle, cells, moment)
-        middle /= np.where(volume == 0, FLOOR, volume)
-        return cls(faces, middle, volume)
+        for block, parts in sides.measured(functools.partial(_pyramids, centre, area, means)):
+            for (_, cells), part in zip(block.views, parts, strict=True):
+                _add(sums, cells, part)
+        return cls(centre, area, sums[1:] / np.where(sums[0] == 0, FLOOR, sums[0]), sums[0])
 
-    def turn(self, sign: Float[np.ndarray, " k"]) -> None:
+    def turn(self, sides: Sides, sign: PerCell) -> None:
         self.volume = self.volume * sign
-        for group, _, area in self.faces:
-            area *= sign[group.owner]
+        for block in sides.blocks:
+            self.area[:, block.rows] *= sign[block.owner]
 
 
 def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
@@ -148,25 +266,22 @@ def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
         np.add.at(total, cells, component)
 
 
-def _of_shape(
-    sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"], old: Float[np.ndarray, " k"]
-) -> FaceQuality:
+def _of_shape(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> FaceQuality:
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
     counted, noise = sides.counts > 0, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
     least, heights, seen = np.full(total, np.inf), np.zeros(total), np.zeros((d, total))
     cosines = np.zeros(2)  # their sum and their number
-    for group, centre, area in shape.faces:
-        for block, found in group.measured(functools.partial(_across, centre, area, shape.middle, columns)):
-            inner = found.cosine[block.behind >= 0]
-            cosines += len(block.views) * np.array([inner.sum(), len(inner)])
-            for (_, cells), height in zip(block.views, found.heights, strict=True):
-                is_wrong[cells[~(height >= -noise * found.size)]] = True
-                np.minimum.at(least, cells, height)
-                np.add.at(heights, cells, np.abs(height))
-                np.minimum.at(cosine, cells, found.cosine)
-                np.maximum.at(skewness, cells, found.skewness)
-                _add(seen, cells, np.abs(area[:, block.rows]))
+    for block, found in sides.measured(functools.partial(_across, shape, columns)):
+        inner = found.cosine[block.behind >= 0]
+        cosines += len(block.views) * np.array([inner.sum(), len(inner)])
+        for (_, cells), height in zip(block.views, found.heights, strict=True):
+            is_wrong[cells[~(height >= -noise * found.size)]] = True
+            np.minimum.at(least, cells, height)
+            np.minimum.at(cosine, cells, found.cosine)
+            np.maximum.at(skewness, cells, found.skewness)
+            np.add.at(heights, cells, np.abs(height))
+            _add(seen, cells, np.abs(shape.area[:, block.rows]))
     pyramid = least / np.maximum(heights / np.maximum(sides.counts, 1), FLOOR)
     aspect = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
     if d == 3:
@@ -186,19 +301,6 @@ def _of_shape(
     )
 
 
-def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """The sign that makes the undeformed volumes positive. It follows from neighbours, and from the
-    volume that they enclose: a part of the mesh that a motion turns inside out has no neighbour to
-    tell.
-    """
-    turn = np.ones(len(volume))
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-    sign, part = map(np.asarray, handedness(cells, *neighbours(cells)))
-    enclosed = np.bincount(part, sign * volume[mesh.cell_ids])
-    turn[mesh.cell_ids] = sign * np.where(enclosed < 0, -1, 1)[part]
-    return turn
-
-
 def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vectors]:
     """Centres and area vectors of faces; an edge is its own area, turned."""
     x = points.take(block.corners, axis=1)  # (d, corners, f)
@@ -214,14 +316,14 @@ def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vector
     return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
 
 
-def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: FaceBlock) -> list[tuple[np.ndarray, Vectors]]:
-    """d volumes (b,) and first moments of pyramids, as each view sees the faces."""
+def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: FaceBlock) -> list[Vectors]:
+    """d volumes and first moments (d + 1, b) of pyramids, as each view sees the faces."""
     d, parts = len(means), []
     centre, area = centres[:, block.rows], areas[:, block.rows]
     for sign, cells in block.views:
         middle = means.take(cells, axis=1)
         volume = sign * dot(area, centre - middle)
-        parts.append((volume, volume / (d + 1) * (d * centre + middle)))
+        parts.append(np.vstack([volume[None], volume / (d + 1) * (d * centre + middle)]))
     return parts
 
 
@@ -232,8 +334,9 @@ class _Across(NamedTuple):
     heights: list[np.ndarray]
 
 
-def _across(centres: Vectors, areas: Vectors, middle: Vectors, points: Vectors, block: FaceBlock) -> _Across:
-    centre, area, inside = centres[:, block.rows], areas[:, block.rows], block.behind >= 0
+def _across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
+    middle, inside = shape.middle, block.behind >= 0
+    centre, area = shape.centre[:, block.rows], shape.area[:, block.rows]
     arm, size = centre - middle.take(block.owner, axis=1), _size(area)
     across = middle.take(block.behind, axis=1) - middle.take(block.owner, axis=1)  # anything without a cell behind
     cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
@@ -247,7 +350,7 @@ def _across(centres: Vectors, areas: Vectors, middle: Vectors, points: Vectors, 
     reach = np.abs(dot(by[:, None], points.take(block.corners, axis=1) - centre[:, None])).max(axis=0)
     least = np.where(inside, 0.2, 0.4) * _size(across)
     skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
-    return _Across(size, np.where(block.group.is_between[block.rows], 0, skewness), cosine, heights)
+    return _Across(size, np.where(block.is_between, 0, skewness), cosine, heights)
 
 
 def _size(vectors: np.ndarray) -> np.ndarray:

@@ -1,29 +1,29 @@
 """Quality of the cells of a mesh, relative to the undeformed one."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.adjacency import handedness, neighbours
-from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES, solid
+from .._host.cells.topology import CORNERS, DIMENSION, FACES, HIGH_ORDER, SHAPES, solid
 from .._host.linear.products import FLAT
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
-from .._mesh.mesh import Mesh
+from .._mesh.mesh import Mesh, PointsLike
 from . import measures
-from .proof.search import has_least, least_jacobian
+from .bounds import least_jacobian
 from .report import QualityReport
-from .vector import ByType, Vector, by_place, by_type, joined, mean, stack
+from .vector import ByType, Ids, Marks, PerCell, Points, Samples, Vector, by_place, by_type, joined, middle
 
 
 @checked
-def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None) -> QualityReport:
+def quality(mesh: Mesh, points: PointsLike | None = None) -> QualityReport:
     """Measures a mesh's cells at `points`, judged relative to the undeformed `mesh.points`.
 
     Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument.
@@ -65,7 +65,7 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
 
 
 @checked
-def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool[Array, " k"]:
+def inverted(mesh: Mesh, points: PointsLike) -> Bool[Array, " k"]:
     """Marks the inverted cells at `points`: a cheaper `quality(mesh, points).is_inverted`.
 
     Traced, and cheapest in a `jit` that closes over the mesh: the undeformed mesh is then measured
@@ -79,9 +79,7 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
     return jnp.asarray(_flags(mesh.cells, current, standards))
 
 
-def places(
-    mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None, name: str = "points"
-) -> Float[Array, "n d"]:
+def places(mesh: Mesh, points: PointsLike | None, name: str = "points") -> Float[Array, "n d"]:
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
@@ -101,8 +99,8 @@ def check_solid(mesh: Mesh, reason: str) -> None:
 
 class Links(NamedTuple):
     neighbour: Int[Either, " f"]
-    sign: Int[Either, " k"]
-    part: Int[Either, " k"]
+    sign: Ids
+    part: Ids
 
 
 def link(cells: ByType) -> Links:
@@ -119,12 +117,12 @@ def link(cells: ByType) -> Links:
     return Links(*jnp.split(found, (faces, faces + count)))
 
 
-def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Int[Either, " k"]]:
+def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Ids]:
     return _signs(mesh.cells, links or link(mesh.cells), mesh.points)
 
 
 @by_place
-def _signs(cells: ByType, links: Links, points: Float[Either, "n d"]) -> ByType:
+def _signs(cells: ByType, links: Links, points: Points) -> ByType:
     """The sign of each cell by the volume of its part of the mesh; none in lower dimension."""
     xp, volumes = namespace(points), by_type(volume_of, points, cells)
     volume = joined(xp, volumes)
@@ -141,13 +139,13 @@ class Standard(NamedTuple):
     mesh, `is_folded` marks cells whose volume has another one.
     """
 
-    sign: Int[Either, " k"]
-    volume: Float[Either, " k"]
-    is_flat: Bool[Either, " k"]
-    jacobian: Float[Either, " k"]
+    sign: Ids
+    volume: PerCell
+    is_flat: Marks
+    jacobian: PerCell
     is_judged: Bool[Either, "s k"]
-    is_degenerate: Bool[Either, " k"]
-    is_folded: Bool[Either, " k"]
+    is_degenerate: Marks
+    is_folded: Marks
 
 
 def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str, Standard]:
@@ -158,7 +156,7 @@ def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str
 
 
 @by_place
-def _standards(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> dict[str, Standard]:
+def _standards(cells: ByType, points: Points, signs: ByType) -> dict[str, Standard]:
     return by_type(_standard, points, cells, signs)
 
 
@@ -171,8 +169,8 @@ def _of_pieces(mesh: Mesh, signs: ByType, cut: np.ndarray) -> ByType:
     return _split(jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes)
 
 
-def _standard(kind: str, x: list[Vector], sign: Int[Either, " k"]) -> Standard:
-    xp, (volume, jacobians, noise) = namespace(x[0][0]), sizes_of(kind, x)
+def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
+    xp, (volume, jacobians, noise) = namespace(x[0]), sizes_of(kind, x)
     openings = _with_largest(measures.openings(kind, x), len(jacobians))
     flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)
     folded = ~flat & (sign * volume < 0)
@@ -184,9 +182,7 @@ def _standard(kind: str, x: list[Vector], sign: Int[Either, " k"]) -> Standard:
 
 
 @by_place
-def _columns(
-    cells: ByType, links: Links, points: Float[Either, "n d"], standards: dict[str, Standard] | None
-) -> dict[str, Either]:
+def _columns(cells: ByType, links: Links, points: Points, standards: dict[str, Standard] | None) -> dict[str, Either]:
     if standards is None:
         signs = _signs(cells, links, points)
         columns = by_type(_judged_alone, points, cells, signs)
@@ -200,8 +196,8 @@ def _columns(
 
 
 @by_place
-def _flags(cells: ByType, points: Float[Either, "n d"], standards: dict[str, Standard]) -> Bool[Either, " k"]:
-    def is_inverted(kind: str, x: list[Vector], standard: Standard) -> Bool[Either, " k"]:
+def _flags(cells: ByType, points: Points, standards: dict[str, Standard]) -> Marks:
+    def is_inverted(kind: str, x: Vector, standard: Standard) -> Marks:
         return _relative(*sizes_of(kind, x)[:2], standard)["is_inverted"]
 
     return joined(namespace(points), by_type(is_inverted, points, cells, standards))
@@ -212,42 +208,42 @@ def _split(values: Either, like: ByType) -> ByType:
     return dict(zip(like, namespace(values).split(values, ends), strict=True))
 
 
-def volume_of(kind: str, x: list[Vector]) -> Float[Either, " k"]:
+def volume_of(kind: str, x: Vector) -> PerCell:
     return measures.volume(kind, measures.relative_corners(x)[0])
 
 
-def sizes_of(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
+def sizes_of(kind: str, x: Vector) -> tuple[Either, Either, Either]:
     """The volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian. The last
     Jacobian of a curved cell is its least one, wherever it is.
     """
-    rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * measures.reach(x)
+    rounding = 8 * float(jnp.finfo(x[0].dtype).eps) * measures.reach(x)
     relative, _ = measures.relative_corners(x)
     jacobians, spread = measures.jacobians(kind, relative)
-    if has_least(kind, len(x[0])):
-        least = least_jacobian(kind, list(stack(relative)))
+    if kind in HIGH_ORDER and DIMENSION[kind] == len(x):
+        least = least_jacobian(kind, list(relative))
         jacobians = namespace(least).concatenate([jacobians, least[None]])
     noise = rounding[None] * constant(_with_largest(spread, len(jacobians)))
     return measures.volume(kind, relative), jacobians, noise
 
 
-def _with_largest(values: Float[Either, "s k"], rows: int) -> Float[Either, "rows k"]:
+def _with_largest(values: Samples, rows: int) -> Float[Either, "rows k"]:
     """Returns values of samples; the least Jacobian, if it has a row, gets the largest."""
     if len(values) == rows:
         return values
     return namespace(values).concatenate([values, values.max(axis=0, keepdims=True)])
 
 
-def _shape(kind: str, x: list[Vector]) -> dict[str, Either]:
+def _shape(kind: str, x: Vector) -> dict[str, Either]:
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     return {
         "skewness": measures.skewness(kind, shape),
         "aspect_ratio": measures.aspect_ratio(kind, shape),
-        "centroid": namespace(size).stack(mean(x)),
+        "centroid": namespace(size).stack(middle(x)),
     }
 
 
-def _judged(kind: str, x: list[Vector], standard: Standard) -> dict[str, Either]:
+def _judged(kind: str, x: Vector, standard: Standard) -> dict[str, Either]:
     return _relative(*sizes_of(kind, x)[:2], standard) | _shape(kind, x)
 
 
@@ -268,7 +264,7 @@ def _relative(volume: Either, jacobians: Either, standard: Standard) -> dict[str
     }
 
 
-def _judged_alone(kind: str, x: list[Vector], sign: Int[Either, " k"]) -> dict[str, Either]:
+def _judged_alone(kind: str, x: Vector, sign: Ids) -> dict[str, Either]:
     volume, jacobians, noise = sizes_of(kind, x)
     xp, turned = namespace(volume), sign[None] * jacobians
     return {
@@ -282,13 +278,13 @@ def _judged_alone(kind: str, x: list[Vector], sign: Int[Either, " k"]) -> dict[s
     } | _shape(kind, x)
 
 
-def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) -> Float[Either, " k"]:
+def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) -> PerCell:
     return largest(namespace(degrees).where(is_inner, degrees, 0))
 
 
 def non_orthogonality(
-    points: Float[Either, "n d"], cells: ByType, signs: ByType, neighbour: Either, maximum: Callable = largest_inner
-) -> Float[Either, " k"]:
+    points: Points, cells: ByType, signs: ByType, neighbour: Either, maximum: Callable = largest_inner
+) -> PerCell:
     """The largest angle over the inner faces of each cell, 0 for a cell without any; `maximum` may
     be a smooth stand-in. Centres are relative to the first corner of their cell: their differences
     do not lose digits.
@@ -297,7 +293,7 @@ def non_orthogonality(
     cells = {kind: ids[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners
     origins, centres = map(Vector, joined(xp, by_type(_centre, points, cells)))
 
-    def angles(kind: str, x: list[Vector], sign: Either, behind: Int[Either, "f k"], here: Int[Either, " k"]) -> Either:
+    def angles(kind: str, x: Vector, sign: Either, behind: Int[Either, "f k"], here: Ids) -> Either:
         if not FACES[kind]:
             return xp.zeros_like(x[0][0])
         relative, size = measures.relative_corners(x)
@@ -315,5 +311,5 @@ def non_orthogonality(
     return joined(xp, by_type(angles, points, cells, signs, behind, here))
 
 
-def _centre(kind: str, x: list[Vector]) -> tuple[tuple, tuple]:
-    return tuple(x[0]), tuple(measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]))
+def _centre(kind: str, x: Vector) -> tuple[tuple, tuple]:
+    return tuple(x.at(0)), tuple(measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]))

@@ -1,7 +1,7 @@
 """Reports on cells: the base class, and the report of `quality`."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,6 +12,9 @@ from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
 from .._kernels.values import Either, array, is_known, largest, on_host, smallest
+
+PerCell = Float[Array, " k"]
+Mask = Bool[Array, " k"]
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
@@ -29,9 +32,10 @@ class Report:
     `worst` ranks by the measure `rank`, after `_levels`.
     """
 
-    rule: ClassVar[str]
-    measures: ClassVar[tuple[str, ...]]
-    rank: ClassVar[str]
+    rule: str
+    measures: tuple[str, ...]
+    rank: str
+    degenerate: Any = 0
     is_inverted: Any
     volume: Any
     centroid: Any
@@ -162,23 +166,23 @@ class QualityReport(Report, Module):
     weighted by area or volume. `str(report)`, `worst` and `raise_if_inverted` speak on the host.
     """
 
-    rule: ClassVar[str] = "corner Jacobians"
-    measures: ClassVar[tuple[str, ...]] = MEASURES
-    rank: ClassVar[str] = "skewness"
+    rule = "corner Jacobians"
+    measures = MEASURES
+    rank = "skewness"
 
-    volume: Float[Array, " k"]
-    skewness: Float[Array, " k"]
-    aspect_ratio: Float[Array, " k"]
-    jacobian: Float[Array, " k"]
-    non_orthogonality: Float[Array, " k"]
-    volume_ratio: Float[Array, " k"]
-    jacobian_ratio: Float[Array, " k"]
-    is_inverted: Bool[Array, " k"]
-    is_degenerate: Bool[Array, " k"]
+    volume: PerCell
+    skewness: PerCell
+    aspect_ratio: PerCell
+    jacobian: PerCell
+    non_orthogonality: PerCell
+    volume_ratio: PerCell
+    jacobian_ratio: PerCell
+    is_inverted: Mask
+    is_degenerate: Mask
     centroid: Float[Array, "k d"]
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
-    was_inverted: Bool[Array, " k"] | None = None
+    was_inverted: Mask | None = None
 
     area = property(lambda self: self.volume)
     degenerate = property(lambda self: self._over_cells(_sum, self.is_degenerate))

@@ -8,31 +8,32 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Real
 
-from .._host.cells.topology import SHAPES
 from .._host.package.arguments import between, checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import is_known
-from .._mesh.mesh import Mesh
+from .._mesh.mesh import Mesh, PointsLike
 from .._methods.base import number
 from . import measures
 from .quality import Standard, link, non_orthogonality, places, standards_of
 from .vector import ByType, Vector, by_type, dot, joined
 
+PerCell = Float[Array, " k"]
+
 
 class SmoothQuality(Module):
     """Smooth measures of k cells: arrays (k,), as in `QualityReport`; angles in degrees."""
 
-    skewness: Float[Array, " k"]
-    aspect_ratio: Float[Array, " k"]
-    non_orthogonality: Float[Array, " k"]
-    jacobian_ratio: Float[Array, " k"]
+    skewness: PerCell
+    aspect_ratio: PerCell
+    non_orthogonality: PerCell
+    jacobian_ratio: PerCell
 
 
 @checked
 def smooth_quality(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    points: PointsLike | None = None,
     *,
     sharpness: float = 50.0,
     softness: float = 1e-6,
@@ -87,21 +88,21 @@ def _measured(cells: ByType, behind, points, standards: dict[str, Standard], opt
     return SmoothQuality(skewness, aspect, angles, jacobian)
 
 
-def _shapes(options, kind: str, x: list[Vector], standard: Standard) -> tuple[Array, ...]:
+def _shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, ...]:
     sharpness, softness = options
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
-    ratio = _jacobian_ratio(kind, relative, standard, sharpness)
-    if kind == SHAPES[kind]:
-        return skewness, _aspect_ratio(kind, shape, standard.sign, sharpness, softness), ratio
+    ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
+    least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
+    ratio = jnp.where(standard.is_degenerate, 1, least)
     linear, shape = measures.linear_cells_at_nodes(kind, shape)
-    aspect = _aspect_ratio(linear, shape, jnp.tile(standard.sign, len(relative)), sharpness, softness)
-    aspect = jnp.exp(soft_maximum(jnp.log(aspect).reshape(len(relative), -1), sharpness, axis=0))
-    return skewness, aspect, ratio
+    sign = jnp.tile(standard.sign, shape[0].shape[1] // len(size))
+    aspect = jnp.log(_aspect_ratio(linear, shape, sign, sharpness, softness)).reshape(-1, len(size))
+    return skewness, jnp.exp(soft_maximum(aspect, sharpness, axis=0)), ratio
 
 
-def _aspect_ratio(kind: str, x: list[Vector], sign: Array, sharpness, softness) -> Float[Array, " k"]:
+def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> PerCell:
     if kind == "line":
         return jnp.ones_like(x[0][0])
     edges, under = measures.aspect_terms(kind, x)
@@ -116,18 +117,12 @@ def _aspect_ratio(kind: str, x: list[Vector], sign: Array, sharpness, softness) 
     return 1 / positive_part(inverse, softness)
 
 
-def _jacobian_ratio(kind: str, relative: list[Vector], standard: Standard, sharpness) -> Float[Array, " k"]:
-    ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
-    least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
-    return jnp.where(standard.is_degenerate, 1, least)
-
-
-def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> Float[Array, " k"]:
+def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> PerCell:
     unit = 90 / sharpness
     return _soft_maximum_where(jnp.sqrt(degrees**2 + unit**2) - unit, is_inner, 1 / unit)
 
 
-def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
+def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> PerCell:
     number = jnp.sum(counts, axis=0)
     weights = jnp.where((number > 0)[None], counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)

@@ -1,4 +1,7 @@
-"""Vectors of two or three components: arrays with the cells on the last axis, for fast loops."""
+"""Vectors of two or three components: arrays with the cells on the last axis, for fast loops.
+
+The corners of k cells are one vector, each of whose components has a row for each corner (c, k).
+"""
 
 import functools
 import math
@@ -8,14 +11,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, Num, Shaped
+from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from .._host.linear import products
-from .._host.linear.products import dot
+from .._host.linear.products import Components, dot
 from .._kernels.compile import Function, compiled
 from .._kernels.values import Either, namespace, on_host, root
 
 Scalar = Float[Either, "*rows k"]
+PerCell = Float[Either, " k"]
+Marks = Bool[Either, " k"]
+Ids = Int[Either, " k"]
+Samples = Float[Either, "s k"]
+Points = Float[Either, "n d"]
 
 ByType = dict[str, Any]
 
@@ -36,16 +44,34 @@ class Vector(tuple):
         return Vector(a[rows] for a in self)
 
 
-def corners(points: Float[Either, "n d"], ids: Shaped[Either, "k c"]) -> list[Vector]:
-    axes = [points[:, axis] for axis in range(points.shape[1])]
-    return [Vector(axis[ids[:, corner]] for axis in axes) for corner in range(ids.shape[1])]
+def corners(points: Points, ids: Shaped[Either, "k c"]) -> Vector:
+    rows = ids.T.copy()  # so that values of all cells stand side by side in NumPy's arrays
+    return Vector(points[:, axis][rows] for axis in range(points.shape[1]))
+
+
+def columns(x: Vector, table: Iterable[Sequence[int]]) -> list[Vector]:
+    """A vector for each column of a table of rows: every face's first corner, second, ..."""
+    xp = namespace(x[0])
+    return [Vector(xp.stack([a[i] for i in column]) for a in x) for column in zip(*table, strict=True)]
+
+
+def combined(table: np.ndarray, x: Vector) -> Vector:
+    """Multiplies rows by a matrix, in full precision."""
+    return Vector(contracted(table.astype(a.dtype), a) for a in x)
+
+
+def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
+    """Multiplies values by a matrix along an axis, which comes first; in full precision."""
+    if namespace(values) is np:
+        return np.tensordot(matrix, values, (1, axis))
+    return jnp.tensordot(matrix, values, (1, axis), precision="highest")
 
 
 def cross(a: Vector, b: Vector) -> Vector:
     return Vector(products.cross(a, b))
 
 
-def determinant(columns: Sequence[Vector]) -> Scalar:
+def determinant(columns: Components) -> Scalar:
     return products.determinant([*columns[2:], *columns[:2]])
 
 
@@ -63,12 +89,20 @@ def stack(vectors: Sequence[Vector]) -> Vector:
     return Vector(map(namespace(vectors[0][0]).stack, zip(*vectors, strict=True)))
 
 
+def join(vectors: Iterable[Vector]) -> Vector:
+    return Vector(namespace(parts[0]).concatenate(parts) for parts in zip(*vectors, strict=True))
+
+
 def total(vectors: Iterable[Vector]) -> Vector:
     return functools.reduce(Vector.__add__, vectors)
 
 
 def mean(vectors: Sequence[Vector]) -> Vector:
     return total(vectors) * (1 / len(vectors))
+
+
+def middle(x: Vector) -> Vector:
+    return Vector(a.mean(axis=0) for a in x)
 
 
 def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
@@ -133,7 +167,7 @@ def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) 
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :k], results)
 
 
-def by_type(function: Callable, points: Float[Either, "n d"], cells: ByType, *others: ByType) -> ByType:
+def by_type(function: Callable, points: Points, cells: ByType, *others: ByType) -> ByType:
     """Applies `function(kind, corners, ...)` to blocks of each type's cells, and of `others`."""
 
     def measured(kind: str, ids: Int[Either, "c k"], *rows: Any) -> Any:

@@ -2,21 +2,23 @@
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Bool, Float, Int
 
 from .._host.package.arguments import between, check_fields, checked, real_array, shown, whole
-from .._mesh.mesh import Mesh
-from .face_quality import FaceQuality, measured
-from .proof.proof import proof
+from .._mesh.mesh import Mesh, PointsLike
+from .face_quality import FaceQuality, Sides, measured
+from .proof import proof
 from .quality import quality
 from .report import QualityReport, Report
-from .sides import Sides
 
 WORST = 5
+
+Mask = Bool[np.ndarray, " k"]
 
 BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
 """Measures of faces, by their names in limits and tables. The plain names are those of corners."""
@@ -62,10 +64,8 @@ class Limits:
     @property
     def by_name(self) -> dict[str, float]:
         """Limits that are set, by name; `proven` is `min_proven_margin`, 0."""
-        names = (field.name for field in dataclasses.fields(self) if field.name != "proven")
-        limits = {name: getattr(self, name) for name in names}
-        limits[PROVEN] = 0.0 if self.proven else None
-        return {name: limit for name, limit in limits.items() if limit is not None}
+        limits = {name: limit for name, limit in vars(self).items() if limit is not None and name != "proven"}
+        return limits | ({PROVEN: 0.0} if self.proven else {})
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -104,22 +104,21 @@ class Judged:
         return np.flatnonzero(self.report.counted)
 
     @functools.cached_property
-    def inverted(self) -> Bool[np.ndarray, " k"]:
+    def inverted(self) -> Mask:
         """Mask of inverted cells; old ones are so until they are sound by themselves."""
         now = np.asarray(self.report.is_inverted)
         if self.by_faces or not self._old.any():
             return now
-        return np.where(self._old, np.asarray(quality(self.mesh.moved(self.points)).is_inverted), now)
+        return np.where(self._old, quality(self.mesh.moved(self.points)).is_inverted, now)
 
     @property
-    def _old(self) -> Bool[np.ndarray, " k"]:
-        return np.zeros(len(self.report.is_inverted), dtype=bool) if self.before is None else self.before.inverted
+    def _old(self) -> Mask:
+        return np.zeros(1, bool) if self.before is None else self.before.inverted
 
     @property
     def spoilt(self) -> np.ndarray:
-        lost = self.inverted & ~self._old
-        worst = self.report.worst(len(self.counted)) if lost.any() else np.zeros(0, dtype=int)
-        return worst[lost[worst]]
+        worst = self.report.worst(int(self.report.inverted))
+        return worst[(self.inverted & ~self._old)[worst]]
 
     def values(self, key: str) -> np.ndarray:
         """A measure of the counted cells. Raises `ValueError` for corners of polyhedra."""
@@ -142,8 +141,36 @@ class Judged:
         bases = starts if self.is_straight and self.before is not None else [None] * len(starts)
         proofs = [proof(self.mesh, end, base=base) for base, end in zip(bases, ends, strict=True)]
         below = -np.finfo(float).tiny
-        margins = [np.where(step.is_valid, step.margin, np.minimum(step.margin, below)) for step in proofs]
-        return np.min(margins, axis=0)
+        return np.min([np.where(step.is_valid, step.margin, np.minimum(step.margin, below)) for step in proofs], axis=0)
+
+    def number(self, kind: str, value: Any, cell: Any) -> "Number":
+        return Number(kind, float(value), int(cell), tuple(np.asarray(self.report.centroid)[cell].tolist()), self.part)
+
+    def gate(self, name: str, limit: float, before: "Gate | None") -> "tuple[Gate, np.ndarray]":
+        """Compares all cells with a limit; also lists those beyond it."""
+        kind, values = name[:3], self.values(name[4:]).astype(float)
+        sign = 1 if kind == "max" else -1
+        badness = np.where(np.isnan(values), np.inf, sign * values)
+        rows = np.flatnonzero(badness > sign * limit)
+        order = rows[np.argsort(-badness[rows], kind="stable")][:WORST]
+        worst = tuple(self.number(kind, values[row], self.counted[row]) for row in order)
+        extreme = self.number(kind, sign * (sign * values).max(), self.counted[badness.argmax()])
+        return Gate(name, limit, extreme, len(rows), worst, before), self.counted[rows]
+
+    @property
+    def rows(self) -> "Rows":
+        report, rows, keys = self.report, {}, {}
+        last = RATIOS
+        if self.by_faces:
+            keys, last = {measure: key for key, measure in BY_FACES.items()}, (("min", "pyramid"), RATIOS[0])
+        weight = float(np.abs(np.asarray(report.volume)[self.counted]).sum())
+        for kind, name in (*ROWS, ("min", "volume"), *last):
+            value, key = float(getattr(report, kind)(name)), (kind, keys.get(name, name))
+            if kind != "mean":
+                rows[key] = self.number(kind, value, report.worst(1, by=name)[0])
+            elif self.part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
+                rows[key] = Number(kind, value, part=self.part, weight=weight)
+        return rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,15 +209,38 @@ class Number:
 
 @dataclasses.dataclass(frozen=True)
 class Gate:
+    """A limit, its extreme, the number of cells `beyond` it, and the same `before` a motion."""
+
     name: str
     limit: float
     extreme: Number
     beyond: int
     worst: tuple[Number, ...]
+    before: "Gate | None" = None
 
     @property
     def label(self) -> str:
         return f"{self.name[:3]} {label(self.name[4:])}"
+
+    @property
+    def start(self) -> float | None:
+        return self.before.extreme.value if self.before and self.name != "min_jacobian_ratio" else None
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        values = {"before": self.start, "after": self.extreme.value, "beyond": self.beyond}
+        return {"gate": self.name, "limit": self.limit, **values, "worst": [cell.facts for cell in self.worst]}
+
+    def lines(self, cells: int) -> tuple[str, list[str]]:
+        """The row of a table, and rows of the worst of so many cells."""
+        start = "-" if self.start is None else f"{self.start:.5g}"
+        share = f"{self.beyond} of {cells}" if self.beyond else "0"
+        row = f"{self.label:<23}{self.limit:>12.5g}{start:>12}{self.extreme.value:>12.5g}   {share}"
+        worst = [f"  {cell.name:<22}{cell.value:>12.5g}   near {cell.place}" for cell in self.worst]
+        return row, worst and [f"worst cells by {self.label}", *worst]
+
+
+Rows = dict[tuple[str, str], Number]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,7 +266,7 @@ class Verdict:
     rule: str
     spoilt: int
     worst: Number | None
-    rows: dict[tuple[str, str], Number]
+    rows: Rows
     gates: tuple[Gate, ...]
     before: "Verdict | None" = None
     parts: int = 0
@@ -229,8 +279,7 @@ class Verdict:
 
     def of_part(self) -> "Verdict":
         """Drops the arrays of all cells, which are too large to keep for each part of a mesh."""
-        before = None if self.before is None else self.before.of_part()
-        return dataclasses.replace(self, before=before, judged=None)
+        return dataclasses.replace(self, before=self.before and self.before.of_part(), judged=None)
 
     @property
     def ok(self) -> bool:
@@ -238,25 +287,27 @@ class Verdict:
 
     @property
     def corners(self) -> QualityReport | None:
-        return None if self.judged is None else self.judged.corners
+        return self.judged and self.judged.corners
 
     @classmethod
     def together(cls, parts: "Sequence[Verdict]") -> "Verdict":
         """Joins the verdicts on the parts of a mesh. Raises `ValueError` for anything else."""
         if not isinstance(parts, Sequence) or set(map(type, parts)) != {cls}:
             raise ValueError(f"`parts` must be verdicts on the parts of a mesh, not {shown(parts)}.")
-        of: Callable[[str], Any] = lambda name: [getattr(part, name) for part in parts]  # noqa: E731
-        sums: dict[str, Any] = {name: sum(of(name)) for name in ("cells", "inverted", "degenerate", "spoilt")}
-        spoilt, before = (list(filter(None, of(name))) for name in ("worst", "before"))
+        of = {name: [getattr(part, name) for part in parts] for name in cls.__dataclass_fields__}
+        spoilt, before = (list(filter(None, of[name])) for name in ("worst", "before"))
         return cls(
-            **sums,
+            cells=sum(of["cells"]),
+            inverted=sum(of["inverted"]),
+            degenerate=sum(of["degenerate"]),
             rule=parts[0].rule,
+            spoilt=sum(of["spoilt"]),
             worst=_merged(spoilt) if spoilt else None,
-            rows={row: _merged([rows[row] for rows in of("rows")]) for row in parts[0].rows},
-            gates=tuple(map(_joined, zip(*of("gates"), strict=True))),
+            rows={row: _merged([rows[row] for rows in of["rows"]]) for row in parts[0].rows},
+            gates=tuple(map(_joined, zip(*of["gates"], strict=True))),
             before=cls.together(before) if before else None,
             parts=len(parts),
-            between=sum(of("between")) // 2,
+            between=sum(of["between"]) // 2,
         )
 
     @checked
@@ -264,15 +315,13 @@ class Verdict:
         """Lists a sentence for the cells that the motion has inverted, and one for each limit."""
         sentences = []
         if self.worst is not None:
-            are = "is" if self.spoilt == 1 else "are"
+            are, s = "is" if self.spoilt == 1 else "are", "s" * (self.cells != 1)
             where = f"the worst is {self.worst.full_name} near {self.worst.place}"
-            cells = f"{self.cells} {'cell' if self.cells == 1 else 'cells'}"
-            sentences.append(f"{self.spoilt} of {cells} {are} inverted, {where}, by {self.rule}.")
-        for k, gate in enumerate(self.gates):
+            sentences.append(f"{self.spoilt} of {self.cells} cell{s} {are} inverted, {where}, by {self.rule}.")
+        for gate in self.gates:
             if gate.beyond:
                 are = "cell is" if gate.beyond == 1 else "cells are"
-                start = 0 if self.before is None else self.before.gates[k].beyond
-                old = f" ({start} before the motion)" if start else ""
+                old = f" ({gate.before.beyond} before the motion)" if gate.before and gate.before.beyond else ""
                 where = f"the worst is {gate.worst[0].full_name}"
                 sentences.append(f"{gate.beyond} of {self.cells} {are} beyond {name_of(gate)}{old}, {where}.")
         return sentences
@@ -291,16 +340,15 @@ class Verdict:
 
     def _measures(self) -> list[str]:
         """A row for each measure: without ratios, or after a motion without volume."""
-        if self.before is None:
-            lines, starts = [f"{'':<23}{'':>12}   worst cell"], {row: "" for row in self.rows if row not in RATIOS}
-        else:
-            lines, old = [f"{'':<23}{'before':>12}{'after':>12}   worst cell after"], self.before.rows
-            starts = {row: _column(old[row].value) for row in self.rows if row[1] != "volume"}
-            starts |= dict.fromkeys(starts.keys() & RATIOS, f"{'-':>12}")
-        for (kind, name), start in starts.items():
-            number = self.rows[kind, name]
-            where = "" if kind == "mean" else f"   {number.name} near {number.place}"
-            lines.append(f"{kind + ' ' + label(name):<23}{start}{_column(number.value)}{where}")
+        columns = f"{'':>12}   worst cell" if self.before is None else f"{'before':>12}{'after':>12}   worst cell after"
+        lines = [f"{'':<23}{columns}"]
+        for row, number in self.rows.items():
+            if (row in RATIOS) if self.before is None else row[1] == "volume":
+                continue
+            start = "" if self.before is None else _column(self.before.rows[row].value)
+            start = f"{'-':>12}" if row in RATIOS else start
+            where = "" if row[0] == "mean" else f"   {number.name} near {number.place}"
+            lines.append(f"{row[0] + ' ' + label(row[1]):<23}{start}{_column(number.value)}{where}")
         if self.before is not None:
             lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
         return lines
@@ -309,21 +357,9 @@ class Verdict:
         if not self.gates:
             return ""
         now = "now" if self.before is None else "after"
-        lines = [f"{'gate':<23}{'limit':>12}{'before':>12}{now:>12}   cells beyond"]
-        worst = []
-        for old, gate in zip(self._starts(), self.gates, strict=True):
-            start = "-" if old is None else f"{old:.5g}"
-            share = f"{gate.beyond} of {self.cells}" if gate.beyond else "0"
-            lines.append(f"{gate.label:<23}{gate.limit:>12.5g}{start:>12}{gate.extreme.value:>12.5g}   {share}")
-            if gate.beyond:
-                worst.append(f"worst cells by {gate.label}")
-                worst += [f"  {cell.name:<22}{cell.value:>12.5g}   near {cell.place}" for cell in gate.worst]
-        return "\n".join(lines + worst)
-
-    def _starts(self) -> list[float | None]:
-        if self.before is None:
-            return [None] * len(self.gates)
-        return [None if gate.name == "min_jacobian_ratio" else gate.extreme.value for gate in self.before.gates]
+        rows, worst = zip(*(gate.lines(self.cells) for gate in self.gates), strict=True)
+        head = f"{'gate':<23}{'limit':>12}{'before':>12}{now:>12}   cells beyond"
+        return "\n".join([head, *rows, *itertools.chain(*worst)])
 
     def __str__(self) -> str:
         return "\n\n".join(filter(None, [self.table(), "\n".join(self.faults())]))
@@ -338,23 +374,13 @@ class Verdict:
     @property
     def gate_facts(self) -> list[dict[str, Any]]:
         """Each limit with its numbers, for output as JSON."""
-        return [
-            {
-                "gate": gate.name,
-                "limit": gate.limit,
-                "before": old,
-                "after": gate.extreme.value,
-                "beyond": gate.beyond,
-                "worst": [cell.facts for cell in gate.worst],
-            }
-            for old, gate in zip(self._starts(), self.gates, strict=True)
-        ]
+        return [gate.facts for gate in self.gates]
 
 
 @checked
 def judge(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    points: PointsLike | None = None,
     limits: Limits | None = None,
     *,
     before: Verdict | None = None,
@@ -403,61 +429,38 @@ def judge(
 
 
 def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
-    spoilt, worst, by_faces = judged.spoilt, None, judged.by_faces
-    gates = [_gate(judged, name, limit) for name, limit in limits.by_name.items()]
+    spoilt, worst, old = judged.spoilt, None, {} if before is None else {gate.name: gate for gate in before.gates}
+    gates = [judged.gate(name, limit, old.get(name)) for name, limit in limits.by_name.items()]
     if len(spoilt):
-        values = getattr(judged.report, "pyramid" if by_faces else "jacobian_ratio")
-        worst = _number(judged, "min", float(values[spoilt[0]]), spoilt[0])
+        values = getattr(judged.report, "pyramid" if judged.by_faces else "jacobian_ratio")
+        worst = judged.number("min", values[spoilt[0]], spoilt[0])
     return Verdict(
         cells=len(judged.counted),
         inverted=int(judged.inverted[judged.counted].sum()),
-        degenerate=0 if by_faces else int(judged.corners.degenerate),
+        degenerate=int(judged.report.degenerate),
         rule=judged.report.rule,
         spoilt=len(spoilt),
         worst=worst,
-        rows=_rows(judged),
+        rows=judged.rows,
         gates=tuple(gate for gate, _ in gates),
         before=before,
-        parts=0 if judged.part is None else 1,
+        parts=int(judged.part is not None),
         between=0 if judged.mesh.between is None else len(judged.mesh.between),
         bad=np.unique(np.concatenate([spoilt, *(beyond for _, beyond in gates)])),
         judged=judged,
     )
 
 
-def _gate(judged: Judged, name: str, limit: float) -> tuple[Gate, np.ndarray]:
-    kind, values = name[:3], judged.values(name[4:]).astype(float)
-    badness = np.where(np.isnan(values), np.inf, values if kind == "max" else -values)
-    rows = np.flatnonzero(badness > (limit if kind == "max" else -limit))
-    order = rows[np.argsort(-badness[rows], kind="stable")][:WORST]
-    worst = tuple(_number(judged, kind, float(values[row]), judged.counted[row]) for row in order)
-    extreme = float(values.max() if kind == "max" else values.min())
-    number = _number(judged, kind, extreme, judged.counted[int(badness.argmax())])
-    return Gate(name, limit, number, len(rows), worst), judged.counted[rows]
-
-
-def _rows(judged: Judged) -> dict[tuple[str, str], Number]:
-    report, rows = judged.report, {}
-    keys = {measure: key for key, measure in BY_FACES.items()} if judged.by_faces else {}
-    last = (("min", "pyramid"), RATIOS[0]) if judged.by_faces else RATIOS
-    for kind, name in (*ROWS, ("min", "volume"), *last):
-        value, key = float(getattr(report, kind)(name)), (kind, keys.get(name, name))
-        if kind != "mean":
-            rows[key] = _number(judged, kind, value, report.worst(1, by=name)[0])
-        elif judged.part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
-            weight = float(np.abs(np.asarray(report.volume)[judged.counted]).sum())
-            rows[key] = Number(kind, value, part=judged.part, weight=weight)
-    return rows
-
-
-def _number(judged: Judged, kind: str, value: float, cell: Any) -> Number:
-    return Number(kind, value, int(cell), tuple(np.asarray(judged.report.centroid)[cell].tolist()), judged.part)
-
-
 def _joined(gates: Sequence[Gate]) -> Gate:
-    cells = sorted((cell for gate in gates for cell in gate.worst), key=lambda cell: cell.badness)
-    extreme, beyond = _merged([gate.extreme for gate in gates]), sum(gate.beyond for gate in gates)
-    return Gate(gates[0].name, gates[0].limit, extreme, beyond, tuple(cells[-WORST:][::-1]))
+    cells = sorted((cell for gate in gates for cell in gate.worst), key=lambda cell: -cell.badness)
+    before = [gate.before for gate in gates if gate.before]
+    return dataclasses.replace(
+        gates[0],
+        extreme=_merged([gate.extreme for gate in gates]),
+        beyond=sum(gate.beyond for gate in gates),
+        worst=tuple(cells[:WORST]),
+        before=_joined(before) if before else None,
+    )
 
 
 def _merged(numbers: Sequence[Number]) -> Number:

@@ -14,7 +14,10 @@ from .._kernels.module import Module
 from .._kernels.values import Either, as_jax, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
-from .vector import Vector, angle, by_place, cross, dot, norm
+from .vector import Points, Vector, angle, by_place, cross, dot, unit
+
+OfNodes = Float[Array, " w"]
+Heights = Float[Either, " w"]
 
 
 class WallQuality(Module):
@@ -28,8 +31,8 @@ class WallQuality(Module):
     """
 
     nodes: Int[Array, " w"]
-    angle: Float[Array, " w"]
-    height: Float[Array, " w"]
+    angle: OfNodes
+    height: OfNodes
 
     mean_angle = property(lambda self: jnp.mean(self.angle, axis=-1))
     max_angle = property(lambda self: largest(self.angle, axis=-1))
@@ -87,9 +90,7 @@ def wall_quality(
 
 
 @by_place
-def _measured(
-    lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
-) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
+def _measured(lines: Lines, reference: Points, points: Points, softness: Any) -> tuple[Heights, Heights]:
     xp = namespace(points)
     (start, high), (now, height) = (_components(lines, x) for x in (reference, points))
     degrees = xp.rad2deg(angle(start, now))
@@ -98,7 +99,7 @@ def _measured(
     return degrees, xp.where(high == 0, 1, height / xp.where(high == 0, 1, high))
 
 
-def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Either, " w"]]:
+def _components(lines: Lines, x: Points) -> tuple[Vector, Heights]:
     xp = namespace(x)
     areas = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows, area in lines.areas(x):
@@ -106,15 +107,10 @@ def _components(lines: Lines, x: Float[Either, "n d"]) -> tuple[Vector, Float[Ei
             np.add.at(areas, rows[rows < len(areas)], area[rows < len(areas)])
         else:
             areas = areas.at[rows].add(area, mode="drop")
-    normal, line = _unit(Vector(areas.T)), Vector(lines.directions(x).T)
+    normal, line = unit(Vector(areas.T)), Vector(lines.directions(x).T)
     height = dot(normal, Vector((x[lines.ends] - x[lines.nodes]).T))
     if len(normal) == 2:
         return Vector([dot(normal, line), *cross(normal, line)]), height
     beside = Vector((x[lines.beside] - x[lines.nodes]).T)
-    tangent = _unit(beside - normal * dot(beside, normal))
+    tangent = unit(beside - normal * dot(beside, normal))
     return Vector(dot(axis, line) for axis in (normal, tangent, cross(normal, tangent))), height
-
-
-def _unit(a: Vector) -> Vector:
-    length = norm(a)
-    return a * (1 / namespace(length).where(length > 0, length, 1))

@@ -1,6 +1,5 @@
 """`jaxmorph deform --decomposed`: an OpenFOAM case part by part, in one process or an MPI run."""
 
-import contextlib
 import dataclasses
 import os
 from collections.abc import Iterable
@@ -18,7 +17,7 @@ from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
-from ._way import Way, faults, followed, in_double, is_kept, say_verdict
+from ._way import Way, faults, is_kept, moved, say_verdict
 
 T = TypeVar("T")
 
@@ -35,7 +34,7 @@ class _Bad(Exception): ...
 def deform_parts(request: Deform, out: Output) -> int:
     ranks = _ranks()
     out.is_silent = ranks.rank > 0
-    case = together(ranks, lambda: _checked(request))
+    case = together(ranks, lambda: _case(request))
     share = range(ranks.rank, len(case), ranks.size)
     with out.progress("reading the surface"):
         sides = together(ranks, lambda: {k: (case.side(k), len(case.read(k).points)) for k in share})
@@ -51,19 +50,20 @@ def deform_parts(request: Deform, out: Output) -> int:
     half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
     with out.progress("choosing the share of the fit"):
         half = half.judged(((part, io.global_nodes(part)) for part in map(case.read, share)), ranks)
-    parts, bad, is_written = MovingParts(half, path, largest, request), [], False
-    with contextlib.suppress(_Bad), case.writing(request.output, ranks) as writer:
-        with out.progress("moving and judging the parts") as stage:
-            verdict = _moved(parts, case, ranks, writer, stage)
-        _say_warnings_of_all(out, ranks)
-        say_verdict(verdict, out, is_straight=half.plan.is_linear, steps=len(path))
-        out.say(faces_between_parts=verdict.between, parts=verdict.parts)
-        bad = faults(verdict)
-        if not is_kept(bad, request.allow_inverted, request.output, out):
-            raise _Bad
-        is_written = True
-    if is_written:
-        out.wrote(request.output)
+    parts = MovingParts(half, path, largest, request)
+    try:
+        with case.writing(request.output, ranks) as writer:
+            with out.progress("moving and judging the parts") as stage:
+                verdict = _moved(parts, case, ranks, writer, stage)
+            _say_warnings_of_all(out, ranks)
+            say_verdict(verdict, out, is_straight=half.plan.is_linear, steps=len(path))
+            out.say(faces_between_parts=verdict.between, parts=verdict.parts)
+            bad = faults(verdict)
+            if not is_kept(bad, request.allow_inverted, request.output, out):
+                raise _Bad
+    except _Bad:
+        return 1
+    out.wrote(request.output)
     return 1 if bad else 0
 
 
@@ -116,7 +116,7 @@ def _ranks() -> Any:
     return world
 
 
-def _checked(request: Deform) -> io.Decomposed:
+def _case(request: Deform) -> io.Decomposed:
     case = io.Decomposed(request.file)
     case.check_output(request.output)
     return case
@@ -147,29 +147,22 @@ class MovingParts:
     request: Deform
 
     def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, jm.Verdict]:
-        mesh = case.read(k)
-        way = self._way(mesh, io.global_nodes(mesh), f"processor{k}")
-        return mesh.moved(way.ends[-1]), way.judge(self.request.gates.limits, part=k)
+        """Moves and judges a part.
 
-    def _way(self, mesh: jm.Mesh, ids: np.ndarray, name: str) -> Way:
-        """Moves the points of a part, whose nodes are `ids` (k,) of the whole mesh.
-
-        Errors begin with `name`. Copies of a node fill the part up to the size of the largest part,
-        so that all parts share compiled code.
+        Copies of a node fill it up to the size of the largest part, so that all share compiled
+        code.
         """
-        half, base = self.half, np.asarray(mesh.points)
+        mesh, half, method = case.read(k), self.half, self.request.method
+        ids, base = io.global_nodes(mesh), np.asarray(mesh.points)
         is_inner = ~np.isin(ids, half.surface_nodes)
-        more = self.largest - len(ids)
-        rows = np.append(np.arange(len(ids)), np.full(more, is_inner.argmax()))
-        nodes = np.append(np.where(is_inner, -1, ids), np.full(more, -1))
+        rows = np.append(np.arange(len(ids)), np.full(self.largest - len(ids), is_inner.argmax()))
+        nodes = np.where((np.arange(self.largest) < len(ids)) & ~is_inner[rows], ids[rows], -1)
         try:
-            plan = half.attach(base.astype(self.request.method.dtype)[rows], nodes)
+            plan = half.attach(base.astype(method.dtype)[rows], nodes)
         except jm.MeshError as error:
-            raise ValueError(f"{name}: {error.renumbered(rows)}") from None
+            raise ValueError(f"processor{k}: {error.renumbered(rows)}") from None
         here = np.flatnonzero(np.isin(ids, half.moving))
         path = self.path[:, half.rows(ids[here])]
-        ends = [
-            in_double(base, np.asarray(points)[: len(ids)], here, u, plan.method.exact)
-            for u, points in zip(path, followed(plan, self.path), strict=True)
-        ]
-        return Way(self.request.output, mesh, tuple(ends), plan.is_linear)
+        ends = tuple(moved(plan, self.path, base, here, path))
+        way = Way(self.request.output, mesh, ends, plan.is_linear)
+        return mesh.moved(ends[-1]), way.judge(self.request.gates.limits, part=k)

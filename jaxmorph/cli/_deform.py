@@ -2,10 +2,10 @@
 
 import dataclasses
 import itertools
+import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,10 @@ from jaxmorph.extend import complete, quickly_compiled
 
 from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
-from ._motion import Motion, distances, motion
+from ._motion import Distances, Motion, distances, motion
 from ._output import Output, coordinates, count, title, wrapped
 from ._requests import AUTO, Deform
-from ._way import Way, check_picture, draw, faults, followed, in_background, in_double, is_kept, say_verdict, writing
+from ._way import Points, Way, check_picture, draw, faults, finish, in_background, moved, say_verdict
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
@@ -50,7 +50,7 @@ class Attempt:
         return self.judging.result()
 
     @property
-    def base(self) -> Float[np.ndarray, "n d"]:
+    def base(self) -> Points:
         return np.asarray(self.patches.mesh.points, dtype=float)
 
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
@@ -75,10 +75,10 @@ class Attempt:
         is_moved, is_straight = np.zeros(len(base), dtype=bool), True
         for nodes, plan in chunks:
             here = np.flatnonzero(np.isin(nodes, wall))
-            of_wall = np.searchsorted(wall, nodes[here])
-            for step, moved in enumerate(followed(plan, path)):
+            u = path[:, np.searchsorted(wall, nodes[here])]
+            for step, points in enumerate(moved(plan, path, base[nodes], here, u)):
                 if step in ends:
-                    ends[step][nodes] = in_double(base[nodes], moved, here, path[step][of_wall], plan.method.exact)
+                    ends[step][nodes] = points
             is_moved[nodes] = True
             is_straight &= plan.is_linear
             done(is_moved.mean())
@@ -122,114 +122,62 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
 
 
 def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
-    """Inspects and judges the motion beside writing the mesh; `nodes` are those of `plan`."""
+    """Inspects and judges the motion, and writes the mesh; `nodes` are those of `plan`."""
     request, judging = attempt.request, in_background(attempt.judge, way)
-    with writing(way.write, judging.result) as finish:
-        inspection, boundary = _inspected(attempt, nodes, plan, way.stored, out)
-        with out.progress("judging the cells"):
-            verdict = judging.result()
-        _tell(attempt, way, verdict, inspection, boundary, out)
-        _write_beside(attempt, way, verdict, out)
-        bad = faults(verdict)
-        if bad:
-            bad[-1] += _advice(attempt, out)
-        if not is_kept(bad, request.allow_inverted, request.output, out):
-            return 1
-        with out.progress(f"writing {request.output.name}"):
-            finish()
-    out.wrote(request.output)
-    return 1 if bad else 0
-
-
-def _inspected(
-    attempt: Attempt, nodes: np.ndarray, plan: jm.Plan, points: np.ndarray, out: Output
-) -> tuple[jm.Inspection, jm.BoundaryQuality]:
+    off = distances(request, way.mesh, way.stored)
     with out.progress("inspecting the motion"):
-        moved = points[nodes] if attempt.request.step_count == 1 and plan.points.dtype == points.dtype else None
-        inspection = jm.inspect(plan, attempt.path()[-1], mesh=attempt.patches.mesh, nodes=nodes, moved=moved)
+        known = way.stored[nodes] if request.step_count == 1 and plan.points.dtype == way.stored.dtype else None
+        inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes, moved=known)
         for warning in inspection.warnings:
             out.warn(warning)
-        return inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
+        boundary = jm.boundary_quality(plan, way.stored[nodes]).renumbered(nodes)
+    with out.progress("judging the cells"):
+        verdict = judging.result()
+    _tell(attempt, way, verdict, inspection, off, out)
+    if boundary.nodes:
+        measures = {name: getattr(boundary, name) for name in boundary.nodes}
+        out.say(wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()})
+    write_job(request, attempt.motion, out)
+    draw(request.picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    bad = faults(verdict)
+    if bad:
+        bad[-1] += _advice(attempt, out)
+    return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
 
 
 def _tell(
-    attempt: Attempt,
-    way: Way,
-    verdict: jm.Verdict,
-    inspection: jm.Inspection,
-    boundary: jm.BoundaryQuality,
-    out: Output,
+    attempt: Attempt, way: Way, verdict: jm.Verdict, inspection: jm.Inspection, off: Distances, out: Output
 ) -> None:
-    overshoots: dict[str, Any] = {"overshoot": inspection.overshoot, "overshoot_behind": inspection.overshoot_behind}
-    wall = _wall_numbers(attempt, way.stored)
-    rows = [
-        f"{name.replace('_', ' '):<23}{start:>12g}{end:>12.5g}{place}" for name, (start, end, place) in wall.items()
-    ]
-    rows = [row.replace("first cell height", "first-cell height") for row in rows]
-    rows += [f"{name.replace('_', ' '):<23}{'-':>12}{value:>12.5g}" for name, value in overshoots.items()]
-    off = distances(attempt.request, attempt.patches.mesh, way.stored)
-    rows += [f"{f'distance from {file}':<23}{a.max():>12.5g}{b.max():>12.5g}" for file, (_, a, b) in off.items()]
-    out.say(distance={file: {"before": a.max(), "after": b.max()} for file, (_, a, b) in off.items()})
-    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=rows)
-    if boundary.nodes:
-        out.say(wrapped(f"boundary: {boundary}"))
-        measures = {name: getattr(boundary, name) for name in boundary.nodes}
-        out.say(boundary=measures | {"ended": boundary.ended.tolist()})
-    starts, ends = ({name: numbers[k] for name, numbers in wall.items()} for k in (0, 1))
+    wall = _wall_rows(attempt, way.stored)
+    overshoots = {name: getattr(inspection, name) for name in ("overshoot", "overshoot_behind")}
+    rows = [*wall, *((name.replace("_", " "), "-", value, "") for name, value in overshoots.items())]
+    rows += [(f"distance from {file}", f"{a.max():.5g}", b.max(), "") for file, (_, a, b) in off.items()]
+    table = [f"{label:<23}{start:>12}{end:>12.5g}{place}" for label, start, end, place in rows]
+    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=table)
+    names = [re.sub("[ -]", "_", label) for label, *_ in wall]
+    starts, ends = (dict(zip(names, (row[k] for row in wall), strict=True)) for k in (1, 2))
     out.say(before=attempt.before.facts | starts, after=verdict.facts | ends, **overshoots)
+    out.say(distance={file: {"before": a.max(), "after": b.max()} for file, (_, a, b) in off.items()})
 
 
-def _wall_numbers(attempt: Attempt, points: np.ndarray) -> dict[str, tuple[float, float, str]]:
-    """Measures the first grid line: before, after and place, by name; empty without a line."""
+def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, float, str]]:
+    """Measures the first grid line: label, before, after and place; none without a line."""
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)
     except ValueError:
-        return {}
+        return []
     # as mean_angle, max_angle and min_height, by NumPy: nothing is compiled for a table
     angle, height, nodes = np.asarray(wall.angle), np.asarray(wall.height), np.asarray(wall.nodes)
     if not len(nodes):
-        return {}
-    most, least = int(angle.argmax()), int(height.argmin())
-    steepest, lowest = (f"   node {nodes[row]} near {coordinates(points[nodes[row]])}" for row in (most, least))
-    return {
-        "mean_wall_angle": (0.0, float(angle.mean()), ""),
-        "max_wall_angle": (0.0, float(angle[most]), steepest),
-        "min_first_cell_height": (1.0, float(height[least]), lowest),
-    }
-
-
-def _write_beside(attempt: Attempt, way: Way, verdict: jm.Verdict, out: Output) -> None:
-    write_job(attempt.request, attempt.motion, out)
-    picture = attempt.request.picture
-    draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
-    if picture is not None:
-        for name, wall in distances(attempt.request, attempt.patches.mesh, way.stored).items():
-            file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
-            draw_distance(file, *wall)
-            out.say(f"picture  {file}")
-
-
-def draw_distance(file: Path, wall: jm.Facets, before: np.ndarray, after: np.ndarray) -> None:
-    """Draws the distances of a wall's nodes from its target, before and after, in one scale."""
-    import matplotlib.pyplot as plt
-
-    points, faces = np.asarray(wall.points), np.asarray(wall.faces)
-    figure = plt.figure(figsize=(10, 4))
-    scale = {"vmin": 0.0, "vmax": max(before.max(), 1e-300)}
-    for k, (when, off) in enumerate((("before", before), ("after", after))):
-        axes: Any = figure.add_subplot(1, 2, 1 + k, projection="3d" if points.shape[1] == 3 else None)
-        axes.set_title(f"distance {when}, up to {off.max():.3g}")
-        if points.shape[1] == 2:
-            drawn = axes.scatter(*points.T, c=off, s=8, **scale)
-        else:
-            drawn = axes.plot_trisurf(*points.T, triangles=faces, antialiased=False)
-            drawn.set_array(off[faces].mean(axis=1))
-            drawn.set_clim(scale["vmin"], scale["vmax"])
-        axes.set_aspect("equal")
-        figure.colorbar(drawn, ax=axes, shrink=0.7)
-    with complete(file) as partial:
-        figure.savefig(partial, format="png", dpi=120)
-    plt.close(figure)
+        return []
+    steepest, lowest = (
+        f"   node {node} near {coordinates(points[node])}" for node in nodes[[angle.argmax(), height.argmin()]]
+    )
+    return [
+        ("mean wall angle", 0, float(angle.mean()), ""),
+        ("max wall angle", 0, float(angle.max()), steepest),
+        ("min first-cell height", 1, float(height.min()), lowest),
+    ]
 
 
 def check(request: Deform, mesh: Mesh) -> None:
@@ -246,17 +194,23 @@ def check(request: Deform, mesh: Mesh) -> None:
 
 def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:
     mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
-    for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
+
+    def row(what: str, names: Iterable[Any], number: str) -> None:
+        out.say(wrapped(f"{what:<8} {', '.join(map(str, names))}: {number}"))
+
+    for names in dict.fromkeys(group.patches for group in request.groups):
         nodes = mesh.patch(*names)
-        largest = way[np.searchsorted(patches.nodes, nodes)].max()
-        out.say(wrapped(f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}"))
-    names = ", ".join(request.boundary.fixed) or "no patch"
-    out.say(wrapped(f"fixed    {names}: {count(len(patches.fixed_nodes), 'node')}"))
-    for what, names in (("symmetry", patches.symmetry), ("sliding ", patches.sliding)):
+        row("moving", names, f"{count(len(nodes), 'node')}, by up to {way[np.isin(patches.nodes, nodes)].max():.4g}")
+    row(
+        "fixed",
+        request.boundary.fixed or ["no patch"],
+        count(len(np.setdiff1d(mesh.patch(*patches.fixed), patches.nodes)), "node"),
+    )
+    for what, names in (("symmetry", patches.symmetry), ("sliding", patches.sliding)):
         if names:
-            out.say(wrapped(f"{what} {', '.join(names)}: {count(len(mesh.patch(*names)), 'node')}"))
+            row(what, names, count(len(mesh.patch(*names)), "node"))
     for pair in patches.periodic:
-        out.say(wrapped(f"periodic {pair.patch}, {pair.partner}: {count(len(mesh.patch(str(pair.patch))), 'pair')}"))
+        row("periodic", (pair.patch, pair.partner), count(len(mesh.patch(str(pair.patch))), "pair"))
     name, sources = described(request.method, plan)
     out.say(f"method   {name}, {count(request.step_count, 'step')}", method=name, steps=request.step_count)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}

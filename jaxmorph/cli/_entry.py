@@ -1,6 +1,7 @@
 """From words to a command; imports nothing of JAX before the words are understood."""
 
 import argparse
+import contextlib
 import hashlib
 import importlib
 import os
@@ -14,22 +15,8 @@ from typing import Any
 from . import _help
 from ._job import with_job
 from ._output import Output
-from ._parser import Parser, made, meant, quoted
-from ._requests import (
-    COMMANDS,
-    SU2,
-    Convert,
-    Deform,
-    Demo,
-    ExportRequest,
-    Info,
-    ModesRequest,
-    NativeRequest,
-    Quality,
-    Request,
-    SensitivityRequest,
-    Speech,
-)
+from ._parser import Parser, made, meant
+from ._requests import COMMANDS, Request, Speech
 
 LIMIT = 256 * 2**20
 """Bytes in the cache at most; the least recently used go first."""
@@ -52,7 +39,7 @@ def answer(words: Sequence[str]) -> int:
         try:
             request = request_of(words, parsers)
             importlib.import_module("._early", __package__).check(request)
-            run = _command(request)
+            run = _command(name, request)
             out.verbose = getattr(request, "speech", Speech()).verbose
             return out.end(run(request, out))
         except (OSError, ValueError, ImportError) as error:
@@ -67,42 +54,6 @@ def answer(words: Sequence[str]) -> int:
     return out.end(2)
 
 
-def _native(request: Request, out: Output) -> int:
-    from jaxmorph import native
-
-    out.say(str(native.folder), folder=str(native.folder))
-    return 0
-
-
-def _command(request: Request) -> Callable[[Request, Output], int]:
-    if isinstance(request, NativeRequest):
-        return _native  # needs no JAX
-    begin_jax()
-    is_part = isinstance(request, Deform) and request.decomposed
-    module, name = ("_decomposed.deform_parts" if is_part else RUNS[type(request)]).split(".")
-    return getattr(importlib.import_module(f".{module}", __package__), name)
-
-
-RUNS: dict[Any, str] = {
-    Deform: "_deform.deform",
-    ModesRequest: "_modes.modes",
-    SensitivityRequest: "_sensitivity.sensitivity",
-    ExportRequest: "_export.export",
-    SU2: "_su2.run",
-    Quality: "_inspect.quality",
-    Info: "_inspect.info",
-    Convert: "_inspect.convert",
-    Demo: "_inspect.demo",
-}
-"""The function of each request's command, and its module, which imports JAX."""
-
-
-def one_line(message: object) -> str:
-    if isinstance(message, OSError) and message.filename:
-        message = f"{message.filename}: {message.strerror}"
-    return " ".join(str(message).split())
-
-
 def _checked(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -> str:
     """Returns the command's name; ends the process for the program's own and for unknown flags."""
     name = words[0]
@@ -115,6 +66,43 @@ def _checked(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -
     return name
 
 
+def _native(request: Request, out: Output) -> int:
+    from jaxmorph import native
+
+    out.say(str(native.folder), folder=str(native.folder))
+    return 0
+
+
+def _command(name: str, request: Request) -> Callable[[Request, Output], int]:
+    if name == "native":
+        return _native  # needs no JAX
+    begin_jax()
+    name = "decomposed" if getattr(request, "decomposed", False) else name
+    module, function = RUNS[name].split(".")
+    return getattr(importlib.import_module(f".{module}", __package__), function)
+
+
+RUNS = {
+    "deform": "_deform.deform",
+    "decomposed": "_decomposed.deform_parts",
+    "modes": "_plans.modes",
+    "sensitivity": "_plans.sensitivity",
+    "export": "_plans.export",
+    "su2": "_su2.run",
+    "quality": "_inspect.quality",
+    "info": "_inspect.info",
+    "convert": "_inspect.convert",
+    "demo": "_inspect.demo",
+}
+"""The function of each command, and its module, which imports JAX."""
+
+
+def one_line(message: object) -> str:
+    if isinstance(message, OSError) and message.filename:
+        message = f"{message.filename}: {message.strerror}"
+    return " ".join(str(message).split())
+
+
 def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None) -> Request:
     """Makes the request of the words and of the job that they name.
 
@@ -123,14 +111,14 @@ def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None
     """
     name, command = words[0], (parsers or parser()[1])[words[0]]
     rest, values = with_job(name, words[1:])
-    return made(COMMANDS[name], command.parse_args(quoted(rest, command.short), values))
+    return made(COMMANDS[name], command.parse_args(rest, values))
 
 
 def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
     """Builds the parsers of the program and of each command; `is_short`: without rare flags."""
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
     text = "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"
-    top.add(["--version"], {"action": Version, "nargs": 0, "help": text})
+    top.add_argument("--version", action=Version, nargs=0, help=text)
     commands = top.add_subparsers(
         title="commands", dest="command", metavar="COMMAND", required=True, parser_class=Parser
     )
@@ -147,7 +135,7 @@ def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
             is_short=is_brief,
         )
         if page.more:
-            command.add(["--help-all"], {"action": "help", "help": "show all flags and more examples"})
+            command.add_argument("--help-all", action="help", help="show all flags and more examples")
         command.add_fields(fields)
     return top, parsers
 
@@ -181,27 +169,19 @@ def begin_jax() -> None:
 
         folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / _machine()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        is_private = _is_private(folder)
+        about = folder.stat()  # machine code in it may do anything: this user alone may write to it
     except (ImportError, OSError):
         return
-    if is_private:
+    is_mine = os.name != "posix" or (about.st_uid == os.getuid() and not about.st_mode & 0o022)
+    if is_mine and os.access(folder, os.W_OK):
         config.update("jax_compilation_cache_dir", str(folder))
         config.update("jax_compilation_cache_max_size", LIMIT)
         config.update("jax_persistent_cache_min_compile_time_secs", 0)  # reading takes a tenth of any compilation
 
 
-def _is_private(folder: Path) -> bool:
-    """Checks whether this user alone can write to a folder: machine code in it may do anything."""
-    about = folder.stat()
-    is_mine = os.name != "posix" or (about.st_uid == os.getuid() and not about.st_mode & 0o022)
-    return is_mine and os.access(folder, os.W_OK)
-
-
 def _machine() -> str:
     facts = [platform.machine()]
-    try:
+    with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
-    except OSError:
-        pass
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]

@@ -1,12 +1,13 @@
 """`jaxmorph quality`, `jaxmorph info`, `jaxmorph convert` and `jaxmorph demo`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph import Mesh, _demo, io
+from jaxmorph import Mesh, io
 
 from ._method import mesh_of
 from ._output import Output, count, some, title, wrapped
@@ -17,29 +18,42 @@ from ._way import check_picture, draw, faults
 def quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
         mesh = mesh_of(request.file, request.zone)
-        moved = None if request.moved is None else mesh_of(request.moved, request.zone)
+        points = None if request.moved is None else _same_mesh(request, mesh, request.moved).points
     check_picture(request.picture, mesh)
     with out.progress("judging the cells"):
-        if moved is not None:
-            _check_same(request, mesh, moved)
-        points = None if moved is None else moved.points
         verdict = jm.judge(mesh, points, request.gates.limits, is_straight=False)
         proof = jm.proof(mesh, points) if request.proof else None
-    tables = [verdict.table(), *([] if proof is None else [str(proof)])]
-    out.say("\n\n".join(tables), gates=verdict.gate_facts, after=verdict.facts)
+    bad, tables = faults(verdict), [verdict.table()]
+    out.say(gates=verdict.gate_facts, after=verdict.facts)
     if verdict.before is not None:
         out.say(before=verdict.before.facts)
+    if proof is not None:
+        tables.append(str(proof))
+        out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
+        if proof.invalid:
+            verb = "folds" if proof.invalid == 1 else "fold"
+            bad.append(f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside.")
+    out.say("\n\n".join(tables))
     draw(request.picture, mesh, out, points, verdict=verdict)
-    bad = faults(verdict) + ([] if proof is None else _proven(proof, out))
     for sentence in bad:
         out.complain(sentence)
     return 1 if bad else 0
 
 
-def _proven(proof: jm.Proof, out: Output) -> list[str]:
-    out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
-    verb = "folds" if proof.invalid == 1 else "fold"
-    return [f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside."] if proof.invalid else []
+def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
+    moved = mesh_of(file, request.zone)
+    a, b = tuple(mesh.points.shape), tuple(moved.points.shape)
+    if a != b:
+        raise ValueError(f"{file} has points of shape {b}, {request.file} of {a}: two different meshes.")
+    ours, theirs = _ids(mesh), _ids(moved)
+    if ours.keys() != theirs.keys() or not all(np.array_equal(ids, theirs[name]) for name, ids in ours.items()):
+        raise ValueError(f"{file} has other cells than {request.file}: two different meshes.")
+    return moved
+
+
+def _ids(mesh: Mesh) -> Mapping[str, Any]:
+    """Collects the ids that define the cells, with faces of polyhedra: cuts depend on points."""
+    return mesh.cells if mesh.polyhedra is None else vars(mesh.polyhedra.faces)
 
 
 def info(request: Info, out: Output) -> int:
@@ -55,8 +69,7 @@ def info(request: Info, out: Output) -> int:
         name = title(request.file) + (f" zone {number}" if len(meshes) > 1 else "")
         out.say("\n".join(_lines(name, mesh, facts)))
         zones.append({key: value for key, value in facts.items() if value or key in ALWAYS})
-    facts = zones[0] if len(zones) == 1 else {"zones": zones}
-    out.say(None, **facts)
+    out.say(None, **(zones[0] if len(zones) == 1 else {"zones": zones}))
     draw(request.picture, meshes[0], out)
     return 0
 
@@ -79,25 +92,23 @@ ALWAYS = ("dimension", "points", "cells", "low", "high", "patches", "kinds")
 
 def _facts(mesh: Mesh) -> dict[str, Any]:
     points = np.asarray(mesh.points)
-    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    corners = [
+        np.ravel(ids)
+        for ids in (*mesh.cells.values(), *([] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels]))
+    ]
     return {
         "dimension": points.shape[1],
         "points": len(points),
         "cells": mesh.cell_counts,
-        "low": low,
-        "high": high,
+        "low": points.min(axis=0).tolist(),
+        "high": points.max(axis=0).tolist(),
         "patches": {patch: len(nodes) for patch, nodes in mesh.patches.items()},
         "kinds": dict(mesh.kinds),
-        "of_no_cell": _of_no_cell(mesh).tolist(),
+        "of_no_cell": np.setdiff1d(np.arange(len(points)), np.concatenate([[], *corners])).tolist(),
         "groups": {group: list(names) for group, names in mesh.groups.items()},
         "boxes": {box.name: [number - 1 for number in box.shape.counts] for box in io.boxes(mesh)},
         "notes": list(getattr(mesh.source, "notes", ())),
     }
-
-
-def _of_no_cell(mesh: Mesh) -> np.ndarray:
-    ids = [*mesh.cells.values(), *([] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels])]
-    return np.setdiff1d(np.arange(len(mesh.points)), np.concatenate([[], *map(np.ravel, ids)]))
 
 
 def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
@@ -112,36 +123,21 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     width = max(map(len, facts["patches"]), default=0)
     for patch, number in facts["patches"].items():
         yield f"  {patch:<{width}}  {number:>9} nodes  {facts['kinds'].get(patch, '')}".rstrip()
-    rest = {
-        "groups": [f"  {group}: {', '.join(names)}" for group, names in facts["groups"].items()],
-        "boxes": list(map(_line_of_box, io.boxes(mesh))),
-        "notes": list(map("  {}".format, facts["notes"])),
-    }
-    for what, lines in rest.items():
-        yield from (what, *(wrapped(line, 4) for line in lines)) if lines else ()
+    yield from _list("groups", [f"{group}: {', '.join(names)}" for group, names in facts["groups"].items()])
+    yield from _list("boxes", list(map(_line_of_box, io.boxes(mesh))))
+    yield from _list("notes", facts["notes"])
+
+
+def _list(what: str, lines: list[str]) -> list[str]:
+    return [what, *(wrapped(f"  {line}", 4) for line in lines)] if lines else []
 
 
 def _line_of_box(box: io.Box) -> str:
     degrees = " x ".join(str(number - 1) for number in box.shape.counts)
-    return f"  {box.name}  degrees {degrees}, {sum(len(ids) for ids, _ in box.surface.values()):>9} nodes"
+    return f"{box.name}  degrees {degrees}, {sum(len(ids) for ids, _ in box.surface.values()):>9} nodes"
 
 
 def demo(request: Demo, out: Output) -> int:
+    from jaxmorph import _demo  # with matplotlib
+
     return _demo.run(request.output)
-
-
-def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
-    """Collects the ids that define the cells, with faces of polyhedra: cuts depend on points."""
-    if mesh.polyhedra is None:
-        return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-    faces = mesh.polyhedra.faces
-    return {"labels": faces.labels, "starts": faces.starts, "owner": faces.owner, "neighbour": faces.neighbour}
-
-
-def _check_same(request: Quality, mesh: Mesh, moved: Mesh) -> None:
-    a, b = tuple(mesh.points.shape), tuple(moved.points.shape)
-    if a != b:
-        raise ValueError(f"{request.moved} has points of shape {b}, {request.file} of {a}: two different meshes.")
-    ours, theirs = _ids(mesh), _ids(moved)
-    if ours.keys() != theirs.keys() or not all(np.array_equal(ids, theirs[name]) for name, ids in ours.items()):
-        raise ValueError(f"{request.moved} has other cells than {request.file}: two different meshes.")

@@ -13,9 +13,10 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from ._output import count
-from ._requests import Deform, ExportRequest, MethodFlags, ModesRequest, SensitivityRequest
+from ._requests import Deform, MethodFlags, Planned
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
+PlanRequest = Deform | Planned
 
 
 def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
@@ -60,18 +61,14 @@ class Patches:
     request: MethodFlags
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
-    symmetry: tuple[str, ...]
-    sliding: tuple[str, ...]
-    periodic: tuple[jm.Periodic, ...]
-    free: tuple[str, ...]
+    symmetry: tuple[str, ...] = ()
+    sliding: tuple[str, ...] = ()
+    periodic: tuple[jm.Periodic, ...] = ()
+    free: tuple[str, ...] = ()
 
     @property
     def nodes(self) -> Int[np.ndarray, " m"]:
         return self.mesh.patch(*self.moving)
-
-    @property
-    def fixed_nodes(self) -> Int[np.ndarray, " f"]:
-        return np.setdiff1d(self.mesh.patch(*self.fixed), self.nodes)
 
     @functools.cached_property
     def boundary(self) -> jm.Boundary:
@@ -121,14 +118,14 @@ class Patches:
             return jm.prepare_surface(self.boundary, method=self.method, **known)
 
 
-def patches_of(request: Deform | ModesRequest | SensitivityRequest | ExportRequest, mesh: jm.Mesh) -> Patches:
+def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
     """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
     Without names, symmetry patches and periodic pairs are those of the file. Raises `ValueError`
     for patches that are missing, empty, or both moving and fixed.
     """
-    flags = request.boundary
-    _check_names(request, mesh)
+    flags, has = request.boundary, ", ".join(mesh.patches) or "none"
+    _check_names(request, mesh, has)
     moving, symmetry, sliding, free = (
         mesh.patch_names(*names) for names in (request.moving, flags.symmetry, flags.sliding, flags.free)
     )
@@ -138,18 +135,17 @@ def patches_of(request: Deform | ModesRequest | SensitivityRequest | ExportReque
     fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
     symmetry += tuple(_planes_of_file(mesh, {*elsewhere, *fixed, *free}))
     if not fixed and not sliding:
-        _check_none_left(mesh, {*elsewhere, *symmetry, *free})
+        _check_none_left(mesh, {*elsewhere, *symmetry, *free}, has)
     return Patches(mesh, request.method, moving, fixed, symmetry, sliding, periodic, free)
 
 
-def _check_none_left(mesh: jm.Mesh, lists: set[str]) -> None:
+def _check_none_left(mesh: jm.Mesh, lists: set[str], has: str) -> None:
     if any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
-        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {', '.join(mesh.patches)}.")
+        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {has}.")
 
 
-def _check_names(request: Deform | ModesRequest | SensitivityRequest | ExportRequest, mesh: jm.Mesh) -> None:
+def _check_names(request: PlanRequest, mesh: jm.Mesh, has: str) -> None:
     if not request.moving:
-        has = ", ".join(mesh.patches) or "none"
         raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {has}.")
     for option, names in (("--moving", request.moving), ("--fixed", request.boundary.fixed)):
         if names and not len(mesh.patch(*names)):
@@ -172,7 +168,6 @@ def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[j
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
     if len(names) % 2:
         raise ValueError(f"--periodic {' '.join(names)}: name pairs of patches, one after the other.")
-    sides = [mesh.patch_names(name)[0] for name in names]
-    known = {*lists, *names}
+    sides, known = [mesh.patch_names(name)[0] for name in names], {*lists, *names}
     of_file = [pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known]
     return (*map(jm.Periodic, sides[::2], sides[1::2]), *of_file)

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import os
 import sys
 import textwrap
@@ -106,7 +105,8 @@ class Output:
         if self.as_json:
             timings = {name: round(taken, 3) for name, taken in self.stages.items()}
             facts = self.facts | {"status": status, "seconds": round(self.seconds, 3), "stages": timings}
-            print(json.dumps(finite(facts), allow_nan=False), flush=True)
+            plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN, no infinity
+            print(json.dumps(plain, allow_nan=False), flush=True)
         elif self.verbose:
             stages = self.stages | {"all": self.seconds}
             lines = [f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s" for name, taken in stages.items()]
@@ -143,12 +143,3 @@ LISTED = 20
 def steepest(slopes: Any) -> list[int]:
     """Sorts design variables by their derivative, the largest first, at most `LISTED`."""
     return sorted(range(len(slopes)), key=lambda k: -abs(slopes[k]))[:LISTED]
-
-
-def finite(value: Any) -> Any:
-    """Replaces NaN and infinity, which JSON does not know, by None."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,28 +2,70 @@
 
 import argparse
 import dataclasses
-import functools
 import itertools
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NewType, TypeVar
+from typing import Any, NewType, TypeVar, get_args
 
 from jaxmorph._host.package.text import similar
 
 T = TypeVar("T")
 Angle = NewType("Angle", float)
+MeshFile = NewType("MeshFile", Path)
+NewMesh = NewType("NewMesh", Path)
+Written = NewType("Written", Path)
+Picture = NewType("Picture", Path)
+Lattice = NewType("Lattice", Path)
+Folder = NewType("Folder", Path)
+"""Kinds of values: a `Path` or a `MeshFile` is read, the other files and folders are written."""
+
+FILES = (Path, MeshFile, NewMesh, Written, Picture, Lattice, Folder)
 
 Fields = type[Any]
 """A dataclass whose fields are made by `flag`, `positional`, `switch`, `part` and `several`."""
 
+
+MOTION = "motion of the patches of the last --moving (at least one flag)"
+BAD = "when cells are bad"
+SECTIONS = ("", "surface", MOTION, "shapes", "design variables", "method", "quality gates", BAD, "output")
+"""Titles of flags on a page of help, in their order."""
+
+
+def number(word: str) -> float:
+    value = float(word)
+    if not math.isfinite(value):
+        raise ValueError
+    return value
+
+
+def positive(word: str) -> int:
+    if not word.isdecimal() or int(word) < 1:
+        raise argparse.ArgumentTypeError(f"a whole number of 1 or more expected, found {word!r}")
+    return int(word)
+
+
+def written(name: str) -> Path:
+    path = Path(name)  # which forgets a slash at the end
+    if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
+        raise argparse.ArgumentTypeError(f"{name}: ends as a folder does, but a file is written. Remove the /.")
+    return path
+
+
 SETTINGS: dict[Any, dict[str, Any]] = {
     Path: {"type": Path, "metavar": "FILE"},
-    int: {"type": int, "metavar": "N"},
-    float: {"type": float, "metavar": "X"},
-    Angle: {"type": float, "metavar": "DEG"},
-    list[float]: {"type": float, "metavar": ("X Y", "Z"), "nargs": "+"},
-    tuple[float, ...]: {"type": float, "nargs": "+"},
+    MeshFile: {"type": Path},
+    NewMesh: {"type": written},
+    Written: {"type": written, "metavar": "FILE"},
+    Picture: {"type": written, "metavar": "FILE"},
+    Lattice: {"type": written, "metavar": "FILE.vts"},
+    Folder: {"type": Path},
+    int: {"type": positive, "metavar": "N"},
+    float: {"type": number, "metavar": "X"},
+    Angle: {"type": number, "metavar": "DEG"},
+    list[float]: {"type": number, "metavar": ("X Y", "Z"), "nargs": "+"},
+    tuple[float, ...]: {"type": number, "nargs": "+"},
     tuple[Path, ...]: {"type": Path, "metavar": "FILE", "nargs": "+"},
 }
 """Settings of argparse by the type of a field, which may also be None."""
@@ -54,21 +96,30 @@ def switch(what: str, *names: str, default: bool = False, **settings: Any) -> An
 
 
 def part(fields: Fields) -> Any:
-    return dataclasses.field(default_factory=fields, metadata={"part": fields})
+    return dataclasses.field(default_factory=fields, metadata={"fields": fields})
 
 
 def several(fields: Fields) -> Any:
-    return dataclasses.field(default=(), metadata={"several": fields})
+    return dataclasses.field(default=(), metadata={"fields": fields})
 
 
 def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
     """Yields all fields that are flags, with their dataclass; fields of parts in their place."""
     for field in dataclasses.fields(fields):
-        inner = field.metadata.get("part") or field.metadata.get("several")
-        if inner:
-            yield from flags_of(inner)
+        if "fields" in field.metadata:
+            yield from flags_of(field.metadata["fields"])
         elif field.metadata:
             yield field, fields
+
+
+def values_of(request: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
+    """Yields all fields that are flags, with their values; those of parts in their place."""
+    for field in dataclasses.fields(request):
+        value = getattr(request, field.name)
+        if "fields" in field.metadata:
+            yield from itertools.chain(*map(values_of, value if isinstance(value, tuple) else [value]))
+        elif field.metadata:
+            yield field, value
 
 
 def settings_of(field: dataclasses.Field) -> dict[str, Any]:
@@ -76,21 +127,20 @@ def settings_of(field: dataclasses.Field) -> dict[str, Any]:
     return SETTINGS.get(kind, {}) | field.metadata["settings"]
 
 
+def kind_of(field: dataclasses.Field) -> Any:
+    """Finds which of `FILES` a flag names, or None."""
+    return next((kind for kind in FILES if kind in (field.type, *get_args(field.type))), None)
+
+
 def is_switch(settings: dict[str, Any]) -> bool:
-    return settings.get("nargs") == 0 or str(settings.get("action")).startswith(("store_", "help"))
-
-
-def values_of(request: Any) -> Iterator[tuple[str, Any]]:
-    for field in dataclasses.fields(request):
-        value = getattr(request, field.name)
-        yield from values_of(value) if "part" in field.metadata else [(field.name, value)]
+    return str(settings.get("action")).startswith("store_")
 
 
 def made(fields: type[T], values: argparse.Namespace) -> T:
     arguments = {}
     for field in dataclasses.fields(fields):  # pyright: ignore[reportArgumentType]
-        inner = field.metadata.get("part")
-        value = made(inner, values) if inner else getattr(values, field.name, field.default)
+        is_part = field.default is dataclasses.MISSING and "fields" in field.metadata
+        value = made(field.metadata["fields"], values) if is_part else getattr(values, field.name, field.default)
         arguments[field.name] = tuple(value) if isinstance(value, list) else value
     return fields(**arguments)
 
@@ -98,35 +148,34 @@ def made(fields: type[T], values: argparse.Namespace) -> T:
 class Parser(argparse.ArgumentParser):
     """Describes in one line what is wrong with the arguments, and guesses what was meant.
 
-    A short page of help leaves out all flags that are not for every day. `flags` are the long flags
-    of this command, `short` those of one letter.
+    A short page of help leaves out all flags that are not for every day.
     """
 
     def __init__(self, *, is_short: bool = False, **settings: Any):
         super().__init__(**settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
-        self.is_short, self.flags, self.short = is_short, ["--help"], ["-h"]
-        self.sections: dict[str, Any] = {"": self}
+        self.is_short = is_short
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # as of Python 3.14: numbers such as -1e-3 are no flags
 
-    def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = True):
-        self.flags += [name for name in names if name.startswith("--")]
-        self.short += [name for name in names if re.match("-[^-]", name)]
-        if not is_switch(settings):
-            settings = settings | {"type": unquoted(settings.get("type", str))}
-        if self.is_short and not everyday:
-            settings = settings | {"help": argparse.SUPPRESS}
-        if section not in self.sections:
-            self.sections[section] = self.add_argument_group(section)
-        plain = {name: value for name, value in settings.items() if name != "completer"}
-        self.sections[section].add_argument(*names, **plain).completer = settings.get("completer")
+    @property
+    def flags(self) -> list[str]:
+        return [name for name in self._option_string_actions if name.startswith("--")]
 
     def add_fields(self, fields: Fields) -> None:
-        for field, owner in flags_of(fields):
+        sections = {
+            field: field.metadata["section"] or getattr(owner, "SECTION", "") for field, owner in flags_of(fields)
+        }
+        groups: dict[str, Any] = {"": self}
+        for field, owner in sorted(flags_of(fields), key=lambda flag: SECTIONS.index(sections[flag[0]])):
             facts, settings = field.metadata, getattr(owner, "SETTINGS", {}) | settings_of(field)
             names = [field.name]
             if facts["names"] != ("",):
                 names, settings = facts["names"] or (flag_of(field.name),), settings | {"dest": field.name}
-            section = facts["section"] or getattr(owner, "SECTION", "")
-            self.add(names, settings, section=section, everyday=facts["everyday"])
+            if self.is_short and not facts["everyday"]:
+                settings["help"] = argparse.SUPPRESS
+            if sections[field] not in groups:
+                groups[sections[field]] = self.add_argument_group(sections[field])
+            completer = settings.pop("completer", None)
+            groups[sections[field]].add_argument(*names, **settings).completer = completer
 
     def check_flags(self, words: Sequence[str]) -> None:
         for word in itertools.takewhile(lambda word: word != "--", words):
@@ -134,7 +183,7 @@ class Parser(argparse.ArgumentParser):
             if name.startswith("--") and name not in self.flags:
                 hint = meant(name, self.flags) or f"; a patch of this name is written with =, as in --moving={name}"
                 self.error(f"there is no flag {name}{hint}")
-            if f"-{name}" in self.flags and name not in self.flags:
+            if f"-{name}" in self.flags:
                 hint = f"did you mean -{name}? The patch {name} is written --moving={name}"
                 self.error(f"there is no flag {name}; {hint}")
 
@@ -161,31 +210,3 @@ def flag_of(name: str) -> str:
 def meant(word: str, known: Iterable[str]) -> str:
     near = similar(word, known)
     return f"; did you mean {near}?" if near else ""
-
-
-def quoted(words: Sequence[str], short: Iterable[str]) -> list[str]:
-    """Puts a space before words that argparse would take for flags: numbers, and names as `-wall`.
-
-    `--moving=-wall` becomes two words, so that more names may follow. `short` are the command's
-    flags of one letter; a value may follow one without a blank, but not `-h`.
-    """
-    flags = ("--", *({*short} - {"-h"}))
-    done: list[str] = []
-    for word in words:
-        name, equals, value = word.partition("=")
-        if name.startswith("--") and equals and value.startswith("-"):
-            done += [name, f" {value}"]
-        else:
-            is_flag = word in ("-", "-h") or not word.startswith("-") or word.startswith(flags)
-            done.append(word if is_flag else f" {word}")
-    return done
-
-
-def unquoted(kind: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Makes the type of a flag without the space of `quoted`."""
-
-    @functools.wraps(kind, updated=())
-    def converted(word: str) -> Any:
-        return kind(word[1:] if word.startswith(" -") else word)
-
-    return converted

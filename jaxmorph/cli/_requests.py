@@ -1,26 +1,69 @@
 """The request of each command: its flags as fields."""
 
 import argparse
+import contextlib
 import dataclasses
 import json
+import re
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_args
 
 import jaxmorph as jm
+from jaxmorph.extend import decoded
 
-from ._names import completer
-from ._parser import Angle, Fields, flag, one_of, part, positional, several, switch
+from ._parser import (
+    BAD,
+    MOTION,
+    Angle,
+    Fields,
+    Folder,
+    Lattice,
+    MeshFile,
+    NewMesh,
+    Picture,
+    Written,
+    flag,
+    number,
+    one_of,
+    part,
+    positional,
+    positive,
+    several,
+    switch,
+)
 
 MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
+BY_SKEWNESS = "draw the mesh by its skewness: .png, in 3-D also a page (.html)"
 NAMES, DEMOS = [*jm.METHODS], ["naca0015"]
 
 AUTO = "auto"  # as many steps as it takes
-BAD, OUTPUT = "when cells are bad", ("--output", "-o")
+OUTPUT = ("--output", "-o")
 SHAPES: dict[str, Any] = {"section": "shapes", "everyday": True}
+SEVERAL: dict[str, Any] = {"default": (), "nargs": "+", "action": "extend"}
 
 Table = dict[str, Any]
+TAG = re.compile(rb"(?m)^[ \t]*MARKER_?TAG[ \t]*=[ \t]*([^%\r\n]*)")
+
+
+def markers(file: Path) -> list[str]:
+    """Lists the names of patches in an SU2 file, without reading the mesh."""
+    return [decoded(name.strip()) for name in TAG.findall(file.read_bytes())]
+
+
+def _completer(prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """Lists patches and groups of the mesh that the words before name; none for what is no mesh."""
+    file = getattr(parsed_args, "file", None)
+    with contextlib.suppress(Exception):  # the shell's line is no place for a fault
+        if file is not None and file.suffix.lower() == ".su2":
+            return markers(file)
+        if file is not None:
+            from jaxmorph import io
+
+            mesh = io.read(file)
+            return [*mesh.patches, *mesh.groups]
+    return []
 
 
 def table(word: str) -> Path | Table:
@@ -31,47 +74,24 @@ def table(word: str) -> Path | Table:
 
 
 def steps(word: str) -> int | str:
-    try:
-        return AUTO if word == AUTO else int(word)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"steps are a whole number or {AUTO}, found {word!r}") from None
-
-
-def _output(name: str) -> Path:
-    path = Path(name)  # which forgets a slash at the end
-    if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
-        raise argparse.ArgumentTypeError(f"{name}: ends as a folder does, but a file is written. Remove the /.")
-    return path
-
-
-PICTURE: dict[str, Any] = {"type": _output, "everyday": True}
+    return AUTO if word == AUTO else positive(word)
 
 
 def _change(word: str) -> tuple[str, tuple[float, ...]]:
     name, _, numbers = word.rpartition("=")
     try:
-        values = tuple(map(float, numbers.split(",")))
+        return name, tuple(map(number, numbers.split(",")))
     except ValueError:
-        values = ()
-    if not name or not values:
-        raise argparse.ArgumentTypeError(f"{word!r} is not NAME=NUMBER or NAME=NUMBER,NUMBER,...")
-    return name, values
+        raise argparse.ArgumentTypeError(f"{word!r} is not NAME=NUMBER or NAME=NUMBER,NUMBER,...") from None
 
 
 TABLE: dict[str, Any] = {"type": table, "metavar": "FILE"}
-CHANGES: dict[str, Any] = {
-    "default": (),
-    "metavar": "NAME=NUMBER[,...]",
-    "nargs": "+",
-    "action": "extend",
-    "type": _change,
-}
+CHANGES = SEVERAL | {"metavar": "NAME=NUMBER[,...]", "type": _change}
 CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0.1'"
 
 
 def _patches(what: str, *names: str, **settings: Any) -> Any:
-    several = {"default": (), "metavar": "NAME", "nargs": "+", "action": "extend", "completer": completer}
-    return flag(what, *names, **several | settings)
+    return flag(what, *names, **SEVERAL | {"metavar": "NAME", "completer": _completer} | settings)
 
 
 class InGroup(argparse.Action):
@@ -84,25 +104,20 @@ class InGroup(argparse.Action):
         group = groups[-1]
         if self.dest in group.flags:
             parser.error(f"{option_string} twice for one --moving. Begin another motion of the patches by --moving.")
+        group.flags |= {self.dest} - {"mode"}  # which may be repeated
         if self.dest == "mode":
-            values = (*group.mode, _mode(parser, *values))
-        else:
-            group.flags.add(self.dest)
+            try:
+                values = (*group.mode, (Path(values[0]), number(values[1])))
+            except ValueError:
+                parser.error(f"argument --mode: the amplitude of {values[0]} is a number, found {values[1]!r}")
         setattr(group, self.dest, tuple(values) if self.dest == "patches" else values)
-
-
-def _mode(parser: argparse.ArgumentParser, file: str, amplitude: str) -> tuple[str, float]:
-    try:
-        return file, float(amplitude)
-    except ValueError:
-        parser.error(f"argument --mode: the amplitude of {file} is a number, found {amplitude!r}.")
 
 
 @dataclasses.dataclass
 class MotionFlags:
     """Patches that move and their motion: `--moving` and the flags after it."""
 
-    SECTION: ClassVar = "motion of the patches of the last --moving (at least one flag)"
+    SECTION: ClassVar = MOTION
     SETTINGS: ClassVar = {"action": InGroup}
 
     patches: tuple[str, ...] = _patches(WHAT_MOVES, "--moving", section="surface", everyday=True, action=InGroup)
@@ -114,13 +129,13 @@ class MotionFlags:
         default="position",
     )
     onto: Path | None = flag("a surface onto which the patches go: .stl, .obj, .npz, a mesh")
-    mode: tuple[tuple[str, float], ...] = flag(
+    mode: tuple[tuple[Path, float], ...] = flag(
         "a file of displacements, and a factor; may be repeated", metavar=("FILE", "AMPLITUDE"), nargs=2, default=()
     )
     box: Path | Table | None = flag("a free-form deformation box, see below", **TABLE)
     hicks_henne: Path | Table | None = flag("bumps of Hicks and Henne on an airfoil's sides, see below", **TABLE)
     cst: Path | Table | None = flag("class and shape functions to add to its sides, see below", **TABLE)
-    lattice: Path | None = flag("the box's lattice for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts")
+    lattice: Lattice | None = flag("the box's lattice for ParaView: FILE_before.vts, FILE_after.vts")
     scale: list[float] | None = flag("factor, or a factor for each coordinate", metavar="S")
     twist: Angle | None = flag("degrees by which the end of the line --along turns about the line, 3-D only")
     bend: Angle | None = flag("degrees of the arc of the line --along, towards the cross product of --axis and --along")
@@ -200,9 +215,6 @@ class Gates:
         return dataclasses.replace(jm.Limits.checkmesh() if self.preset else jm.Limits(), **flags)
 
 
-LIMITS = tuple(field.name for field in dataclasses.fields(Gates) if field.type == float | None)
-
-
 @dataclasses.dataclass(frozen=True)
 class Speech:
     SECTION: ClassVar = "output"
@@ -212,15 +224,32 @@ class Speech:
 
 
 @dataclasses.dataclass(frozen=True)
-class Deform:
-    file: Path = positional(MESH, "IN")
-    output: Path = positional(
-        "the new mesh, in the format of its ending; for a case a new folder, or CASE/TIME", "OUT", type=_output
+class Spoken:
+    """Request of a command that prints what it does."""
+
+    speech: Speech = part(Speech)
+
+
+@dataclasses.dataclass(frozen=True)
+class Planned(Spoken):
+    """Request of a command that makes one plan of a mesh."""
+
+    file: MeshFile = positional(MESH, "IN")
+    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
+    boundary: BoundaryFlags = part(BoundaryFlags)
+    method: MethodFlags = part(MethodFlags)
+
+
+@dataclasses.dataclass(frozen=True)
+class Deform(Spoken):
+    file: MeshFile = positional(MESH, "IN")
+    output: NewMesh = positional(
+        "the new mesh, in the format of its ending; for a case a new folder, or CASE/TIME", "OUT"
     )
     decomposed: bool = switch("IN is a decomposed OpenFOAM case: move its parts one by one, or under mpiexec several")
     job: Path | None = flag("read the flags from a TOML file")
-    save_job: Path | None = flag("write a TOML file with the flags of this run", type=_output)
-    picture: Path | None = flag("draw the mesh before and after: .png, in 3-D also a page (.html)", **PICTURE)
+    save_job: Written | None = flag("write a TOML file with the flags of this run")
+    picture: Picture | None = flag("draw the mesh before and after: .png, in 3-D also a page (.html)", everyday=True)
     zone: int | None = flag(ZONE)
     groups: tuple[MotionFlags, ...] = several(MotionFlags)
     boundary: BoundaryFlags = part(BoundaryFlags)
@@ -240,7 +269,6 @@ class Deform:
     gates: Gates = part(Gates)
     allow_inverted: bool = switch("write OUT even when cells are inverted or a gate fails", section=BAD)
     dry_run: bool = switch("do not try other flags for advice", "--no-dry-run", default=True, section=BAD)
-    speech: Speech = part(Speech)
 
     @property
     def step_count(self) -> int:
@@ -253,49 +281,32 @@ class Deform:
 
 
 @dataclasses.dataclass(frozen=True)
-class ModesRequest:
-    file: Path = positional(MESH, "IN")
-    output: Path = positional(
-        "a time series OUT.pvd of .vtu files; else one file a case, OUT_0001, ...", "OUT", type=_output
-    )
-    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
-    boundary: BoundaryFlags = part(BoundaryFlags)
+class ModesRequest(Planned):
+    output: NewMesh = positional("a time series OUT.pvd of .vtu files; else one file a case, OUT_0001, ...", "OUT")
     mode: tuple[Path, ...] = flag(
         "displacements of the moving nodes: rows of node id, x, y[, z], or .npz", required=True, **SHAPES
     )
     amplitude: tuple[float, ...] = flag("factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPES)
-    method: MethodFlags = part(MethodFlags)
     gates: Gates = part(Gates)
     allow_inverted: bool = switch("write bad meshes too", section=BAD)
-    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
-class SensitivityRequest:
+class SensitivityRequest(Planned):
     """Request of `jaxmorph sensitivity`; with a job the result is by design variables."""
 
-    file: Path = positional(MESH, "IN")
     sensitivity: Path = positional(
         "dJ/d(points): SU2's, OpenFOAM's, rows of node id, dJ/dx, dJ/dy[, dJ/dz], or .npz", "SENS"
     )
-    output: Path = positional("dJ/d(moving nodes), .csv or .npz; with --job .csv or .json", "OUT", type=_output)
+    output: Written = positional("dJ/d(moving nodes), .csv or .npz; with --job .csv or .json", "OUT")
     job: Path | None = flag("a job of deform: derivatives by its design variables (leave IN out)", everyday=True)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
-    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
-    boundary: BoundaryFlags = part(BoundaryFlags)
-    method: MethodFlags = part(MethodFlags)
-    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
-class ExportRequest:
-    file: Path = positional(MESH, "IN")
-    output: Path | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?", type=_output)
+class ExportRequest(Planned):
+    output: Written | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?")
     zone: int | None = flag("of an SU2 file with several zones the zone IZONE= N")
-    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
-    boundary: BoundaryFlags = part(BoundaryFlags)
-    method: MethodFlags = part(MethodFlags)
-    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -304,7 +315,7 @@ class NativeRequest:
 
 
 @dataclasses.dataclass(frozen=True)
-class SU2:
+class SU2(Spoken):
     """Request of `jaxmorph su2`: `action` is `def` or `dot`."""
 
     action: str = positional("def moves the mesh, dot projects sensitivities", "ACTION", choices=("def", "dot"))
@@ -312,40 +323,36 @@ class SU2:
     sensitivity: Path | None = flag(
         "dot: dJ/d(nodes) of the volume or wall (default as the config file says)", metavar="SENS"
     )
-    output: Path | None = flag("where to write (default as the config file says)", *OUTPUT, metavar="OUT", type=_output)
+    output: Written | None = flag("where to write (default as the config file says)", *OUTPUT, metavar="OUT")
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
     zone: int | None = flag(ZONE)
-    picture: Path | None = flag("def: draw the mesh before and after: .png, in 3-D also .html", **PICTURE)
+    picture: Picture | None = flag("def: draw the mesh before and after: .png, in 3-D also .html", everyday=True)
     method: MethodFlags = part(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
-    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
-class Quality:
+class Quality(Spoken):
     """Request of `jaxmorph quality`. `moved` is the file of the moved mesh."""
 
-    file: Path = positional(MESH, "FILE")
-    moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?")
+    file: MeshFile = positional(MESH, "FILE")
+    moved: MeshFile | None = positional("the same mesh, deformed", "FILE2", nargs="?")
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
     zone: int | None = flag("of SU2 files with several zones the zone IZONE= N")
-    picture: Path | None = flag("draw the mesh by its skewness: .png, in 3-D also a page (.html)", **PICTURE)
+    picture: Picture | None = flag(BY_SKEWNESS, everyday=True)
     gates: Gates = part(Gates)
-    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
-class Info:
-    file: Path = positional(MESH, "FILE")
-    picture: Path | None = flag("draw the mesh by its skewness: .png, in 3-D also a page (.html)", **PICTURE)
-    speech: Speech = part(Speech)
+class Info(Spoken):
+    file: MeshFile = positional(MESH, "FILE")
+    picture: Picture | None = flag(BY_SKEWNESS, everyday=True)
 
 
 @dataclasses.dataclass(frozen=True)
-class Convert:
-    file: Path = positional(MESH, "IN")
-    output: Path = positional("the same mesh, in the format of its ending", "OUT", type=_output)
-    speech: Speech = part(Speech)
+class Convert(Spoken):
+    file: MeshFile = positional(MESH, "IN")
+    output: NewMesh = positional("the same mesh, in the format of its ending", "OUT")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -353,25 +360,13 @@ class Demo:
     case: str = positional(
         "naca0015 (default)", "CASE", nargs="?", default="naca0015", choices=DEMOS, type=one_of("demo", DEMOS)
     )
-    output: Path = flag("where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo"))
+    output: Folder = flag(
+        "where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo")
+    )
 
 
 Request = (
     Deform | ModesRequest | SensitivityRequest | ExportRequest | NativeRequest | SU2 | Quality | Info | Convert | Demo
 )
 
-COMMANDS: dict[str, Fields] = {
-    fields.__name__.removesuffix("Request").lower(): fields
-    for fields in (
-        Deform,
-        ModesRequest,
-        SensitivityRequest,
-        ExportRequest,
-        NativeRequest,
-        SU2,
-        Quality,
-        Info,
-        Convert,
-        Demo,
-    )
-}
+COMMANDS: dict[str, Fields] = {fields.__name__.removesuffix("Request").lower(): fields for fields in get_args(Request)}

@@ -1,7 +1,6 @@
 """`jaxmorph su2 def` and `su2 dot`: SU2_DEF and SU2_DOT, from SU2's own config file."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,10 +12,10 @@ from jaxmorph.integrations import su2
 
 from ._deform import SMALL
 from ._early import check_apart
-from ._method import described, method_of
+from ._method import Patches, described
 from ._output import Output, count, steepest, title
 from ._requests import SU2
-from ._way import Way, check_picture, draw, faults, is_kept, say_verdict
+from ._way import Way, check_picture, draw, faults, finish, say_verdict
 
 
 def run(request: SU2, out: Output) -> int:
@@ -37,15 +36,11 @@ def run(request: SU2, out: Output) -> int:
 
 
 def _values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
-    kinds = np.array([name.partition("[")[0] for name in config.names])
+    kinds, relaxed = np.array([name.partition("[")[0] for name in config.names]), config.options.relaxation
     for kind in dict.fromkeys(kinds.tolist()):
-        own, relaxed = factors[kinds == kind], config.options.relaxation
-        text = f"{len(own)} {kind}: {_listed(config.parameters[kinds == kind])}"
-        if (own == relaxed).all() and relaxed != 1:
-            text += f", times OPT_RELAX_FACTOR= {relaxed:g}"
-        elif (own != 1).any():
-            text += f", times {_listed(own)}, of DEFINITION_DV and OPT_RELAX_FACTOR= {relaxed:g}"
-        yield text
+        own, text = factors[kinds == kind], _listed(config.parameters[kinds == kind])
+        of = "" if (own == relaxed).all() else f"{_listed(own)}, of DEFINITION_DV and "
+        yield f"{len(own)} {kind}: {text}" + (f", times {of}OPT_RELAX_FACTOR= {relaxed:g}" if (own != 1).any() else "")
 
 
 def _listed(numbers: np.ndarray) -> str:
@@ -55,14 +50,19 @@ def _listed(numbers: np.ndarray) -> str:
     return ", ".join(f"{number:g}" for number in numbers)
 
 
+def _prepared(request: SU2, config: su2.Config, out: Output) -> jm.Plan:
+    patches = Patches(config.mesh, request.method, config.moving, config.fixed, config.symmetry)
+    with out.progress("preparing"):
+        return next(patches.chunks())[1]
+
+
 def _deform(request: SU2, config: su2.Config, out: Output) -> int:
     mesh, output, bad = config.mesh, request.output or config.output, []
     io.check_output(output, mesh)
     check_picture(request.picture, mesh)
     moved, verdict = mesh, None
     if config.names:
-        with out.progress("preparing"):
-            plan = _plan(request, config, request.method.dtype)
+        plan = _prepared(request, config, out)
         name, _ = described(request.method, plan)
         out.say(f"method   {name}, {count(config.steps, 'step')}", method=name, steps=config.steps)
         out.say(f"fixed    {', '.join(config.fixed) or 'no patch'}", fixed=list(config.fixed))
@@ -71,42 +71,28 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
         text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
         out.say(text, largest=config.largest, share=config.share)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
-            points = np.asarray(jm.march(plan, config.path.astype(request.method.dtype))[1], float)
-        moved = mesh.moved(points)
+            moved = mesh.moved(np.asarray(jm.march(plan, config.path.astype(plan.points.dtype))[1], float))
         with out.progress("judging the cells"):
-            verdict = Way(output, mesh, (points,)).judge()
+            verdict = Way(output, mesh, (np.asarray(moved.points),)).judge()
         say_verdict(verdict, out)
         bad = faults(verdict)
     draw(request.picture, mesh, out, moved.points, moving=mesh.patch(*config.moving), verdict=verdict)
-    if not is_kept(bad, request.allow_inverted, output, out):
-        return 1
     if config.boxes:
         moved = io.with_boxes(moved, config.moved_boxes)
         out.say(f"boxes    {', '.join(box.name for box in config.boxes)}", boxes=[box.name for box in config.boxes])
-    with out.progress(f"writing {output.name}"):
-        io.write(output, moved)
-    out.wrote(output)
-    return 1 if bad else 0
-
-
-def _plan(request: SU2, config: su2.Config, dtype: str = "float64") -> jm.Plan:
-    mesh, points = config.mesh, np.asarray(config.mesh.points)
-    moving = mesh.patch(*config.moving)
-    method = method_of(request.method, points[moving])
-    mesh = mesh.moved(points.astype(dtype, copy=False))
-    return jm.prepare(mesh, config.moving, config.fixed, method=method, symmetry=config.symmetry)
+    return finish(bad, request.allow_inverted, output, lambda: io.write(output, moved), out)
 
 
 def _project(request: SU2, config: su2.Config, out: Output) -> int:
-    if config.constants or not config.names:
-        what = config.constants[0] if config.constants else "no design variable"
-        raise ValueError(f"{request.file}: {what} has no derivative: the wall does not depend on DV_VALUE.")
-    name = config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat")
-    output = request.output or config.options.beside(name if Path(name).suffix else f"{name}.dat")
+    fault = next(iter(config.constants), "" if config.names else "no design variable")
+    if fault:
+        raise ValueError(f"{request.file}: {fault} has no derivative: the wall does not depend on DV_VALUE.")
+    output = request.output or config.options.beside(config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat"))
+    output = output if output.suffix else output.with_suffix(".dat")
     with out.progress("reading the sensitivities"):
         sensitivities = su2.read_sensitivity(config, request.sensitivity)
-    inputs = {"the config is": [request.file], "the mesh is": [config.mesh.source.path]}
-    check_apart([("OUT", output)], inputs | {"the sensitivities are": [sensitivities.path]})
+    files = {"CONFIG": request.file, "MESH_FILENAME": config.mesh.source.path, "--sensitivity": sensitivities.path}
+    check_apart(list(files.items()), [("OUT", output)])
     gradient, angle = _gradient(request, config, sensitivities, out), sensitivities.by_angle
     if config.angles:
         gradient[config.angles] = angle or 0
@@ -115,23 +101,19 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     out.say(f"\n{'dJ/d(value)':>16}")
     for k in steepest(gradient):
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")
-    out.say(gradient=dict(zip(config.names, gradient.tolist(), strict=True)))
+    out.say("", gradient=dict(zip(config.names, gradient.tolist(), strict=True)))
     su2.write_gradient(output, gradient, config.options.text("OBJECTIVE_FUNCTION", "DRAG").split(",")[0].strip("() "))
-    out.say("")
     out.wrote(output)
     return 0
 
 
 def _gradient(request: SU2, config: su2.Config, sensitivities: su2.Sensitivity, out: Output) -> np.ndarray:
-    mesh, by_nodes, kind = config.mesh, sensitivities.by_nodes, "surface"
+    mesh, path, by_nodes, kind = config.mesh, sensitivities.path, sensitivities.by_nodes, "surface"
     wall = np.asarray(mesh.points, float)[mesh.patch(*config.moving)]
     if len(by_nodes) == len(mesh.points):
-        kind = "volume"
-        with out.progress("preparing"):
-            plan = _plan(request, config)
+        kind, plan = "volume", _prepared(request, config, out)
         with out.progress("pulling back"):
             by_nodes = np.asarray(jm.pullback(plan, np.zeros(wall.shape), by_nodes))
-    path = sensitivities.path
     out.say(f"reading  {path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(path), kind=kind)
     project = jax.jit(lambda by_wall: shapes.project(config.shape, wall, config.shape.neutral(), by_wall))
     return np.array(project(by_nodes), float)

@@ -1,6 +1,5 @@
 """A motion of a mesh: its points step by step, the verdict on them, and their file."""
 
-import contextlib
 import contextvars
 import dataclasses
 import functools
@@ -9,13 +8,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
-import jax
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph.extend import appearing_if
 
 from ._output import Output, wrapped
 from ._parser import flag_of
@@ -24,6 +21,7 @@ PROVEN = "min_proven_margin"
 
 
 T = TypeVar("T")
+Points = Float[np.ndarray, "n d"]
 
 
 def in_background(function: Callable[..., T], *arguments: Any) -> "Future[T]":
@@ -45,46 +43,41 @@ class Way:
 
     path: Path
     mesh: Mesh
-    ends: tuple[Float[np.ndarray, "n d"], ...]
+    ends: tuple[Points, ...]
     is_straight: bool = True
 
     @functools.cached_property
-    def stored(self) -> Float[np.ndarray, "n d"]:
+    def stored(self) -> Points:
         return io.as_written(self.path, self.mesh.moved(self.ends[-1]))
 
     def judge(
         self, limits: jm.Limits | None = None, before: jm.Verdict | None = None, part: int | None = None
     ) -> jm.Verdict:
-        motion: dict[str, Any] = {"steps": self.ends[:-1], "is_straight": self.is_straight}
-        return jm.judge(self.mesh, self.stored, limits, before=before, part=part, **motion)
+        steps, is_straight = self.ends[:-1], self.is_straight
+        return jm.judge(self.mesh, self.stored, limits, before=before, part=part, steps=steps, is_straight=is_straight)
 
-    def write(self, verdict: Callable[[], jm.Verdict]) -> None:
-        """Writes the moved mesh; a format that holds arrays waits for the verdict on its cells."""
+    def write(self, verdict: jm.Verdict) -> None:
         moved = self.mesh.moved(self.ends[-1])
-        if io.check_output(self.path, self.mesh):
-            corners = verdict().corners
-            assert corners is not None
-            io.write_moved(self.path, self.mesh, moved, corners)
+        if io.check_output(self.path, self.mesh) and verdict.corners is not None:  # a format that holds arrays
+            io.write_moved(self.path, self.mesh, moved, verdict.corners)
         else:
             io.write(self.path, moved)
 
 
-def followed(plan: jm.Plan, path: Any) -> Iterator[jax.Array]:
-    if len(path) == 1:
-        yield jm.deform(plan, path[0])
-        return
+def moved(plan: jm.Plan, path: Any, base: Points, nodes: np.ndarray, u: Any) -> Iterator[Points]:
+    """Yields the points after each step of a path; those at `nodes` move by `u` (k, m, d)."""
     plans, end = jm.march(plan, path)
-    yield from (step.points for step in plans[1:])
-    yield end
+    for move, points in zip(u, [*(step.points for step in plans[1:]), end], strict=True):
+        yield in_double(base, np.asarray(points)[: len(base)], nodes, move, plan.method.exact)
 
 
 def in_double(
-    base: Float[np.ndarray, "n d"],
+    base: Points,
     moved: Float[ArrayLike, "n d"],
     nodes: Int[np.ndarray, " m"],
     u: Float[np.ndarray, "m d"],
     is_exact: bool,
-) -> Float[np.ndarray, "n d"]:
+) -> Points:
     """Converts points to double precision; unmoved nodes keep all their digits."""
     moved = np.asarray(moved)
     if moved.dtype == np.float64:
@@ -93,29 +86,6 @@ def in_double(
     if is_exact:
         points[nodes] = base[nodes] + u
     return points
-
-
-@contextlib.contextmanager
-def writing(write: Callable[..., None], *arguments: Any) -> Iterator[Callable[[], None]]:
-    """Writes a file beside the block; it appears when the yielded function is called.
-
-    A block that ends without that call leaves no file.
-    """
-    is_wanted: Future[bool] = Future()
-    with appearing_if(is_wanted.result):
-        call = in_background(write, *arguments)
-
-    def finish() -> None:
-        is_wanted.set_result(True)
-        call.result()
-
-    try:
-        yield finish
-    finally:
-        if not is_wanted.done():
-            is_wanted.set_result(False)
-        with contextlib.suppress(Exception):  # a fault of a file that nobody wants, or that `finish` has told
-            call.result()
 
 
 def check_picture(picture: Path | None, mesh: Mesh) -> None:
@@ -150,6 +120,16 @@ def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> 
     if bad and not allow_inverted:
         out.complain(f"{output} is not written; --allow-inverted writes it anyway.")
     return not bad or allow_inverted
+
+
+def finish(bad: list[str], allow_inverted: bool, output: Path, write: Callable[[], None], out: Output) -> int:
+    """Writes a mesh where it is good or bad ones are allowed; returns the exit status."""
+    if not is_kept(bad, allow_inverted, output, out):
+        return 1
+    with out.progress(f"writing {output.name}"):
+        write()
+    out.wrote(output)
+    return 1 if bad else 0
 
 
 def say_verdict(

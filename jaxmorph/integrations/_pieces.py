@@ -1,7 +1,7 @@
 """Pieces of a mesh in the processes of an MPI run: shared nodes, and the boundary of the whole."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -118,24 +118,15 @@ def surface_of(comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[st
             guided |= plane.holds(extent)[: len(x)]
     guided |= np.isin(ids, np.concatenate([ids[:0], *(corners.ravel() for corners in (faces or {}).values())]))
     shares = comm.allgather([(ids[rows], x[rows]) for rows in (boundary.moving, boundary.fixed, guided)])
-    (moving, at_moving), (fixed, at_fixed), (further, at_further) = (
-        _union(parts) for parts in zip(*shares, strict=True)
-    )
-    rest = ~np.isin(fixed, moving)
-    others = ~np.isin(further, np.concatenate([moving, fixed]))
+    # A node that several lists have belongs to the first: what moves, what is fixed, the rest.
+    lists = [share[role] for role in range(3) for share in shares]
+    role = np.repeat(np.repeat(np.arange(3), comm.size), [len(own) for own, _ in lists])
+    everyone, places = (np.concatenate([entry[k] for entry in lists]) for k in range(2))
+    names, first, back = np.unique(everyone, return_index=True, return_inverse=True)
+    torn = everyone[(places != places[first][back]).any(axis=1)]
+    if torn.size:
+        raise ValueError(f"{torn.size} nodes lie at different places in different processes, first {torn[0]}.")
+    order, counts = np.lexsort((names, role[first])), np.cumsum(np.bincount(role[first], minlength=3))
     outermost = np.concatenate(comm.allgather(x[ends[~guided[ends]]]))
-    everything = np.concatenate([at_moving, at_fixed[rest], at_further[others], outermost])
-    names = np.concatenate([moving, fixed[rest], further[others], np.full(len(outermost), -1)])
-    count = len(moving) + int(rest.sum())
-    return WholeSurface(everything, names, len(moving), count, count + int(others.sum()))
-
-
-def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
-    unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
-    mismatched = np.flatnonzero((points != points[first][back]).any(axis=1))
-    if mismatched.size:
-        raise ValueError(
-            f"{mismatched.size} nodes lie at different places in different processes, first {ids[mismatched[0]]}."
-        )
-    return unique, points[first]
+    points = np.concatenate([places[first[order]], outermost])
+    return WholeSurface(points, np.append(names[order], np.full(len(outermost), -1)), *counts.tolist())

@@ -21,6 +21,7 @@ from jaxmorph.extend import warn
 from ._pieces import solid
 
 Values = dict[str, Any]
+Points = Float[Array, "n d"]
 Traced = Callable[[Values], Any]
 """A pytree that computes one array from arrays by name."""
 
@@ -58,6 +59,10 @@ class TracedComponent(om.ExplicitComponent):
 
     def traced(self) -> Traced:
         raise NotImplementedError
+
+    def add(self, name: str, value: Any, added: Callable[..., Any]) -> None:
+        value = np.asarray(value, float)
+        added(name, val=value.ravel() if self.options["flat"] else value, units=self.options["units"])
 
     def compute(self, inputs, outputs, discrete_inputs=None, discrete_outputs=None) -> None:
         (name,) = outputs.keys()
@@ -146,11 +151,9 @@ class MeshDeformation(MovedMesh):
 
     def setup(self) -> None:
         super().setup()
-        plan, flat, units = self.options["plan"], self.options["flat"], self.options["units"]
-        rest: Any = np.zeros((plan.n_moving, plan.points.shape[1]))
-        points: Any = np.asarray(plan.points, dtype=float)
-        self.add_input("displacements", val=rest.ravel() if flat else rest, units=units)
-        self.add_output("points", val=points.ravel() if flat else points, units=units)
+        plan = self.options["plan"]
+        self.add("displacements", np.zeros(plan.moving_points.shape), self.add_input)
+        self.add("points", plan.points, self.add_output)
 
     def traced(self) -> Traced:
         return eqx.Partial(_deformed, self.options["plan"])
@@ -179,15 +182,12 @@ class ShapeDisplacement(TracedComponent):
     option_names = ("shape", "plan", "parameters", "positions", "flat", "units")
 
     def setup(self) -> None:
-        flat, units = self.options["flat"], self.options["units"]
         start = add_parameters(self, first_parameters(self.options["shape"], self.options["parameters"]))
-        out: Any = np.asarray(self.traced()(start), float)
-        name = "positions" if self.options["positions"] else "displacements"
-        self.add_output(name, val=out.ravel() if flat else out, units=units)
+        self.add("positions" if self.options["positions"] else "displacements", self.traced()(start), self.add_output)
 
     def traced(self) -> Traced:
-        shape, move = self.options["shape"], _positions if self.options["positions"] else _displacements
-        return eqx.Partial(move, shape, self.options["plan"], first_parameters(shape, self.options["parameters"]))
+        shape, plan, given, positions = (self.options[name] for name in ("shape", "plan", "parameters", "positions"))
+        return eqx.Partial(_wall, shape, plan, first_parameters(shape, given), positions)
 
 
 def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
@@ -200,32 +200,29 @@ def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
 
 
 def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[str, Float[np.ndarray, "..."]]:
-    arrays = {name: np.asarray(leaf, float) for name, leaf in _inputs(parameters)}
+    leaves = jax.tree_util.tree_leaves_with_path(parameters)
+    arrays = {_name(path): np.asarray(leaf, float) for path, leaf in leaves}
     for name, values in arrays.items():
         component.add_input(name, val=values, **options)
     return arrays
 
 
-def from_inputs(parameters: PyTree, values: dict[str, Any]) -> PyTree:
-    leaves = [jnp.reshape(values[name], np.shape(leaf)) for name, leaf in _inputs(parameters)]
-    return jax.tree.unflatten(jax.tree.structure(parameters), leaves)
+def from_inputs(parameters: PyTree, values: Values) -> PyTree:
+    read = lambda path, leaf: jnp.reshape(values[_name(path)], np.shape(leaf))  # noqa: E731
+    return jax.tree_util.tree_map_with_path(read, parameters)
 
 
-def _inputs(parameters: PyTree) -> list[tuple[str, Any]]:
-    paths = jax.tree_util.tree_flatten_with_path(parameters)[0]
-    return [(jax.tree_util.keystr(path, simple=True, separator=":") or "parameters", leaf) for path, leaf in paths]
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=":") or "parameters"
 
 
-def _deformed(plan: jm.Plan, values: Values) -> Float[Array, "n d"]:
+def _deformed(plan: jm.Plan, values: Values) -> Points:
     return jm.deform(plan, jnp.reshape(values["displacements"], plan.moving_points.shape))
 
 
-def _displacements(shape: Any, plan: jm.Plan, parameters: PyTree, values: Values) -> Float[Array, "m d"]:
-    return shapes.displacement(shape, plan, from_inputs(parameters, values))
-
-
-def _positions(shape: Any, plan: jm.Plan, parameters: PyTree, values: Values) -> Float[Array, "m d"]:
-    return plan.moving_points + _displacements(shape, plan, parameters, values)
+def _wall(shape: Any, plan: jm.Plan, parameters: PyTree, positions: bool, values: Values) -> Points:
+    u = shapes.displacement(shape, plan, from_inputs(parameters, values))
+    return plan.moving_points + u if positions else u
 
 
 def _arrays(vector: Any) -> Values:

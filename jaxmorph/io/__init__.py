@@ -8,6 +8,7 @@ from ._boxes import with_boxes as with_boxes
 from ._boxes import write_lattice as write_lattice
 from ._displacement import read_displacement as read_displacement
 from ._displacement import read_facets as read_facets
+from ._displacement import read_surface as read_surface
 from ._registry import as_written as as_written
 from ._registry import cell_arrays as cell_arrays
 from ._registry import check_output as check_output
@@ -25,7 +26,6 @@ from ._sensitivity import write_gradient as write_gradient
 from ._sensitivity import write_sensitivity as write_sensitivity
 from ._su2 import read_zones as read_zones
 from ._su2 import write_zones as write_zones
-from ._surface import read_surface as read_surface
 from .openfoam.parts import Decomposed as Decomposed
+from .openfoam.parts import export_case as export_case
 from .openfoam.parts import global_nodes as global_nodes
-from .openfoam.plans import export_case as export_case

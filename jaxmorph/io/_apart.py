@@ -2,22 +2,22 @@
 
 import multiprocessing.spawn
 import os
-import pathlib
 import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 SMALL, UNPACKED = 4 * 10**8, 200
 """Bytes of memory that any file may need, and that a byte of it may need."""
 
 
-def run_apart(task: str, path: pathlib.Path, size: int, folder: str) -> bytes:
+def run_apart(task: str, path: Path, size: int, folder: str) -> bytes:
     """Runs a task of `_apart_script.py` on a file of so many bytes, and returns what it prints.
 
     Raises `ValueError` for a process that ended by a signal, or with a message.
     """
-    most, script = SMALL + UNPACKED * size, pathlib.Path(__file__).with_name("_apart_script.py")
+    most, script = SMALL + UNPACKED * size, Path(__file__).with_name("_apart_script.py")
     words = [_python(), "-P", str(script), task, str(path.absolute()), folder, str(most)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(words, capture_output=True, stdin=subprocess.DEVNULL, env=environment, check=False)
@@ -34,5 +34,5 @@ def run_apart(task: str, path: pathlib.Path, size: int, folder: str) -> bytes:
 def _python() -> str:
     """Finds Python, where this process may be another program that has Python in it."""
     program = os.fsdecode(multiprocessing.spawn.get_executable() or "")
-    is_python = "py" in pathlib.Path(program).name.lower()
+    is_python = "py" in Path(program).name.lower()
     return program if is_python else shutil.which("python3") or "python3"

@@ -6,22 +6,20 @@ memory, and puts into the folder what is read. Tasks are
 
 - `vtk`: each data set in VTK's XML, raw and uncompressed. One line of JSON is printed: the names of
   the data sets, and what VTK said;
-- `gmsh`: `mesh.pickle`, points in the order of their numbers, and for the elements of each entity
-  gmsh's type, ids of nodes, names, and number;
+- `gmsh`: `mesh.pickle`, points in the order of their numbers, for the elements of each entity its
+  dimension and number, gmsh's type, ids of nodes and groups, and names of groups;
 - a name of meshio's formats: `mesh.pickle`, meshio's mesh.
 """
 
 import json
-import pathlib
 import pickle
 import re
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s+(\w+)", re.IGNORECASE)
-KINDS = {name.upper().replace(" ", "_"): name.replace(" ", "") for name in ("Unstructured Grid", "Structured Grid")}
-KINDS |= {"POLYDATA": "PolyData", "STRUCTURED_POINTS": "StructuredPoints", "RECTILINEAR_GRID": "RectilinearGrid"}
+HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s")
 
 MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
@@ -29,13 +27,13 @@ MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 
 def main(task: str, file: str, folder: str, most: str) -> None:
     if task == "vtk":
-        by_vtk(pathlib.Path(file), pathlib.Path(folder), int(most))
+        by_vtk(Path(file), Path(folder), int(most))
         return
     try:
         found = by_gmsh(file, int(most)) if task == "gmsh" else by_meshio(task, file, int(most))
     except (Exception, SystemExit) as error:  # libraries answer damage by a dozen classes
         raise SystemExit(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}") from None
-    pathlib.Path(folder, "mesh.pickle").write_bytes(pickle.dumps(found))
+    Path(folder, "mesh.pickle").write_bytes(pickle.dumps(found))
 
 
 def by_meshio(kind: str, file: str, most: int) -> Any:
@@ -45,7 +43,7 @@ def by_meshio(kind: str, file: str, most: int) -> Any:
     return meshio.read(file, file_format=kind)
 
 
-def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], int]]]:
+def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple], dict[tuple[int, int], str]]:
     import gmsh
     import numpy as np
 
@@ -53,25 +51,24 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple[int, Any, list[str], 
     gmsh.initialize(argv=["gmsh", "-noenv"], readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.open(file)
-    mesh, found = gmsh.model.mesh, []
+    mesh, found, names = gmsh.model.mesh, [], {}
     tags, places, _ = map(np.asarray, mesh.getNodes())
     # gmsh's tags of nodes have gaps and any order: node i is the one with the i-th smallest tag
     order = np.argsort(tags)
-    ascending = tags[order]
     for level, entity in gmsh.model.getEntities():
-        groups = gmsh.model.getPhysicalGroupsForEntity(level, entity)
-        names = [gmsh.model.getPhysicalName(level, group) or f"group_{group}" for group in groups]
+        groups = [int(group) for group in gmsh.model.getPhysicalGroupsForEntity(level, entity)]
+        names |= {(level, tag): gmsh.model.getPhysicalName(level, tag) or f"group_{tag}" for tag in groups}
         for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
             width = mesh.getElementProperties(number)[3]
-            ids = np.searchsorted(ascending, nodes).reshape(-1, width)
-            found.append((int(number), ids, names, entity))
-    return places.reshape(-1, 3)[order], found
+            ids = np.searchsorted(tags[order], nodes).reshape(-1, width)
+            found.append((level, entity, int(number), ids, groups))
+    return places.reshape(-1, 3)[order], found, names
 
 
-def by_vtk(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:
+def by_vtk(path: Path, folder: Path, most: int) -> None:
     from vtkmodules import vtkCommonCore
 
-    reader, names = vtk_reader(path), []
+    reader, names = vtk_reader(path, folder), []
     limit_memory(most)
     said = vtkCommonCore.vtkStringOutputWindow()
     vtkCommonCore.vtkOutputWindow.SetInstance(said)
@@ -79,7 +76,9 @@ def by_vtk(path: pathlib.Path, folder: pathlib.Path, most: int) -> None:
     reader.Update()
     for name, data in data_sets(reader.GetOutputDataObject(0)):
         if data.IsA("vtkDataSet") and path.suffix.lower() not in (".pvtu", ".vtm"):
-            check_counts(path.read_bytes(), data)
+            raw = path.read_bytes()
+            check_counts(raw, data)
+            check_numbers(raw, data)
         write(folder / f"{len(names)}.xml", data)
         names.append(name)
     text = said.GetOutput()
@@ -91,12 +90,12 @@ def limit_memory(most: int) -> None:
     if sys.platform == "linux":
         import resource
 
-        used = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]
         resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
 
 
-def vtk_reader(path: pathlib.Path) -> Any:
+def vtk_reader(path: Path, folder: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
     if path.suffix.lower() != ".vtk":
@@ -104,23 +103,19 @@ def vtk_reader(path: pathlib.Path) -> Any:
         reader.SetFileName(str(path))
         return reader
     raw = path.read_bytes()
-    head = HEAD.match(raw)
-    if head is None:
+    if not HEAD.match(raw):
         raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
-    kind = head[1].decode(errors="replace").upper()
-    if kind not in KINDS:
-        raise SystemExit(f"{kind} in it is no mesh; read are {', '.join(KINDS)}")
-    raw = re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw)
-    reader = getattr(vtkIOLegacy, f"vtk{KINDS[kind]}Reader")()
+    copy = folder / "copy.vtk"
+    copy.write_bytes(re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw))
+    reader = vtkIOLegacy.vtkGenericDataObjectReader()
     for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
         getattr(reader, f"ReadAll{name}On")()
-    reader.ReadFromInputStringOn()
-    reader.SetBinaryInputString(raw, len(raw))
+    reader.SetFileName(str(copy))
     return reader
 
 
 def check_counts(raw: bytes, data: Any) -> None:
-    """Refuses more numbers, or fewer arrays, than announced: VTK says nothing of them."""
+    """Refuses fewer cells or arrays than announced: VTK says nothing of them."""
     fields = (data.GetPointData(), data.GetCellData(), data.GetFieldData())
     announced = sum(map(int, re.findall(rb"^FIELD \S+ (\d{1,9})\s", raw, re.MULTILINE)))
     found = sum(field.GetNumberOfArrays() for field in fields)
@@ -131,14 +126,18 @@ def check_counts(raw: bytes, data: Any) -> None:
         raise SystemExit("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
     if data.GetNumberOfCells() < 1:
         raise SystemExit("no cells, the file is cut short, or damaged")
+
+
+def check_numbers(raw: bytes, data: Any) -> None:
+    """Refuses more or fewer numbers in a text than its arrays have."""
     counts = {rb"<Points>\s*<DataArray[^>]*": 3 * data.GetNumberOfPoints()}
     if data.IsA("vtkUnstructuredGrid"):
-        sizes = [data.GetNumberOfCells()] * 2 + [data.GetCells().GetNumberOfConnectivityIds()]
-        names = (b"types", b"offsets", b"connectivity")
-        counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in zip(names, sizes, strict=True)}
+        sizes = {b"types": data.GetNumberOfCells(), b"offsets": data.GetNumberOfCells()}
+        sizes[b"connectivity"] = data.GetCells().GetNumberOfConnectivityIds()
+        counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in sizes.items()}
     for start, count in counts.items():
         texts = [text for tag, text in re.findall(rb"(%s)>([^<]*)<" % start, raw) if b'"ascii"' in tag]
-        words = [float(word) for text in texts for word in text.split()]  # a `ValueError` ends the script
+        words = [float(word) for word in b" ".join(texts).split()]  # a `ValueError` ends the script
         if texts and len(words) != count:
             raise SystemExit(f"{len(words)} numbers are found where there are {count}")
 
@@ -161,12 +160,12 @@ def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
         blocks.GoToNextItem()
 
 
-def write(path: pathlib.Path, data: Any) -> None:
+def write(path: Path, data: Any) -> None:
     from vtkmodules import vtkIOXML
 
-    writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
-    if writer is None:
+    if not data.IsA("vtkDataSet"):
         raise SystemExit(f"{data.GetClassName()} is no mesh")
+    writer = vtkIOXML.vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
     writer.SetInputData(data)
     writer.SetDataModeToAppended()
     writer.EncodeAppendedDataOff()

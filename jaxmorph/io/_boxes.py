@@ -1,13 +1,16 @@
 """Boxes of free-form deformation in files: TOML, SU2's meshes, and lattices for ParaView."""
 
 import dataclasses
-import os
-import pathlib
+import itertools
+import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import Mesh
@@ -19,14 +22,16 @@ from jaxmorph._mesh.exchange import gathered
 
 from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, by_zones
-from ._text import Section, decoded, parse
+from ._text import PathLike, Section, decoded
 from ._vtk import Encoding, text_of
 
-Points = Float[np.ndarray, "..."]
-Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]
+Points = Float[ndarray, "..."]
+Surface = Mapping[str, tuple[Int[ndarray, " k"], Float[ndarray, "k d"]]]
 
 NEEDED, OPTIONAL = {"points", "moved"}, {"degree", "continuity"}
 """Keys of a box's table, beside those of its place."""
+ORDERS = ("BSPLINE_ORDER_I", "BSPLINE_ORDER_J", "BSPLINE_ORDER_K")
+RELATIVES = ("FFD_PARENTS", "FFD_CHILDREN")
 MOST = 10**6
 """Control points that a box may have."""
 HALF = 0.5
@@ -35,8 +40,8 @@ HALF = 0.5
 
 @checked
 def read_box(
-    source: str | os.PathLike[str] | Mapping[str, Any], dimensions: int
-) -> "tuple[jm.shapes.FreeForm | jm.shapes.Hexahedron, Float[np.ndarray, '*counts d']]":
+    source: PathLike | Mapping[str, Any], dimensions: int
+) -> "tuple[jm.shapes.FreeForm | jm.shapes.Hexahedron, Float[ndarray, '*counts d']]":
     """Reads a box of control points, and the displacements of its control points.
 
     The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in
@@ -54,20 +59,15 @@ def read_box(
     **Raises:** `ValueError` for a bad table, other dimensions, and a displacement of a control
     point that is held.
     """
-    is_table = isinstance(source, Mapping)
-    where = "--box" if is_table else str(source)
-    table = dict(source) if is_table else read(where, input_path(source).read_bytes())
-    with faults_of(pathlib.Path(where)):
+    where = "--box" if isinstance(source, Mapping) else str(source)
+    table = dict(source) if isinstance(source, Mapping) else read(where, input_path(source).read_bytes())
+    with faults_of(Path(where)):
         box = _box_of(table, dimensions)
         control = np.zeros((*box.counts, dimensions))
-        for entry in table["moved"]:
+        for entry in table["moved"] if isinstance(table["moved"], list) else [table["moved"]]:
             if not isinstance(entry, dict) or set(entry) != {"at", "by"}:
                 raise ValueError(f"each of moved has at and by, found {entry}.")
-            at = _numbers("at", entry["at"], dimensions)
-            if (at < 0).any() or (at >= box.counts).any() or (at != np.floor(at)).any():
-                most = np.array(box.counts) - 1
-                raise ValueError(f"at = {entry['at']} is none of the control points 0 to {most}.")
-            place = tuple(at.astype(int))
+            place = tuple(_whole("at", entry["at"], 0, np.array(box.counts) - 1))
             if not box.free[place]:
                 raise ValueError(f"control point {entry['at']} is held by continuity = {box.continuity}.")
             control[place] += _numbers("by", entry["by"], dimensions)
@@ -76,31 +76,30 @@ def read_box(
 
 def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.Hexahedron":
     needed = NEEDED | ({"corners"} if "corners" in table else {"low", "high"})
-    if not needed <= set(table) <= needed | OPTIONAL or not isinstance(table["moved"], list):
+    if not needed <= set(table) <= needed | OPTIONAL:
         listed = ", ".join(table) or "nothing"
         raise ValueError(f"low and high or corners, points and a list moved expected, found {listed}.")
-    counts, options = _counts(table["points"], d), {name: table[name] for name in OPTIONAL & set(table)}
-    if any(type(value) is not int for value in options.values()):
-        raise ValueError(f"degree and continuity are whole numbers, found {options}.")
+    counts = _whole("points", table["points"], 2, np.full(d, MOST))
+    if math.prod(counts) > MOST:
+        raise ValueError(f"points = {counts} are {math.prod(counts):.3g} control points; {MOST} at most.")
+    more = {name: table[name] for name in OPTIONAL & table.keys()}
     if "corners" in table:
         rows = table["corners"] if isinstance(table["corners"], list) else [table["corners"]]
-        return jm.shapes.Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **options)
-    low, high = (_numbers(name, table[name], d) for name in ("low", "high"))
+        return jm.shapes.Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **more)
+    low, high = _numbers("low", table["low"], d), _numbers("high", table["high"], d)
     if not (low < high).all():
         raise ValueError("low must be below high.")
-    return jm.shapes.FreeForm(low, np.diag(high - low), counts, **options)
+    return jm.shapes.FreeForm(low, np.diag(high - low), counts, **more)
 
 
-def _counts(given: Any, d: int) -> list[int]:
-    counts = _numbers("points", given, d)
-    if not (counts >= 2).all() or (counts != np.floor(counts)).any():
-        raise ValueError("points must be 2 or more whole numbers of control points.")
-    if counts.prod() > MOST:
-        raise ValueError(f"points = {given} are {counts.prod():.3g} control points; {MOST} at most.")
-    return counts.astype(int).tolist()
+def _whole(name: str, values: Any, least: int, most: Int[ndarray, " d"]) -> list[int]:
+    numbers = _numbers(name, values, len(most))
+    if (numbers != np.clip(np.floor(numbers), least, most)).any():
+        raise ValueError(f"{name} = {values}: whole numbers from {least} to {most.tolist()} expected.")
+    return numbers.astype(int).tolist()
 
 
-def _numbers(name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
+def _numbers(name: str, values: Any, d: int) -> Float[ndarray, " d"]:
     good = isinstance(values, list) and len(values) == d and all(type(value) in (int, float) for value in values)
     if not good or not np.isfinite(values).all():
         raise ValueError(f"{name} needs {d} numbers for a mesh in {d}-D, found {values}.")
@@ -108,7 +107,7 @@ def _numbers(name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
 
 
 @checked
-def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
+def write_lattice(file: PathLike, points: Any) -> None:
     """Writes a lattice of control points as a structured grid in VTK's XML, which ParaView opens.
 
     **Arguments:**
@@ -130,7 +129,7 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
 
 
 @checked
-def check_lattice_output(file: str | os.PathLike[str]) -> pathlib.Path:
+def check_lattice_output(file: PathLike) -> Path:
     """Raises `ValueError` or `ImportError` where `write_lattice` cannot write; returns the path."""
     path = output_path(file, *LATTICES)
     vtk.vtk("vtkIOXML")
@@ -171,14 +170,11 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
     **Raises:** `ValueError`, with file and line, for a section that is cut short.
     """
     source = source_of(mesh, NAME)
-    if source is None or b"FFD_NBOX" not in source.content.text:
+    keywords = [] if source is None or b"FFD_NBOX" not in source.content.text else _keywords(source)
+    if "FFD_NBOX" not in [keyword.name for keyword in keywords]:
         return ()
-    keywords = _keywords(source)
     starts = [k for k, keyword in enumerate(keywords) if keyword.name == "FFD_TAG"]
-    ends = [*starts[1:], len(keywords)]
-    if not any(keyword.name == "FFD_NBOX" for keyword in keywords):
-        return ()
-    return tuple(_box(keywords[a:b], *mesh.points.shape) for a, b in zip(starts, ends, strict=True))
+    return tuple(_box(keywords[a:b], *mesh.points.shape) for a, b in itertools.pairwise([*starts, None]))
 
 
 @checked
@@ -208,7 +204,7 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
         before += end
     shift = len(before) + len(written) - stop if start < content.start else 0
     text = before + written + content.text[stop:]
-    changed = dataclasses.replace(content, text=text, start=content.start + shift, stop=content.stop + shift)
+    changed = content._replace(text=text, start=content.start + shift, stop=content.stop + shift)
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
 
 
@@ -222,96 +218,84 @@ def _check_new(new: Sequence[Box], d: int) -> None:
         raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
 
 
-def _keywords(source: Source) -> Sequence[Keyword]:
-    content = source.content
-    zones = by_zones(source.path, content.text)
-    return next(
-        zone for zone in zones if any(word.name == "NPOIN" and word.section.start == content.start for word in zone)
-    )
+def _keywords(source: Source) -> list[Keyword]:
+    start = source.content.start
+    zones = by_zones(source.path, source.content.text)
+    return next(zone for zone in zones if ("NPOIN", start) in [(word.name, word.section.start) for word in zone])
 
 
 def _extent(source: Source) -> tuple[int, int]:
     keywords = _keywords(source)
-    section = [keyword for keyword in keywords if keyword.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
-    if not section:
+    sections = [each.section for each in keywords if each.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
+    if not sections:
         end = keywords[-1].section.stop
         return end, end
-    first = section[0].section.start
-    return source.content.text.rfind(b"\n", 0, first - 1) + 1, section[-1].section.stop
+    return source.content.text.rfind(b"\n", 0, sections[0].start - 1) + 1, sections[-1].stop
 
 
 def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     table = {keyword.name: keyword for keyword in keywords}
-    name, at = table["FFD_TAG"].value.replace(" ", ""), table["FFD_TAG"].section
-
-    def number(word: str, default: int | None = None) -> int:
-        if word in table:
-            return table[word].number()
-        if default is None:
-            raise at.error(f"box {name} has no {word}=; SU2 writes it by DV_KIND= FFD_SETTING.")
-        return default
-
-    degrees = np.array([number(f"FFD_DEGREE_{axis}") for axis in "IJK"[:d]])
-    orders = np.array([number(f"BSPLINE_ORDER_{axis}", 0) for axis in "IJK"[:d]])
-    is_spline = ((orders > 1) & (orders <= degrees + 1)).all()
-    corners = _rows(table, "FFD_CORNER_POINTS", at, d)
-    if len(corners) != 2**d:
-        raise at.error(f"box {name} has {len(corners)} corners; {2**d} expected in {d}-D.")
+    tag, empty = table["FFD_TAG"], Section(Path(), b"", 0, 0)
+    name = tag.value.replace(" ", "")
     try:
-        shape = jm.shapes.Hexahedron(
-            corners, (degrees + 1).tolist(), degree=(orders - 1).tolist() if is_spline else None
-        )
+        shape = _shape(table, d)
+        control = _control(_rows(table["FFD_CONTROL_POINTS"], 6), shape)
+    except KeyError as error:
+        missing = f"box {name} has no {error.args[0]}=; SU2 writes it by DV_KIND= FFD_SETTING."
+        raise tag.section.error(missing) from error
     except ValueError as error:
-        raise at.error(f"box {name}: {error}") from error
-    control = _control(_rows(table, "FFD_CONTROL_POINTS", at, 6), shape, at)
-    surface = _surface(table.get("FFD_SURFACE_POINTS"), n, d)
-    relatives = (_names(table.get(word)) for word in ("FFD_PARENTS", "FFD_CHILDREN"))
-    return Box(name, shape, control, surface, number("FFD_LEVEL", 0), *relatives)
+        raise error if ", line " in str(error) else tag.section.error(f"box {name}: {error}") from error
+    others = {word: Keyword(word, "0", empty) for word in ("FFD_LEVEL", "FFD_SURFACE_POINTS", *RELATIVES)} | table
+    lists = [others[word].section.content.split(b"\n") for word in RELATIVES]
+    relatives = [tuple(decoded(line.strip()) for line in lines if line.strip()) for lines in lists]
+    surface = _surface(others["FFD_SURFACE_POINTS"], n, d)
+    return Box(name, shape, control, surface, others["FFD_LEVEL"].number(), *relatives)
 
 
-def _names(keyword: Keyword | None) -> tuple[str, ...]:
-    return () if keyword is None else tuple(decoded(line.strip()) for line in _content(keyword) if line.strip())
+def _shape(table: Mapping[str, Keyword], d: int) -> "jm.shapes.Hexahedron":
+    degrees = np.array([table[f"FFD_DEGREE_{axis}"].number() for axis in "IJK"[:d]])
+    orders = [table[word].number() if word in table else 0 for word in ORDERS[:d]]
+    is_spline = all(1 < order <= degree + 1 for order, degree in zip(orders, degrees.tolist(), strict=True))
+    corners = _rows(table["FFD_CORNER_POINTS"], d)
+    if len(corners) != 2**d:
+        raise ValueError(f"{len(corners)} corners; {2**d} expected in {d}-D.")
+    degree = [order - 1 for order in orders] if is_spline else None
+    return jm.shapes.Hexahedron(corners, (degrees + 1).tolist(), degree=degree)
 
 
-def _content(keyword: Keyword) -> list[bytes]:
-    return keyword.section.text[keyword.section.start : keyword.section.stop].split(b"\n")
-
-
-def _rows(table: Mapping[str, Keyword], name: str, at: Section, width: int) -> Float[np.ndarray, "k w"]:
-    if name not in table:
-        raise at.error(f"a box has no {name}=.")
-    keyword = table[name]
+def _rows(keyword: Keyword, width: int) -> Float[ndarray, "k w"]:
     rows = keyword.section.rows(np.float64)
     if (rows.counts != width).any() or len(rows.counts) != keyword.number():
-        raise keyword.section.error(f"{name}= {keyword.value}: as many rows of {width} numbers expected.")
+        message = f"{keyword.name}= {keyword.value}: as many rows of {width} numbers expected."
+        raise keyword.section.error(message)
     return rows.values.reshape(-1, width)
 
 
-def _control(rows: Float[np.ndarray, "k 6"], shape: "jm.shapes.Hexahedron", at: Section) -> Points:
+def _control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> Points:
     """Sorts control points by their numbers; in 2-D, two above each other become their mean."""
     d = len(shape.counts)
     counts = (*shape.counts, *(2,) * (3 - d))
     if not len(rows):
         return np.asarray(shape.lattice())
-    ids = rows[:, :3].astype(int)
-    if not np.array_equal(np.unique(ids, axis=0), list(np.ndindex(counts))) or len(ids) != np.prod(counts):
-        raise at.error(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
-    control = np.empty((*counts, 3))
-    control[tuple(ids.T)] = rows[:, 3:]
+    rows = rows[np.lexsort(rows[:, 2::-1].T)]
+    if not np.array_equal(rows[:, :3], list(np.ndindex(counts))):
+        raise ValueError(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
+    control = rows[:, 3:].reshape(*counts, 3)
     return control if d == 3 else control.mean(axis=2)[..., :2]
 
 
-def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
-    if keyword is None:
-        return {}
-    lines = [words for words in map(bytes.split, _content(keyword)) if words]
-    if len(lines) != keyword.number():
-        raise keyword.section.error(f"FFD_SURFACE_POINTS= {keyword.value}, but {len(lines)} rows follow.")
-    rows = [parse(b" ".join(words[1:]), np.float64) for words in lines]
-    for row, values in enumerate(rows):
-        if len(values) != len(lines[row]) - 1 or len(values) != 4 or not 0 <= values[0] < n or values[0] % 1:
-            raise keyword.section.error("a marker, a node and three coordinates in the box expected.", row)
-    tables = gathered((decoded(words[0]), values[None]) for words, values in zip(lines, rows, strict=True))
+def _surface(keyword: Keyword, n: int, d: int) -> Surface:
+    """Reads rows of a marker, a node and three coordinates; these are left in the text alone."""
+    section, word = keyword.section, re.compile(rb"(?m)^[ \t]*(\S+)")
+    text = section.text[: section.start] + word.sub(b"", section.content)
+    numbers = section._replace(text=text, stop=len(text))
+    rows = _rows(keyword._replace(section=numbers), 4)
+    wrong = np.flatnonzero(~np.isin(rows[:, 0], np.arange(n)))
+    if len(wrong):
+        raise numbers.error("a marker, a node and three coordinates in the box expected.", int(wrong[0]))
+    tables = gathered(
+        (decoded(marker), row[None]) for marker, row in zip(word.findall(section.content), rows, strict=True)
+    )
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 
 
@@ -333,14 +317,17 @@ def _lines(new: Sequence[Box]) -> Iterator[str]:
 
 def _points(box: Box) -> Iterator[str]:
     """Yields corners, control points, in 2-D below and above the plane, and nodes in the box."""
-    corners, control, d = box.shape.given_corners.tolist(), np.asarray(box.control, float), len(box.shape.counts)
-    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *("\t".join(map(repr, row)) for row in corners))
+    corners, control, d = box.shape.given_corners, np.asarray(box.control, float), len(box.shape.counts)
+    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *map(_row, corners.tolist()))
     if d == 2:
         control = np.stack([np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2)
-    places = np.ndindex(control.shape[:-1])
     yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
-    yield from ("\t".join([*map(str, place), *map(repr, control[place].tolist())]) for place in places)
+    yield from (_row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1]))
     yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
     for marker, (nodes, inside) in box.surface.items():
         for node, x in zip(nodes.tolist(), inside.tolist(), strict=True):
-            yield "\t".join([marker, str(node), *map(repr, [*x, *[HALF] * (3 - d)])])
+            yield f"{marker}\t{_row([node, *x, *[HALF] * (3 - d)])}"
+
+
+def _row(numbers: list) -> str:
+    return "\t".join(map(repr, numbers))

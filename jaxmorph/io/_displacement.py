@@ -1,21 +1,25 @@
-"""Displacements of a mesh's moving nodes from a file, or from two surfaces (STL, OBJ, NPZ)."""
+"""Displacements of moving nodes from a file, or from two surfaces (STL, OBJ, NPZ); tables by node.
 
-import dataclasses
-import os
-import pathlib
+A table has rows of node id, x, y[, z] in text; SU2's restart files are one in binary.
+"""
+
 import re
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 
 from jaxmorph import Facets, Mesh
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import input_path, read_arrays, real_array
+from jaxmorph._host.package.rounding import rows_in
 from jaxmorph._host.surface.gaps import closest, fans
 
+from ._format import faults_of
 from ._registry import read
-from ._surface import check_values, read_named, read_surface
-from ._text import parse, scan
+from ._text import PathLike, Section, decoded, parse, scan
 
 SHAPES = (".stl", ".obj")
 OFF = 0.01
@@ -24,13 +28,13 @@ OFF = 0.01
 
 @checked
 def read_displacement(
-    path: str | os.PathLike[str],
+    path: PathLike,
     mesh: Mesh,
-    moving: Int[np.ndarray, " m"],
+    moving: Int[ndarray, " m"],
     *,
-    before: str | os.PathLike[str] | None = None,
+    before: PathLike | None = None,
     is_position: bool = True,
-) -> Float[np.ndarray, "m d"]:
+) -> Float[ndarray, "m d"]:
     """Reads the displacement of each of the nodes `moving`, in their order.
 
     With `before` it goes from one surface to another of the same points in the same order (.stl,
@@ -56,23 +60,22 @@ def read_displacement(
     points = np.asarray(mesh.points)
     if before is not None:
         return _between(input_path(before), path, points[moving])
-    if path.suffix.lower() in SHAPES:
-        raise ValueError(f"{path}: a surface without node ids; give the surface before the motion too.")
-    of_file = getattr(mesh.source, "node_ids", None)
+    of_file, d = getattr(mesh.source, "node_ids", None), points.shape[1]
     numbers = moving if of_file is None else of_file[moving]
-    if path.suffix.lower() == ".npz":
-        ids, values, name = read_named(path, ("displacement", "position"), numbers)
-        is_position = name == "position"
-    else:
-        ids, values = read_surface(path, points.shape[1])
-    check_values(path, ids, values, points.shape[1])
-    _check_ids(path, ids, numbers)
-    values = values[np.argsort(ids)][np.argsort(np.argsort(moving))]
+    with faults_of(path):
+        if path.suffix.lower() in SHAPES:
+            raise ValueError("a surface without node ids; give the surface before the motion too.")
+        if path.suffix.lower() == ".npz":
+            ids, values, name = read_named(path, ("displacement", "position"), numbers)
+            is_position = name == "position"
+        else:
+            ids, values = read_surface(path, d)
+        values = in_order(ids, values, d, numbers, (numbers, "the moving patches"))
     return values - points[moving] if is_position else values
 
 
 @checked
-def read_facets(path: str | os.PathLike[str], d: int = 3, *, smooth: bool = False) -> Facets:
+def read_facets(path: PathLike, d: int = 3, *, smooth: bool = False) -> Facets:
     """Reads a surface in 3-D, a curve in 2-D: a scan, or the tessellation of a CAD model.
 
     **Arguments:**
@@ -94,18 +97,7 @@ def read_facets(path: str | os.PathLike[str], d: int = 3, *, smooth: bool = Fals
     return Facets(shape.points[:, :d], shape.simplices, smooth=smooth)
 
 
-def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
-    foreign, missing = np.setdiff1d(ids, moving), np.setdiff1d(moving, ids)
-    faults = []
-    if foreign.size:
-        faults.append(f"{foreign.size} of its {len(ids)} node ids are not of the moving patches (first {foreign[0]})")
-    if missing.size:
-        faults.append(f"{missing.size} of the {len(moving)} moving nodes are missing (first {missing[0]})")
-    if faults:
-        raise ValueError(f"{path}: {', and '.join(faults)}.")
-
-
-def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
+def _between(before: Path, after: Path, x: ndarray) -> ndarray:
     old, new = read_shape(before), read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
         sizes = " and ".join(f"{len(surface.points)} points, {len(surface.simplices)} faces" for surface in (old, new))
@@ -127,28 +119,28 @@ def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.nda
     return values
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Shape:
+class Simplices(NamedTuple):
     """`points` (p, 2 or 3), and `simplices`: triangles (t, 3), or a curve's segments (t, 2)."""
 
-    points: np.ndarray
-    simplices: np.ndarray
+    points: ndarray
+    simplices: ndarray
 
 
-def read_shape(path: pathlib.Path) -> Shape:
+def read_shape(path: Path) -> Simplices:
     """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either)."""
-    if path.suffix.lower() not in READERS:
-        raise ValueError(f"{path}: a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
-    shape = READERS[path.suffix.lower()](path)
-    if not len(shape.simplices) or shape.points.ndim != 2 or not np.isfinite(shape.points).all():
-        contents = f"{len(shape.simplices)} faces between points of shape {shape.points.shape}"
-        raise ValueError(f"{path}: not a surface, or a damaged one: {contents}, all finite, expected.")
-    if shape.simplices.min() < 0 or shape.simplices.max() >= len(shape.points):
-        raise ValueError(f"{path}: a face names a point that is not among the {len(shape.points)} of this file.")
-    return shape
+    with faults_of(path):
+        if path.suffix.lower() not in READERS:
+            raise ValueError(f"a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
+        points, simplices = READERS[path.suffix.lower()](path)
+        if not len(simplices) or points.ndim != 2 or not np.isfinite(points).all():
+            contents = f"{len(simplices)} faces between points of shape {points.shape}"
+            raise ValueError(f"not a surface, or a damaged one: {contents}, all finite, expected.")
+        if simplices.min() < 0 or simplices.max() >= len(points):
+            raise ValueError(f"a face names a point that is not among the {len(points)} of this file.")
+        return Simplices(points, simplices)
 
 
-def _stl(path: pathlib.Path) -> Shape:
+def _stl(path: Path) -> Simplices:
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
@@ -157,17 +149,17 @@ def _stl(path: pathlib.Path) -> Shape:
     else:
         values = parse(b" ".join(re.findall(rb"vertex\s([^\r\n]*)", data)), np.float64)
         if len(values) % 9:
-            raise ValueError(f"{path}: {len(values)} coordinates of vertices are no whole number of triangles.")
+            raise ValueError(f"{len(values)} coordinates of vertices are no whole number of triangles.")
         points = values.reshape(-1, 3)
-    return Shape(points, np.arange(len(points)).reshape(-1, 3))
+    return Simplices(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _obj(path: pathlib.Path) -> Shape:
+def _obj(path: Path) -> Simplices:
     data = path.read_bytes()
     rows = re.findall(rb"^v\s+(\S+\s+\S+\s+\S+)", data, re.MULTILINE)
     values = parse(b" ".join(rows), np.float64)
     if len(values) != 3 * len(rows):
-        raise ValueError(f"{path}: a vertex holds something that is not a number.")
+        raise ValueError("a vertex holds something that is not a number.")
     points = values.reshape(-1, 3)
     for mark, corners in ((b"f", 3), (b"l", 2)):
         text = b"\n".join(re.findall(rb"^" + mark + rb"\s+([^\r\n]*)", data, re.MULTILINE))
@@ -175,27 +167,145 @@ def _obj(path: pathlib.Path) -> Shape:
             text = re.sub(rb"/\S*", b"", text)
             ids, counts = parse(text, np.int64), scan(text)[2]
             if len(ids) != counts.sum() or (counts < corners).any() or (ids < 1).any():
-                raise ValueError(f"{path}: faces and lines need the numbers, from 1, of {corners} vertices or more.")
-            return Shape(points, fans(ids - 1, counts) if corners == 3 else _chains(ids - 1, counts))
-    return Shape(points, np.zeros((0, 3), np.int64))
+                raise ValueError(f"faces and lines need the numbers, from 1, of {corners} vertices or more.")
+            chains = np.delete(np.column_stack([ids[:-1], ids[1:]]), np.cumsum(counts)[:-1] - 1, axis=0) - 1
+            return Simplices(points, fans(ids - 1, counts) if corners == 3 else chains)
+    return Simplices(points, np.zeros((0, 3), np.int64))
 
 
-def _chains(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    pairs = np.stack([ids[:-1], ids[1:]], axis=1)
-    return np.delete(pairs, np.cumsum(counts)[:-1] - 1, axis=0)
-
-
-def _npz(path: pathlib.Path) -> Shape:
+def _npz(path: Path) -> Simplices:
     arrays = read_arrays(path)
     kind = next((name for name in ("triangles", "lines") if name in arrays), "")
     if not kind or "points" not in arrays:
         listed = ", ".join(arrays) or "none"
-        raise ValueError(f"{path}: arrays points, and triangles or lines, expected; found {listed}.")
+        raise ValueError(f"arrays points, and triangles or lines, expected; found {listed}.")
     simplices, corners = arrays[kind], 3 if kind == "triangles" else 2
     if simplices.dtype.kind not in "iu" or simplices.ndim != 2 or simplices.shape[1] != corners:
         found = f"{simplices.dtype} of shape {simplices.shape}"
-        raise ValueError(f"{path}: {kind} must be whole numbers (k, {corners}), found {found}.")
-    return Shape(real_array(path, arrays, "points"), simplices.astype(np.int64))
+        raise ValueError(f"{kind} must be whole numbers (k, {corners}), found {found}.")
+    return Simplices(real_array(path, arrays, "points"), simplices.astype(np.int64))
 
 
 READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}
+
+
+FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
+"""A line `NAME= value`, as SU2's older restarts have behind their rows."""
+NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
+HEAD = re.compile(rb"\s*[\"']*(?!(?:nan|inf)\b)[a-z][^\n]*\n?", re.IGNORECASE)
+"""A header: a first line that begins with a name."""
+IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
+"""Headers of the column of node ids, which is the first one otherwise."""
+MAGICS = {(535532).to_bytes(4, "little"): "<", (535532).to_bytes(4, "big"): ">"}
+"""The first number of a binary restart, in four bytes of either order."""
+HEADER = 5
+"""Whole numbers at its beginning: 535532, the counts of columns and nodes, and two zeros."""
+WIDTH = 33
+"""Bytes of the name of one of its columns."""
+
+
+@checked
+def read_surface(path: PathLike, d: int) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
+    """Reads ids and d numbers each, from lines `id, x, y[, z]`: SU2's surfaces, or CSV.
+
+    Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#`
+    are skipped. The numbers are positions or displacements.
+
+    **Arguments:**
+
+    - `path`: the file.
+    - `d`: how many numbers follow each id, 2 or 3.
+
+    **Returns:** node ids (m,) and numbers (m, d).
+
+    **Raises:** `ValueError`, with file and line, for other contents and duplicate or broken ids.
+    """
+    path = input_path(path)
+    with faults_of(path):
+        return read_table(path, d)
+
+
+def read_table(path: Path, d: int, wanted: tuple[str, ...] = ()) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
+    """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
+    text = path.read_bytes()
+    if wanted and text[:4] in MAGICS:
+        return _restart(text, wanted[:d])
+    text = FACT.sub(b"", re.sub(rb"[%#][^\n]*", b"", text))
+    found = HEAD.match(text)
+    head = found[0] if found else b""
+    names = [decoded(name.strip(b"\"'").lower()) for name in NAME.findall(head)]
+    rows = Section(path, re.sub(rb"[,;]", b" ", text), len(head), len(text)).rows(np.float64)
+    if not len(rows.counts):
+        raise ValueError(f"no rows of node id and {d} numbers in this file.")
+    columns, width, expected = list(range(d + 1)), d + 1, f"a node id and {d} numbers"
+    if wanted and {*wanted[:d]} <= {*names}:
+        columns = [next((k for k, name in enumerate(names) if name in IDS), 0), *map(names.index, wanted[:d])]
+        width, expected = len(names), f"{len(names)} numbers, as in the header,"
+    rows.refuse(rows.counts != width, lambda k: f"{expected} expected, found {rows.counts[k]} numbers.")
+    table = rows.values.reshape(-1, width)[:, columns]
+    ids = np.abs(np.floor(table[:, 0]))
+    is_wrong = ~np.isfinite(table).all(axis=1) | (ids != table[:, 0])
+    rows.refuse(is_wrong, lambda k: f"found {table[k].tolist()}, not a node id and {d} finite numbers.")
+    copies = np.setdiff1d(np.arange(len(ids)), np.unique(ids, return_index=True)[1])
+    rows.refuse(copies, lambda k: f"node {ids[k]:.0f} comes a second time.")
+    return ids.astype(np.int64), np.ascontiguousarray(table[:, 1:])
+
+
+def read_named(
+    path: Path, names: tuple[str, ...], ids: Int[ndarray, " m"] | None = None
+) -> tuple[Int[ndarray, " m"], ndarray, str]:
+    """Reads node ids (if absent `ids`, or 0, 1, 2, ...), an array of `names`, and its name."""
+    arrays = read_arrays(path)
+    found = [name for name in names if name in arrays]
+    if len(found) != 1:
+        listed = ", ".join(arrays) or "none"
+        raise ValueError(f"one array {' or '.join(names)} expected, found {listed}.")
+    values = real_array(path, arrays, found[0])
+    ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))) if ids is None else ids)
+    if ids.dtype.kind not in "iu" or ids.ndim != 1:
+        raise ValueError(f"ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
+    copies = len(ids) - len(np.unique(ids))
+    if copies:
+        raise ValueError(f"{copies} of its {len(ids)} node ids come a second time.")
+    return ids, values, found[0]
+
+
+def in_order(
+    ids: ndarray,
+    values: ndarray,
+    d: int,
+    wanted: Int[ndarray, " m"],
+    known: tuple[ndarray, str],
+) -> Float[ndarray, "m d"]:
+    """Returns the values of the nodes `wanted` from a file's, in the order of its `ids`.
+
+    Raises `ValueError` for values that are not finite or not (ids, d), for ids that are not among
+    those `known`, with what these are called, and for missing ones.
+    """
+    if values.shape != (len(ids), d) or not np.isfinite(values).all():
+        raise ValueError(f"finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
+    foreign, missing = np.setdiff1d(ids, known[0]), np.setdiff1d(wanted, ids)
+    faults = [f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})" for x in foreign[:1]]
+    faults += [f"{missing.size} of the {len(wanted)} nodes are missing (first {x})" for x in missing[:1]]
+    if faults:
+        raise ValueError(f"{', and '.join(faults)}.")
+    return values[rows_in(ids, wanted)]
+
+
+def _restart(content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
+    """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
+    order, begin = MAGICS[content[:4]], 4 * HEADER
+    k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
+    start = begin + WIDTH * k
+    size = start + 8 * n * k
+    if k < 1 or n < 1 or len(content) < size:
+        raise ValueError(
+            f"a binary restart of {n} nodes and {k} columns has {size} bytes or more, found {len(content)}."
+        )
+    words = np.frombuffer(content, f"S{WIDTH}", k, begin).tolist()
+    names = [decoded(word.partition(b"\0")[0]).strip("\"' ").lower() for word in words]
+    missing = ", ".join(name for name in wanted if name not in names)
+    if missing:
+        raise ValueError(f"a binary restart without the columns {missing}; it has {', '.join(names)}.")
+    values = np.frombuffer(content, f"{order}f8", n * k, start).reshape(n, k)[:, [*map(names.index, wanted)]]
+    return np.arange(n), values.astype(float)

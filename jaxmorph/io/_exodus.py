@@ -1,10 +1,11 @@
 """Exodus files of Cubit and MOOSE, netCDF-4 or classic: copies with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.cells.lagrange import inner_places, lagrange_types
 from jaxmorph._host.cells.orders import CGNS_ORDER, NodeOrder, reordered
@@ -12,15 +13,14 @@ from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import MeshLike
-from ._text import decoded
-from ._tree import Coordinates, of_tree, opened, points_of, write_points
+from ._tree import Coordinates, of_tree, opened, points_of, text_of, write_points
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
 _TYPES = {"TRI": "triangle", "QUA": "quad", "TET": "tetra", "PYR": "pyramid", "WED": "wedge", "HEX": "hexahedron"}
 _TYPES |= dict.fromkeys(("BAR", "BEA", "TRU", "EDG", "ROD"), "line")
 _TYPES |= dict.fromkeys(("SPH", "CIR", "POI", "NOD"), "vertex")
-_SHELLS = {1: "vertex", 2: "line", 3: "line", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
+_SHELLS = {1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
 """Shapes of cells by first letters of Exodus's types; of shells by their number of nodes."""
 
 _SIDES = {
@@ -54,11 +54,11 @@ class _Block(NamedTuple):
     name: str
     own: str
     kind: str
-    corners: np.ndarray
-    sides: list[np.ndarray]
+    corners: ndarray
+    sides: list[ndarray]
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
     An unnamed set is called by its kind and number; so is a duplicate name, but the first.
@@ -76,7 +76,7 @@ def read(path: pathlib.Path) -> Parts:
         return of_tree(path, NAME, coordinates, grid, patches, notes)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
@@ -96,19 +96,17 @@ def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:
         raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
 
 
-def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Block]:
+def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Block]:
     """Yields the blocks of elements. A block that the file has no array of is empty."""
     for _, name, own, array in _named(file, ("eb", "connect", "block"), "num_el_blk"):
         if array is None:
             continue
-        kind, corners = _text(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
+        kind, corners = text_of(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
         width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
         ours = _type_of(letters, width)
         if ours not in (*NODES, "vertex"):
-            size = f" with {width} nodes" if width else ""
-            raise ValueError(
-                f"{path}: elements of type {kind[:40]}{size} are not read; of order 1 and 2 are (HEX8, HEX20, ...)."
-            )
+            what = f"elements of type {kind[:40]} with {width} nodes"
+            raise ValueError(f"{path}: {what} are not read; of order 1 and 2 are (HEX8, HEX20, ...).")
         if ours == "hexahedron27":
             corners = np.concatenate([corners[:, :20], corners[:, 21:], corners[:, 20:21]], axis=1)
         # triangles of a mesh in space have sides as shells have, quads have not
@@ -119,11 +117,10 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
 
 def _type_of(letters: str, width: int) -> str:
     shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
-    shape = "triangle" if (letters, width) == ("SHE", 3) else shape
     return shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
 
 
-def _sides(kind: str, is_shell: bool) -> list[np.ndarray]:
+def _sides(kind: str, is_shell: bool) -> list[ndarray]:
     """Lists the nodes of each side in a cell; a shell has two faces before its edges."""
     cell, shape = lagrange_types()[kind], SHAPES[kind]
     places = {frozenset(face): nodes for face, (_, nodes) in zip(FACES[shape], cell.sides, strict=True)}
@@ -155,37 +152,28 @@ def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> 
     The status of an empty one, if given, is 0.
     """
     (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
-    numbers = _values(file, f"{prefix}_prop1", np.arange(1, count + 1))
-    names = list(map(_text, _values(file, f"{prefix}_names", [""] * count)))
-    status = _values(file, f"{prefix}_status", np.zeros(count))
+    defaults = {"prop1": np.arange(1, count + 1), "names": [""] * count, "status": np.zeros(count)}
+    numbers, names, status = (
+        file[f"{prefix}_{name}"][()] if f"{prefix}_{name}" in file else default for name, default in defaults.items()
+    )
     if not len(numbers) == len(names) == len(status) == count:
         raise ValueError(f"{len(numbers)} numbers and {len(names)} names of {word}, {count} expected")
-    for at, (name, own) in enumerate(zip(names, numbers.tolist(), strict=True), start=1):
-        values = file.get(f"{array}{at}")
-        if values is None and status[at - 1]:
-            raise ValueError(f"there is no {array}{at}")
-        yield at, name or f"{word}_{own}", f"{word}_{own}", values
+    for at in range(count):
+        own, values = f"{word}_{numbers[at]}", file.get(f"{array}{at + 1}")
+        if values is None and status[at]:
+            raise ValueError(f"there is no {array}{at + 1}")
+        yield at + 1, text_of(names[at]) or own, own, values
 
 
-def _values(file: Mapping[str, Any], name: str, default: Any) -> Any:
-    return file[name][()] if name in file else default
-
-
-def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def _nodes(blocks: list[_Block], cells: ndarray, sides: ndarray) -> ndarray:
     starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
     if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
         raise ValueError(f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}")
-    found = []
-    for block, start in zip(blocks, starts, strict=False):
-        inside = (cells >= start) & (cells < start + len(block.corners))
-        for side in np.unique(sides[inside]):
-            if not 0 <= side < len(block.sides):
-                raise ValueError(f"side {side + 1} of a {block.kind} in a set of sides")
-            found.append(block.corners[cells[inside & (sides == side)] - start][:, block.sides[side]].ravel())
-    return np.unique(np.concatenate(found))
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    return decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()
+    found, of_block = [], np.searchsorted(starts, cells, side="right") - 1
+    for at, side in np.unique(np.column_stack([of_block, sides]), axis=0).tolist():
+        block = blocks[at]
+        if not 0 <= side < len(block.sides):
+            raise ValueError(f"side {side + 1} of a {block.kind} in a set of sides")
+        rows = cells[(of_block == at) & (sides == side)] - starts[at]
+        found.append(block.corners[rows][:, block.sides[side]].ravel())
+    return np.concatenate(found)

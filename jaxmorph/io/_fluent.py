@@ -6,21 +6,21 @@ hexadecimal. A face is its nodes and the cells on its two sides, 0 for none.
 """
 
 import dataclasses
-import itertools
-import pathlib
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.cells.topology import SIDE_TYPES
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
-from jaxmorph._mesh.polyhedra import cells_of_faces, spread
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
-from ._format import FilePoints, MeshLike, Source, faults_of, own_source
-from ._text import Section, decoded, replaced
+from ._format import FilePoints, Source
+from ._text import Pieces, Section, decoded, replaced
 
 NAME = "Fluent"
 INTERIOR, PARENT = 2, 31
@@ -46,15 +46,15 @@ class FaceZone(NamedTuple):
     number: int
     name: str
     kind: str
-    rows: np.ndarray
+    rows: ndarray
 
 
 class FaceTable(NamedTuple):
     """Faces: ids of nodes from 1, their number in each face, and cells (k, 2) from 1."""
 
-    labels: np.ndarray
-    sizes: np.ndarray
-    cells: np.ndarray
+    labels: ndarray
+    sizes: ndarray
+    cells: ndarray
 
 
 class NodeSection(NamedTuple):
@@ -64,21 +64,25 @@ class NodeSection(NamedTuple):
     """
 
     first: int
-    points: np.ndarray
+    points: ndarray
     section: Section
     kind: np.dtype | None
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first - 1, self.first - 1 + len(self.points))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FluentContent(FilePoints):
     text: bytes
-    parts: tuple[NodeSection, ...]
+    parts: list[NodeSection]
 
-    def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
+    def moved(self, points: ndarray) -> Pieces:
         """Yields the file with other points (n, d), section by section."""
-        done = 0
+        done, points = 0, self.in_file(points)
         for part in sorted(self.parts, key=lambda part: part.section.start):
-            values = points[part.first - 1 : part.first - 1 + len(part.points)].ravel()
+            values = points[part.rows].ravel()
             start, stop = part.section.start, part.section.stop
             if part.kind is None:
                 yield from replaced(self.text[done:stop], slice(start - done, stop - done), values)
@@ -90,7 +94,8 @@ class FluentContent(FilePoints):
 
 @dataclasses.dataclass
 class _FluentText:
-    path: pathlib.Path
+    """What sections say: counts by kind, nodes, faces behind their heads, and zones by number."""
+
     dimension: int = 0
     counts: dict[int, int] = dataclasses.field(default_factory=dict)
     nodes: list[NodeSection] = dataclasses.field(default_factory=list)
@@ -108,7 +113,7 @@ class _FluentText:
             raise section.error("a mesh that was adapted, with parents of cells, is not read.")
         elif kind in (10, 12, 13) and (head := _HEAD.match(section.text, section.start)):
             stop = section.stop if width else section.text.rfind(b")", head.end(), section.stop)
-            body = dataclasses.replace(section, start=head.end(), stop=max(stop, head.end()))
+            body = section._replace(start=head.end(), stop=max(stop, head.end()))
             self._mesh(kind, [int(word, 16) for word in head[1].split()], body, width)
 
     def _mesh(self, kind: int, head: list[int], body: Section, width: int) -> None:
@@ -135,23 +140,32 @@ class _FluentText:
 
     def content(self, text: bytes) -> FluentContent:
         parts = sorted(self.nodes, key=lambda part: part.first)
-        rows = [slice(part.first - 1, part.first - 1 + len(part.points)) for part in parts]
-        if not parts or not self.faces or any(a.stop != b.start for a, b in itertools.pairwise([slice(0, 0), *rows])):
-            raise ValueError(
-                f"{self.path}: not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing."
-            )
-        for kind, count in ((10, rows[-1].stop), (13, sum(len(table.cells) for _, table in self.faces))):
-            if self.counts.get(kind, count) != count:
-                what = f"{count} nodes or faces, and {self.counts[kind]} announced"
-                raise ValueError(f"{self.path}: {what}: the file is cut short.")
-        are_single = [part.kind is not None and part.kind.itemsize == 4 for part in parts]
-        singles = [(row, slice(None)) for row, is_single in zip(rows, are_single, strict=True) if is_single]
-        return FluentContent(np.concatenate([part.points for part in parts]), text, tuple(parts), singles=singles)
+        ends = np.cumsum([0, *(len(part.points) for part in parts)])
+        if not parts or not self.faces or [part.rows.start for part in parts] != ends[:-1].tolist():
+            raise ValueError("not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing.")
+        points = np.concatenate([part.points for part in parts])
+        found = [len(points), len(self.table().cells)]
+        announced = [self.counts.get(10, found[0]), self.counts.get(13, found[1])]
+        if announced != found:
+            raise ValueError(f"{found} nodes and faces, and {announced} announced: the file is cut short.")
+        singles = [(part.rows, slice(None)) for part in parts if part.kind == "<f4"]
+        return FluentContent(points, text, parts, singles=singles)
+
+    def table(self) -> FaceTable:
+        return FaceTable(*map(np.concatenate, zip(*(table for _, table in self.faces), strict=True)))
+
+    def zones(self) -> Iterator[FaceZone]:
+        first = 0
+        for (number, _, _, kind, *_), table in self.faces:
+            name, word = self.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
+            word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
+            yield FaceZone(number, name, word, np.arange(first, first + len(table.cells)))
+            first += len(table.cells)
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
-    text, found = path.read_bytes(), _FluentText(path)
+    text, found = path.read_bytes(), _FluentText()
     for number, section in _sections(path, text):
         try:
             found.take(number, section)
@@ -159,19 +173,12 @@ def read(path: pathlib.Path) -> Parts:
             if str(path) in str(error):
                 raise
             raise section.error(f"a damaged section {number} ({error}).") from error
-    content = found.content(text)
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
-    with faults_of(path):
-        return mesh_of(Source(path, NAME, content), *_joined(found), found.counts.get(12), regions)
+    source = Source(path, NAME, found.content(text))
+    return mesh_of(source, found.table(), list(found.zones()), found.counts.get(12), regions)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    content: FluentContent = own_source(path, mesh, NAME).content
-    with path.open("wb") as file:
-        file.writelines(content.moved(content.in_file(np.asarray(mesh.points))))
-
-
-def _sections(path: pathlib.Path, text: bytes) -> Iterator[tuple[int, Section]]:
+def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
     at = 0
     while begin := _BEGIN.search(text, at):
         number = int(begin[1])
@@ -179,14 +186,14 @@ def _sections(path: pathlib.Path, text: bytes) -> Iterator[tuple[int, Section]]:
             end = re.compile(rb"\)\s*End of Binary Section\s+%d\s*\)" % number).search(text, begin.end())
             stop, at = (end.start(), end.end()) if end else (-1, -1)
         else:
-            stop = _closing(text, begin.end(), number)
+            stop = _closing(text, begin.end())
             at = stop + 1
         if stop < 0:
-            raise ValueError(f"{path}: the section {number} has no end: the file is cut short.")
+            raise ValueError(f"the section {number} has no end: the file is cut short.")
         yield number, Section(path, text, begin.end(), stop)
 
 
-def _closing(text: bytes, at: int, number: int) -> int:
+def _closing(text: bytes, at: int) -> int:
     depth = 1
     for mark in _MARK.finditer(text, at):
         depth += {b"(": 1, b")": -1}.get(mark[0], 0)
@@ -195,7 +202,7 @@ def _closing(text: bytes, at: int, number: int) -> int:
     return -1
 
 
-def _table(words: np.ndarray, kind: int) -> FaceTable:
+def _table(words: ndarray, kind: int) -> FaceTable:
     if kind in MIXED:
         begins, at, counts = [], 0, words.tolist()
         while at < len(counts):
@@ -205,26 +212,14 @@ def _table(words: np.ndarray, kind: int) -> FaceTable:
             at += counts[at] + 3
         if at != len(counts):
             raise ValueError("faces that are cut short")
-        first = np.array(begins, np.int64)
-        sizes = words[first]
-        first += 1
+        first = np.array(begins, np.int64) + 1
+        sizes = words[first - 1]
     else:
         rows, rest = divmod(len(words), kind + 2)
         if rest or kind < 2:
             raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
         first, sizes = (kind + 2) * np.arange(rows), np.full(rows, kind)
-    labels = words[spread(first, first + sizes)[0]]
-    return FaceTable(labels, sizes, words[first[:, None] + sizes[:, None] + np.arange(2)])
-
-
-def _joined(found: _FluentText) -> tuple[FaceTable, list[FaceZone]]:
-    zones, first = [], 0
-    for (number, _, _, kind, *_), table in found.faces:
-        name, word = found.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
-        word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
-        zones.append(FaceZone(number, name, word, np.arange(first, first + len(table.cells))))
-        first += len(table.cells)
-    return FaceTable(*map(np.concatenate, zip(*(table for _, table in found.faces), strict=True))), zones
+    return FaceTable(words[spread(first, first + sizes)[0]], sizes, words[(first + sizes)[:, None] + np.arange(2)])
 
 
 def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]) -> Parts:
@@ -232,43 +227,52 @@ def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int 
     points = source.content.points
     _check(table, zones, len(points), count)
     faces = _outward(table, points)
-    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else (_plane_cells(faces), None)
-    cells = gathered((kind, corners) for kind, corners, _ in blocks)
-    ids = gathered((kind, cell) for kind, _, cell in blocks)
-    outer = [zone for zone in zones if zone.kind != KINDS[INTERIOR]]
-    nodes = (faces.labels[spread(faces.starts[zone.rows], faces.starts[zone.rows + 1])[0]] for zone in outer)
-    patches, notes = distinct(
-        Patch(zone.name, f"zone_{zone.number}", each) for zone, each in zip(outer, nodes, strict=True)
-    )
-    periodic = [zone.name for zone in outer if zone.kind.startswith("periodic")]
-    notes += (f"the periodic zones {', '.join(periodic)} are patches, and are not paired.",) * bool(periodic)
+    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else _plane_cells(faces)
+    blocks = sorted(blocks, key=lambda block: block[0])  # as JAX sorts types
+    patches, notes = distinct(_patches(faces, zones))
+    kinds = {zone.name: zone.kind for zone in zones if zone.kind != KINDS[INTERIOR]}
     source = dataclasses.replace(
         source,
-        polyhedra=whole if whole is not None and len(whole.cut) else None,
-        cell_ids=np.concatenate([ids[kind] for kind in sorted(ids)]),  # as JAX sorts types
-        kinds={zone.name: zone.kind for zone in outer},
-        symmetry=tuple(zone.name for zone in outer if zone.kind in ("symmetry", "axis")),
-        notes=(*notes, *regions_note(regions[: len(regions) * (len(regions) > 1)])),
+        polyhedra=whole if len(whole.cut) else None,
+        cell_ids=np.concatenate([ids for *_, ids in blocks]),
+        kinds=kinds,
+        symmetry=tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
+        notes=(*notes, *_notes(kinds, regions)),
         **source.content.known,
     )
+    cells = gathered(block[:2] for block in blocks)
     return checked_parts(points.copy(), cells, patches, source)
 
 
+def _patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
+    for number, name, kind, rows in zones:
+        if kind != KINDS[INTERIOR]:
+            places, _ = spread(faces.starts[rows], faces.starts[rows + 1])
+            yield Patch(name, f"zone_{number}", faces.labels[places])
+
+
+def _notes(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
+    periodic = [name for name, kind in kinds.items() if kind.startswith("periodic")]
+    if periodic:
+        yield f"the periodic zones {', '.join(periodic)} are patches, and are not paired."
+    yield from regions_note(regions if len(regions) > 1 else ())
+
+
 def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
-    if any(zone.kind == KINDS[PARENT] for zone in zones):
+    if KINDS[PARENT] in [zone.kind for zone in zones]:
         raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
     labels, cells = table.labels, table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
         raise ValueError(f"a face names node {labels.max()}, but there are {n}.")
-    if cells.min() < 0 or cells.max() > min(most, len(cells)) or (cells.max(axis=1) == 0).any():
+    if cells.min() < 0 or not 0 < cells.max(axis=1).min() <= cells.max() <= min(most, len(cells)):
         raise ValueError(f"a face is between cells {cells.min()} to {cells.max()}, but there are {most}; 0 is none.")
-    found = len(np.unique(cells[cells > 0]))
-    if found != (cells.max() if count is None else count):
+    found, most = len(np.unique(cells[cells > 0])), cells.max() if count is None else count
+    if found != most:
         raise ValueError(f"{found} of {most} cells have faces: a damaged file.")
 
 
-def _outward(table: FaceTable, points: np.ndarray) -> Faces:
+def _outward(table: FaceTable, points: ndarray) -> Faces:
     """Makes faces that point out of their owner, the first cell unless there is none.
 
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.
@@ -284,19 +288,19 @@ def _outward(table: FaceTable, points: np.ndarray) -> Faces:
         size = (here[::2, 0] * there[::2, 1] - here[::2, 1] * there[::2, 0])[is_outer].sum()
     else:
         areas = np.add.reduceat(np.cross(here, there), starts[:-1])
-        size = np.einsum("fi,fi->f", areas, points[labels[starts[:-1]]])[is_outer].sum()
+        size = np.einsum("fi,fi->f", areas, here[starts[:-1]])[is_outer].sum()
     if not np.isfinite(size):
         raise ValueError("coordinates of its nodes are not finite.")
     return dataclasses.replace(faces, labels=_reversed(labels, starts, np.full(len(first), size < 0)))
 
 
-def _reversed(labels: np.ndarray, starts: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _reversed(labels: ndarray, starts: ndarray, chosen: ndarray) -> ndarray:
     rows, which = spread(starts[:-1], starts[1:])
     back = starts[which] + starts[which + 1] - 1 - rows
     return labels[np.where(chosen[which], back, rows)]
 
 
-def _plane_cells(faces: Faces) -> list[tuple[str, np.ndarray, np.ndarray]]:
+def _plane_cells(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
     """Makes triangles and quads of edges that have their cell on the left."""
     ordered, begins = faces.of_cells()
     ends = faces.corners(ordered, 2)
@@ -308,10 +312,10 @@ def _plane_cells(faces: Faces) -> list[tuple[str, np.ndarray, np.ndarray]]:
         for k in range(1, size):
             at = edges[:, :, 0] == corners[:, k - 1, None]
             corners[:, k] = edges[np.arange(len(cells)), at.argmax(axis=1), 1]
-        ordered_corners = np.sort(corners, axis=1)
-        is_open = (ordered_corners != np.sort(edges[:, :, 0], axis=1)).any(axis=1)
-        is_open |= (np.diff(ordered_corners, axis=1) == 0).any(axis=1)
+        ascending = np.sort(corners, axis=1)
+        is_open = (ascending != np.sort(edges[:, :, 0], axis=1)) | (np.diff(ascending, prepend=-1) == 0)
+        is_open = is_open.any(axis=1)
         if size not in (3, 4) or is_open.any():
             raise ValueError(f"{len(cells)} cells of {size} edges (first cell {cells[is_open.argmax()]}) are not read.")
         blocks.append((SIDE_TYPES[size], corners, cells))
-    return blocks
+    return blocks, Polyhedra(faces, np.zeros(0, np.int64))

@@ -1,7 +1,7 @@
 """Fluent's cases in HDF5 (.cas.h5): a copy of the file with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,45 +9,35 @@ import numpy as np
 from jaxmorph._mesh.exchange import Parts
 
 from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
-from ._format import FilePoints, MeshLike, Source, faults_of, stamp_of
-from ._text import decoded
-from ._tree import Coordinates, opened, points_of, singles_of, write_points
+from ._format import FilePoints, MeshLike, Source, stamp_of
+from ._tree import Coordinates, only, opened, points_of, singles_of, text_of, write_points
 
 NAME = "Fluent HDF5"
 WHAT = "a Fluent case in HDF5"
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     with opened(path, what=WHAT) as file:
         if "meshes" not in file:
             kind = (
                 "a mesh of HOPR, which is not read" if "ElemInfo" in file else f"not {WHAT}: there is no group `meshes`"
             )
             raise ValueError(f"{path}: this is {kind}.")
-        mesh, coordinates = _mesh(file), list(_coordinates(file))
-        n, d = coordinates[-1].rows.stop, coordinates[0].array.shape[1]
-        content = FilePoints(points_of(coordinates, n, d), stamp=stamp_of(path), singles=singles_of(coordinates))
-        table, zones = _table(mesh), list(_zones(mesh["faces"]))
-        regions = _names(mesh["cells"]["zoneTopology"])
-        count = int(mesh.attrs["cellCount"].flat[0])
-    with faults_of(path):
-        return mesh_of(Source(path, NAME, content), table, zones, count, regions)
+        mesh, coordinates = only(file["meshes"], "meshes")[1], list(_coordinates(file))
+        points = points_of(coordinates, coordinates[-1].rows.stop, coordinates[0].array.shape[1])
+        content = FilePoints(points, stamp=stamp_of(path), singles=singles_of(coordinates))
+        found = _table(mesh), list(_zones(mesh["faces"]))
+        count, regions = int(mesh.attrs["cellCount"].flat[0]), _names(mesh["cells"]["zoneTopology"])
+    return mesh_of(Source(path, NAME, content), *found, count, regions)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     write_points(path, mesh, NAME, _coordinates, WHAT)
-
-
-def _mesh(file: Any) -> Any:
-    names = list(file["meshes"])
-    if len(names) != 1:
-        raise ValueError(f"{len(names)} meshes in the file, one is read")
-    return file["meshes"][names[0]]
 
 
 def _coordinates(file: Any) -> Iterator[Coordinates]:
     first = 0
-    for array in _sections(_mesh(file)["nodes"]["coords"]):
+    for array in _sections(only(file["meshes"], "meshes")[1]["nodes"]["coords"]):
         yield Coordinates(array, slice(first, first + len(array)), slice(None), by_rows=True)
         first += len(array)
 
@@ -58,14 +48,15 @@ def _sections(group: Any) -> list[Any]:
 
 def _table(mesh: Any) -> FaceTable:
     faces = mesh["faces"]
-    sections = _sections(faces["nodes"])
-    labels = np.concatenate([section["nodes"][()].ravel() for section in sections]).astype(np.int64)
-    sizes = np.concatenate([section["nnodes"][()].ravel() for section in sections]).astype(np.int64)
+    labels, sizes = (
+        np.concatenate([section[name][()].ravel() for section in _sections(faces["nodes"])]).astype(np.int64)
+        for name in ("nodes", "nnodes")
+    )
     cells = np.zeros((len(sizes), 2), np.int64)
     for column, name in enumerate(("c0", "c1")):
         for array in _sections(faces[name]):
             first = int(array.attrs["minId"].flat[0]) - 1
-            cells[first : first + len(array), column] = array[()].astype(np.int64)
+            cells[first : first + len(array), column] = array[()]
     if sizes.min() < 2 or sizes.sum() != len(labels):
         raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
     return FaceTable(labels, sizes, cells)
@@ -80,5 +71,4 @@ def _zones(faces: Any) -> Iterator[FaceZone]:
 
 def _names(topology: Any) -> list[str]:
     """Reads the names of zones, of which one text holds all."""
-    text = np.asarray(topology["name"][()]).ravel()[0]
-    return (text if isinstance(text, str) else decoded(bytes(text).rstrip(b"\0"))).split(";")
+    return text_of(np.ravel(topology["name"][()])[0]).split(";")

@@ -3,16 +3,17 @@
 import contextlib
 import dataclasses
 import importlib
-import pathlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph import Mesh
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_sides
-from jaxmorph._host.cells.topology import EDGES, SHAPES
+from jaxmorph._host.cells.topology import CORNERS, EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.text import MESHES
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
@@ -24,10 +25,10 @@ SHARE = 0.1
 EVERYTHING = ((slice(None), slice(None)),)
 """The `singles` of a file in single precision."""
 
-Arrays = Mapping[str, np.ndarray]
+Arrays = Mapping[str, ndarray]
 
 
-def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points: np.ndarray) -> np.ndarray:
+def warn_of_loss(path: Path, cells: Mapping[str, Any], held: Any, points: ndarray) -> ndarray:
     """Computes what the file holds of moved points (n, d); warns where rounding takes much."""
     values = np.array(held.in_file(points), float)
     for place in held.singles:
@@ -36,15 +37,13 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points
     if not held.singles:
         return stored
     base = held.in_mesh(held.points)
-    points = points.astype(float)
-    off = np.linalg.norm(stored - points, axis=1)
-    motion = np.linalg.norm(points - base, axis=1)
+    off, motion = (np.linalg.norm(change, axis=1) for change in (stored - points, points - base))
     most = motion.max(initial=0.0)
     losses = []
     # far from the origin nodes that hardly move are rounded more, and that changes nothing there
     if (off[motion >= most / 2] > SHARE * most).any():
         losses.append(f"more than a tenth of the motion, which is {most:.3g}")
-    start, end = _changed_edges(cells, base, points, stored)
+    start, end = _changed_edges(cells, base, points.astype(float), stored)
     if len(start):
         length = np.linalg.norm(points[end] - points[start], axis=1)
         place = place_of(points[start[length.argmin()]])
@@ -59,16 +58,15 @@ def warn_of_loss(path: pathlib.Path, cells: Mapping[str, Any], held: Any, points
     return stored
 
 
-def _changed_edges(cells: Mapping[str, Any], base: np.ndarray, points: np.ndarray, stored: np.ndarray) -> np.ndarray:
+def _changed_edges(cells: Mapping[str, Any], base: ndarray, points: ndarray, stored: ndarray) -> ndarray:
     """Finds edges (2, k) that rounding changes by much, but those without a length in the file."""
-    shift, found = stored - points, [np.zeros((0, 2), int)]
+    found = [np.zeros((0, 2), int)]
     for kind, ids in cells.items():
         for edge in EDGES[SHAPES[kind]]:
-            start, end = pairs = np.asarray(ids)[:, edge].T
-            change = np.linalg.norm(shift[end] - shift[start], axis=1)
-            length = np.linalg.norm(points[end] - points[start], axis=1)
-            has_length = (base[start] != base[end]).any(axis=1)
-            found.append(np.sort(pairs[:, has_length & (change > SHARE * length)].T, axis=1))
+            ends = np.sort(np.asarray(ids)[:, edge], axis=1)
+            old, new, in_file = (np.diff(x[ends], axis=1)[:, 0] for x in (base, points, stored))
+            change, length = (np.linalg.norm(x, axis=1) for x in (in_file - new, new))
+            found.append(ends[(change > SHARE * length) & old.any(axis=1)])
     return np.unique(np.concatenate(found), axis=0).T
 
 
@@ -91,19 +89,19 @@ class Source:
     - `notes`: sentences on what of the file is not in the mesh, or has another name there.
     """
 
-    path: pathlib.Path
+    path: Path
     format: str
     content: Any
     polyhedra: Polyhedra | None = None
-    cell_ids: np.ndarray | None = None
+    cell_ids: ndarray | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     periodic: tuple[Periodic, ...] = ()
-    between: np.ndarray | None = None
-    node_ids: np.ndarray | None = None
+    between: ndarray | None = None
+    node_ids: ndarray | None = None
     symmetry: tuple[str, ...] = ()
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    file_nodes: np.ndarray | None = None
-    in_file: Callable[[np.ndarray], np.ndarray] | None = None
+    file_nodes: ndarray | None = None
+    in_file: Callable[[ndarray], ndarray] | None = None
     held: Any = None
     cells: Mapping[str, int] | None = None
     notes: tuple[str, ...] = ()
@@ -116,8 +114,7 @@ MeshLike = Mesh | Parts
 """What a format writes."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A format: its name, and the module of this package (or the codec) that reads and writes it.
 
     `magic` are the first bytes of its files, for an ending that two formats share. The module, and
@@ -126,7 +123,7 @@ class Format:
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
     - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
       `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
-      not at all;
+      not at all. Without it, `moved(points)` of a source's content yields the bytes of a copy;
     - or a class `Codec` of the format's name, for a module of several, with these methods;
     - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
       points. Without it the format takes back only meshes that came from it.
@@ -141,6 +138,10 @@ class Format:
     @property
     def suffixes(self) -> tuple[str, ...]:
         return MESHES[self.name]
+
+    def rank(self, first: bytes) -> int:
+        """Returns 0 for a file that begins so, 2 for one that must not, 1 where any may."""
+        return 1 if not self.magic else 2 - 2 * first.startswith(self.magic)
 
     def codec(self) -> Any:
         if not isinstance(self.module, str):
@@ -159,7 +160,7 @@ def content_of(mesh: MeshLike, format_name: str) -> Any:
     return getattr(source_of(mesh, format_name), "content", None)
 
 
-def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
+def own_source(mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
     Raises `ValueError` for other meshes, and for a file that has changed since, by its `stamp`.
@@ -167,10 +168,9 @@ def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
     source = source_of(mesh, format_name)
     if source is None:
         article = "an" if format_name in ("Exodus", "MFEM", "I-deas", "Abaqus", "XDMF", "AFLR") else "a"
-        other = ".msh" if any(kind != SHAPES[kind] for kind in mesh.cells) else ".su2"
+        other = ".su2" if {*mesh.cells} <= {*CORNERS} else ".msh"
         raise ValueError(
-            f"{path}: only a mesh that was read from {article} {format_name} file can be written to one; "
-            f"write .vtu or {other}."
+            f"only a mesh that was read from {article} {format_name} file can be written to one; write .vtu or {other}."
         )
     stamp = getattr(source.content, "stamp", None)
     if stamp is not None and stamp_of(source.path) != stamp:
@@ -179,26 +179,27 @@ def own_source(path: pathlib.Path, mesh: MeshLike, format_name: str) -> Source:
 
 
 @contextlib.contextmanager
-def faults_of(path: pathlib.Path) -> Iterator[None]:
+def faults_of(path: Path) -> Iterator[None]:
+    """Puts the path before what is wrong with a file, where it does not stand there already."""
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise error if str(error).startswith(str(path)) else ValueError(f"{path}: {error}") from error
 
 
-def of_grid(path: pathlib.Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
+def of_grid(path: Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
     with faults_of(path):
         points, cells, found, origin = parts(grid, patches)
         notes = (*source.notes, *origin.notes)
         return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
 
 
-def stamp_of(path: pathlib.Path) -> tuple[int, int]:
+def stamp_of(path: Path) -> tuple[int, int]:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
 
-def as_in_file(points: np.ndarray, old: np.ndarray) -> np.ndarray:
+def as_in_file(points: ndarray, old: ndarray) -> ndarray:
     """Returns points with a file's `old` coordinates where they stay, also in single precision."""
     return np.where(points == old.astype(points.dtype), old, points)
 
@@ -212,8 +213,8 @@ class FilePoints:
     - `singles`: rows and columns of `points` that the file has in single precision.
     """
 
-    points: np.ndarray
-    node: np.ndarray | None = dataclasses.field(default=None, kw_only=True)
+    points: ndarray
+    node: ndarray | None = dataclasses.field(default=None, kw_only=True)
     stamp: tuple[int, int] | None = dataclasses.field(default=None, kw_only=True)
     singles: Sequence[tuple[slice, Any]] = dataclasses.field(default=(), kw_only=True)
 
@@ -225,14 +226,14 @@ class FilePoints:
     def _first(self) -> Any:
         return slice(None) if self.node is None else np.unique(self.node, return_index=True)[1]
 
-    def in_file(self, points: np.ndarray) -> np.ndarray:
+    def in_file(self, points: ndarray) -> ndarray:
         """Returns the file's points from the mesh's; all copies of an unmoved one stay as read."""
         d, rows = points.shape[1], slice(None) if self.node is None else self.node
         stays = (points == self.points[self._first, :d].astype(points.dtype))[rows]
         moved = np.where(stays, self.points[:, :d], points[rows])
         return np.concatenate([moved, self.points[:, d:]], axis=1)
 
-    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+    def in_mesh(self, values: ndarray) -> ndarray:
         """Returns the mesh's points from the file's, without z where all z are equal."""
         return values[self._first, : 2 if self.is_flat else 3]
 
@@ -242,29 +243,27 @@ class FilePoints:
         return {"in_file": self.in_file, "file_nodes": self.node, "held": self if self.singles else None}
 
 
-def patch_faces(mesh: MeshLike) -> dict[str, dict[str, np.ndarray]]:
+def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
     """Finds the boundary faces of each patch, by type: all nodes of the face are in the patch.
 
     A face that several patches could have (the one edge of an inlet between two walls of one patch)
     goes to the smallest. Raises `ValueError` for a patch with nodes that none of its faces holds.
     """
-    patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
-    n = mesh.points.shape[0]
-    nodes_of_all = np.unique(np.concatenate([np.zeros(0, np.int64), *(np.asarray(nodes) for _, nodes in patches)]))
+    n, found = mesh.points.shape[0], {}
+    nodes_of_all = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.asarray, mesh.patches.values())]))
     left = boundary_sides({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all)
-    result: dict[str, dict[str, np.ndarray]] = {}
-    for name, nodes in patches:
-        inside, on_faces = np.zeros(n, bool), np.zeros(n, bool)
+    for name, nodes in sorted(mesh.patches.items(), key=lambda item: len(item[1])):
+        inside = np.zeros(n, bool)
         inside[nodes] = True
-        result[name] = {}
-        for kind, faces in left.items():
-            is_inside = inside[faces].all(axis=1)
-            result[name][kind], left[kind] = faces[is_inside], faces[~is_inside]
-            on_faces[faces[is_inside]] = True
-        missing = np.flatnonzero(inside & ~on_faces)
+        is_own = {kind: inside[faces].all(axis=1) for kind, faces in left.items()}
+        found[name] = {kind: faces[is_own[kind]] for kind, faces in left.items()}
+        left = {kind: faces[~is_own[kind]] for kind, faces in left.items()}
+        for faces in found[name].values():
+            inside[faces] = False
+        missing = np.flatnonzero(inside)
         if missing.size:
             raise ValueError(
                 f"patch {name!r}: {missing.size} of {len(nodes)} nodes (first {missing[0]}) are on no boundary face of "
                 "the patch, and this format keeps patches as faces. Drop the patch, or write .vtu, which keeps nodes."
             )
-    return {name: result[name] for name in mesh.patches}
+    return {name: found[name] for name in mesh.patches}

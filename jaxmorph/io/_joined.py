@@ -1,9 +1,10 @@
 """Structured blocks and zones joined to one mesh, and the way back to the file's nodes."""
 
-import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from scipy import spatial
 
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
@@ -18,13 +19,13 @@ COPIES = 12
 """Duplicates of a node that are looked for."""
 
 
-def block_ids(shape: tuple[int, ...], first: int) -> np.ndarray:
+def block_ids(shape: tuple[int, ...], first: int) -> ndarray:
     """Numbers a block's nodes by i, j[, k] from `first`, i fastest, without axes of one node."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
 
 
-def block_cells(ids: np.ndarray) -> tuple[str, np.ndarray]:
+def block_cells(ids: ndarray) -> tuple[str, ndarray]:
     """Makes the cells between the nodes of a block, i running fastest: their type and corners."""
     if ids.ndim == 2:
         corners = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
@@ -34,7 +35,7 @@ def block_cells(ids: np.ndarray) -> tuple[str, np.ndarray]:
     return "hexahedron", np.stack([corner.ravel(order="F") for corner in corners], axis=1)
 
 
-def block_sides(ids: np.ndarray) -> list[np.ndarray]:
+def block_sides(ids: ndarray) -> list[ndarray]:
     """Makes the faces (edges in 2-D) of each side of a block, in the order of `SIDES`."""
     sides = []
     for axis in range(ids.ndim):
@@ -47,7 +48,7 @@ def block_sides(ids: np.ndarray) -> list[np.ndarray]:
     return sides
 
 
-def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> list[np.ndarray]:
+def open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[ndarray]:
     """Selects the faces that are not inside of a patch: where blocks may meet."""
     covered = [np.zeros(len(corners), bool) for corners in faces]
     inside = np.zeros(n, bool)
@@ -59,16 +60,14 @@ def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> li
     return [corners[~mask] for corners, mask in zip(faces, covered, strict=True)]
 
 
-def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
+def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     """Finds each point's first duplicate (see `TOLERANCE`) on `faces`; else its own id."""
     n = len(points)
     size = np.full(n, np.inf)
     for corners in faces:
         length = np.linalg.norm(points[corners] - points[np.roll(corners, 1, axis=1)], axis=2)
         length[length == 0] = np.inf
-        for column, before in enumerate(np.roll(np.arange(corners.shape[1]), 1)):
-            np.minimum.at(size, corners[:, column], length[:, column])
-            np.minimum.at(size, corners[:, before], length[:, column])
+        np.minimum.at(size, corners, np.minimum(length, np.roll(length, -1, axis=1)))
     nodes = np.flatnonzero(np.isfinite(size))
     if not len(nodes):
         return np.arange(n)
@@ -85,10 +84,10 @@ def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
 
 
 def join(
-    points: np.ndarray,
-    cells: Iterable[tuple[str, np.ndarray]],
-    patches: Mapping[str, Sequence[np.ndarray]],
-    faces: list[np.ndarray],
+    points: ndarray,
+    cells: Iterable[tuple[str, ndarray]],
+    patches: Mapping[str, Sequence[ndarray]],
+    faces: list[ndarray],
     names: Sequence[str] = (),
 ) -> tuple[Parts, FilePoints]:
     """Joins zones to one mesh in the file's node order, 2-D if z is constant.
@@ -105,28 +104,30 @@ def join(
         raise ValueError(f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}.")
     faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
     node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
+    joined = FilePoints(points, node=node)
+    whole = gathered((kind, node[corners]) for kind, corners in cells)
+    own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
+    found = gathered([*own, *_rest([node[corners] for corners in faces], names, patches)])
+    return checked_parts(np.ascontiguousarray(joined.in_mesh(points)), whole, found), joined
+
+
+def _rest(faces: list[ndarray], names: Sequence[str], patches: Mapping[str, Any]) -> Iterator[tuple[str, ndarray]]:
+    """Yields names and nodes of faces that no other zone meets."""
     rest = "unnamed" if patches else "boundary"
     while rest in patches:
         rest += "_faces"
-    shared = [node[corners] for corners in faces]
-    alone = zip(names or [rest] * len(faces), shared, _single(shared), strict=True)
-    own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
-    own += [(name, corners[mask].ravel()) for name, corners, mask in alone if mask.any()]
-    joined = FilePoints(points, node=node)
-    whole = gathered((kind, node[corners]) for kind, corners in cells)
-    return checked_parts(np.ascontiguousarray(joined.in_mesh(points)), whole, gathered(own)), joined
+    for name, corners, mask in zip(names or [rest] * len(faces), faces, _single(faces), strict=True):
+        if mask.any():
+            yield name, corners[mask].ravel()
 
 
-def _single(faces: list[np.ndarray]) -> list[np.ndarray]:
+def _single(faces: list[ndarray]) -> list[ndarray]:
     """Finds faces that come once and are not shrunk to a line or point: a mask for each array."""
-    if not faces:
-        return []
-    width = max(corners.shape[1] for corners in faces)
+    width = max((corners.shape[1] for corners in faces), default=0)
     columns = [sorted_columns(columns_of(corners), width) for corners in faces]
-    has_extent = []
-    for corners, column in zip(faces, columns, strict=True):
-        size = corners.shape[1]
-        distinct = 1 + sum((b != a).astype(np.int8) for a, b in itertools.pairwise(column[:size]))
-        has_extent.append(distinct >= min(size, 3))
-    once = is_single([np.concatenate(parts) for parts in zip(*columns, strict=True)])
-    return np.split(once & np.concatenate(has_extent), np.cumsum([len(corners) for corners in faces])[:-1])
+    once = is_single([np.concatenate(parts) for parts in zip(*columns, strict=True)]) if faces else np.zeros(0, bool)
+    masks = []
+    for corners, mask in zip(faces, np.split(once, np.cumsum([*map(len, faces)])[:-1]), strict=False):
+        distinct = 1 + np.count_nonzero(np.diff(np.sort(corners, axis=1), axis=1), axis=1)
+        masks.append(mask & (distinct >= min(corners.shape[1], 3)))
+    return masks

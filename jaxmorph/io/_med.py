@@ -1,33 +1,27 @@
 """MED files of Salome and Code_Aster, in HDF5: copies with other coordinates."""
 
-import pathlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
+from jaxmorph._host.cells.topology import numbers
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import MeshLike
-from ._text import decoded
-from ._tree import Coordinates, of_tree, opened, points_of, write_points
+from ._tree import Coordinates, of_tree, only, opened, points_of, text_of, write_points
 
 NAME = "MED"
 WHAT = "a MED file"
-TYPES = {
-    "PO1": ("vertex", [0]),
-    "SE2": ("line", [0, 1]),
-    "TR3": ("triangle", [0, 1, 2]),
-    "QU4": ("quad", [0, 1, 2, 3]),
-    "TE4": ("tetra", [0, 2, 1, 3]),
-    "PY5": ("pyramid", [0, 3, 2, 1, 4]),
-    "PE6": ("wedge", [0, 2, 1, 3, 5, 4]),
-    "HE8": ("hexahedron", [0, 3, 2, 1, 4, 7, 6, 5]),
-}
+TYPES = {"PO1": ("vertex", "0"), "SE2": ("line", "01"), "TR3": ("triangle", "012"), "QU4": ("quad", "0123")}
+TYPES |= {"TE4": ("tetra", "0213"), "PY5": ("pyramid", "03214"), "PE6": ("wedge", "021354")}
+TYPES |= {"HE8": ("hexahedron", "03214765")}
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
@@ -38,25 +32,22 @@ def read(path: pathlib.Path) -> Parts:
         for kind, group in step["MAI"].items():
             if kind not in TYPES:
                 raise ValueError(f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)}).")
-            ours, order = TYPES[kind]
+            ours, places = TYPES[kind]
+            (order,) = numbers(places)
             corners = group["NOD"][()].reshape(len(order), -1).T[:, order].astype(np.int64) - 1
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
         of_nodes = _families(step["NOE"], len(points))
-        sets = {
-            "cell_sets": {
-                group: [np.flatnonzero(np.isin(family, ids)) for family in families]
-                for group, ids in _groups(file, name, "ELEME").items()
-            },
-            "point_sets": {
-                group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()
-            },
+        cells = {
+            group: [np.flatnonzero(np.isin(family, ids)) for family in families]
+            for group, ids in _groups(file, name, "ELEME").items()
         }
-        grid = Grid(points, blocks, {}, {}, **sets, own=("elements", "nodes"))
+        nodes = {group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()}
+        grid = Grid(points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes"))
         return of_tree(path, NAME, coordinates, grid)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
@@ -65,7 +56,7 @@ def _coordinates(file: Any) -> Iterator[Coordinates]:
     yield Coordinates(_step(file)[1]["NOE"]["COO"], slice(None), slice(None))
 
 
-def _families(group: Any, count: int) -> np.ndarray:
+def _families(group: Any, count: int) -> ndarray:
     families = group["FAM"][()] if "FAM" in group else np.zeros(count, int)
     if len(families) != count:
         raise ValueError("families of other elements than there are")
@@ -73,14 +64,8 @@ def _families(group: Any, count: int) -> np.ndarray:
 
 
 def _step(file: Any) -> tuple[str, Any]:
-    meshes = dict(file["ENS_MAA"].items())
-    if len(meshes) != 1:
-        raise ValueError(f"{len(meshes)} meshes in the file, one is read")
-    ((name, mesh),) = meshes.items()
-    steps = [mesh] if "NOE" in mesh else list(mesh.values())
-    if len(steps) != 1:
-        raise ValueError(f"{len(steps)} steps of time in the file, one is read")
-    return name, steps[0]
+    name, mesh = only(file["ENS_MAA"], "meshes")
+    return name, mesh if "NOE" in mesh else only(mesh, "steps of time")[1]
 
 
 def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
@@ -88,6 +73,5 @@ def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
-            group = decoded(bytes(np.asarray(characters, np.uint8)).split(b"\0")[0]).strip()
-            groups.setdefault(group, []).append(int(family.attrs["NUM"]))
+            groups.setdefault(text_of(np.asarray(characters, np.uint8)), []).append(int(family.attrs["NUM"]))
     return groups

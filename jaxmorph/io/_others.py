@@ -6,36 +6,33 @@ file is written by meshio, or not at all.
 
 import dataclasses
 import itertools
-import pathlib
 import pickle
 import re
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
-from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import (
-    DIMENSION,
     GROUPS,
     LEVELS,
     MARKERS,
     Grid,
     Parts,
     Patch,
-    gathered,
     imported,
     of_meshio,
-    regions_note,
 )
 from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart
-from ._format import EVERYTHING, FilePoints, MeshLike, Source, faults_of, of_grid, own_source
+from ._format import EVERYTHING, FilePoints, MeshLike, Source, of_grid, own_source
+from ._gmsh import TYPES, ElementBlock, Names, grid_of
 from ._text import parse, replaced, scan
-from .gmsh.sections import TYPES
 
 MOST = 8
 """Numbers in a row of a table of nodes, at most."""
@@ -81,8 +78,8 @@ class Place(NamedTuple):
     start: int
     stop: int
     dtype: np.dtype | None = None
-    at: np.ndarray | None = None
-    nodes: np.ndarray | None = None
+    at: ndarray | None = None
+    nodes: ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,8 +94,7 @@ class OtherContent(FilePoints):
         return [name for name in names if name.lower() not in (*MARKERS, *GROUPS)]
 
 
-@dataclasses.dataclass(frozen=True)
-class Codec:
+class Codec(NamedTuple):
     """Reads and writes one of `KINDS`."""
 
     name: str
@@ -107,14 +103,13 @@ class Codec:
     def kind(self) -> LibraryKind:
         return KINDS[self.name]
 
-    def read(self, path: pathlib.Path) -> Parts:
+    def read(self, path: Path) -> Parts:
         raw = path.read_bytes()
-        with faults_of(path):
-            grid, patches, notes = _found(path, self.kind, len(raw))
-            if not len(grid.points):
-                raise ValueError("no nodes in this file.")
-            place, points = _place(raw, self.kind, np.asarray(grid.points))
-            grid = dataclasses.replace(grid, points=points)
+        grid, patches, notes = _found(path, self.kind, len(raw))
+        if not len(grid.points):
+            raise ValueError("no nodes in this file.")
+        place, points = _place(raw, self.kind, np.asarray(grid.points))
+        grid = dataclasses.replace(grid, points=points)
         is_single = place is not None and place.dtype is not None and place.dtype.itemsize == 4
         content = OtherContent(points, raw, place, grid.content, singles=EVERYTHING if is_single else ())
         if place is None and self.kind.writes:
@@ -123,16 +118,16 @@ class Codec:
             notes += (f"{LOST[self.name][1]} are not read, and are no patches.",)
         return of_grid(path, grid, Source(path, self.name, content, notes=notes, **content.known), patches)
 
-    def check(self, path: pathlib.Path, mesh: MeshLike) -> None:
-        source = own_source(path, mesh, self.name)
+    def check(self, path: Path, mesh: MeshLike) -> None:
+        source = own_source(mesh, self.name)
         if (source.content.place is None or _form(path) != _form(source.path)) and not self.kind.writes:
             what = (
                 f"a file of {self.name} like this one" if source.content.place is None else "another form of the file"
             )
-            raise ValueError(f"{path}: {what} is not written; write .vtu or .msh.")
+            raise ValueError(f"{what} is not written; write .vtu or .msh.")
 
-    def write(self, path: pathlib.Path, mesh: MeshLike) -> None:
-        source = own_source(path, mesh, self.name)
+    def write(self, path: Path, mesh: MeshLike) -> None:
+        source = own_source(mesh, self.name)
         values = source.content.in_file(np.asarray(mesh.points))
         is_binary = [ending(each) == ".meshb" for each in (path, source.path)]
         if source.content.place is not None and is_binary[0] == is_binary[1]:
@@ -144,13 +139,13 @@ class Codec:
             imported("meshio", "io").write(path, moved, file_format=self.kind.name, **options)
 
 
-def _form(path: pathlib.Path) -> str:
+def _form(path: Path) -> str:
     """Returns the part of an AFLR file's name that says how numbers are written, .lb8.ugrid."""
     words = path.name.lower().removesuffix(".gz").split(".")
     return words[-2] if ending(path) == ".ugrid" and re.fullmatch("l?[br][48]l?", words[-2]) else ""
 
 
-def _moved(raw: bytes, place: Place, kind: LibraryKind, values: np.ndarray) -> Iterator[Any]:
+def _moved(raw: bytes, place: Place, kind: LibraryKind, values: ndarray) -> Iterator[Any]:
     start, stop, dtype, at, nodes = place
     values = values[slice(None) if nodes is None else nodes].ravel()
     if dtype is not None:
@@ -164,7 +159,7 @@ def _plain(text: bytes) -> bytes:
     return text.replace(b",", b" ")
 
 
-def _in_columns(text: bytes, at: np.ndarray, values: np.ndarray) -> bytes:
+def _in_columns(text: bytes, at: ndarray, values: ndarray) -> bytes:
     """Replaces numbers of 25 columns, which programs read by column."""
     new, (_, ends, _) = bytearray(text), scan(text)
     old = parse(b" ".join(text[end - 25 : end] for end in ends[at].tolist()), np.float64)
@@ -175,7 +170,7 @@ def _in_columns(text: bytes, at: np.ndarray, values: np.ndarray) -> bytes:
     return bytes(new)
 
 
-def _place(raw: bytes, kind: LibraryKind, points: np.ndarray) -> tuple[Place | None, np.ndarray]:
+def _place(raw: bytes, kind: LibraryKind, points: ndarray) -> tuple[Place | None, ndarray]:
     """Finds the points in the file, with all digits: meshio reads some in single precision."""
     for code in ("<f8", ">f8", "<f4", ">f4"):
         start = raw.find(points.astype(code).tobytes())
@@ -191,7 +186,7 @@ def _place(raw: bytes, kind: LibraryKind, points: np.ndarray) -> tuple[Place | N
     return None, points.astype(float)
 
 
-def _rows(values: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _rows(values: ndarray, points: ndarray) -> tuple[ndarray, ndarray, ndarray] | None:
     """Finds the points in rows of a table: the places of coordinates, nodes of rows, all digits."""
     n, d = points.shape
     for width in range(d, min(len(values) // n, MOST) + 1):
@@ -206,31 +201,22 @@ def _rows(values: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return None
 
 
-def _found(path: pathlib.Path, kind: LibraryKind, size: int) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+def _found(path: Path, kind: LibraryKind, size: int) -> tuple[Grid, list[Patch], tuple[str, ...]]:
     imported(kind.library, "io" if kind.library == "meshio" else "cases")
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
         run_apart(kind.name, path, size, folder)
-        found = pickle.loads(pathlib.Path(folder, "mesh.pickle").read_bytes())
+        found = pickle.loads(Path(folder, "mesh.pickle").read_bytes())
     return (of_meshio(found), [], ()) if kind.library == "meshio" else _of_gmsh(*found)
 
 
-def _of_gmsh(points: np.ndarray, found: list[tuple]) -> tuple[Grid, list[Patch], tuple[str, ...]]:
-    """Makes a grid of what `_apart_script.py` gives, and patches of groups.
-
-    An entity without a group has gmsh's name, `surface_5`, where it is a boundary.
-    """
-    unknown = [number for number, *_ in found if number not in TYPES]
+def _of_gmsh(points: ndarray, found: list[tuple], names: Names) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+    """Makes a grid of what `_apart_script.py` gives; a boundary without a group is `surface_5`."""
+    unknown = [number for _, _, number, *_ in found if number not in TYPES]
     if unknown or not found:
         raise ValueError(f"elements of gmsh's types {unknown} are not read." if unknown else "no elements.")
-    kinds = [TYPES[number] for number, *_ in found]
-    levels = [DIMENSION.get(kind, 0) for kind in kinds]
-    blocks, named, top = [], [], max(levels)
-    for kind, level, (_, ids, names, entity) in zip(kinds, levels, found, strict=True):
-        blocks.append((kind, reordered(kind, ids.astype(np.int64), GMSH, None)))
-        names = names or [f"{LEVELS[level]}_{entity}"] * (level == top - 1)
-        named += [((name, level), ids.ravel()) for name in names]
-    patches = [
-        Patch(name, f"{name}_{LEVELS[level]}", ids) for (name, level), ids in gathered(named).items() if level < top
-    ]
-    regions = dict.fromkeys(name for (name, level), _ in named if level == top)
-    return Grid(points, blocks, {}, {}), patches, tuple(regions_note(regions if len(regions) > 1 else ()))
+    blocks, top = [], max(level for level, *_ in found)
+    for level, entity, number, ids, groups in found:
+        if not groups and level == top - 1:
+            groups, names[level, -entity] = [-entity], f"{LEVELS[level]}_{entity}"
+        blocks.append(ElementBlock(TYPES[number], ids.astype(np.int64), dict.fromkeys(groups, slice(None))))
+    return grid_of(points, blocks, names)

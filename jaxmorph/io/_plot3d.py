@@ -1,16 +1,20 @@
 """PLOT3D grids: one or many blocks, text, records or binary; the form is the one that fits."""
 
 import dataclasses
+import itertools
 import math
-import pathlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._mesh.exchange import Parts
 
-from ._format import EVERYTHING, FilePoints, MeshLike, Source, faults_of, own_source
+from ._format import EVERYTHING, FilePoints, Source
 from ._joined import SIDES, block_cells, block_ids, block_sides, join
-from ._text import chunks, parse, replaced
+from ._text import Pieces, chunks, parse, replaced
 
 NAME = "PLOT3D"
 TEXT = bytes([*b"\t\r\n", *range(32, 127)])
@@ -18,8 +22,7 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 """Fortran's commas and exponents, as NumPy reads them."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Form:
+class RecordForm(NamedTuple):
     """Types of a record's mark, of sizes, of coordinates and IBLANK (or None); text is doubles."""
 
     mark: int
@@ -28,9 +31,10 @@ class Form:
 
 
 DOUBLE = np.dtype("f8")
-TEXTS = [Form(0, DOUBLE, [(DOUBLE, None), (DOUBLE, DOUBLE)])]
+TEXTS = [RecordForm(0, DOUBLE, [(DOUBLE, None), (DOUBLE, DOUBLE)])]
+Shapes = tuple[tuple[int, ...], ...]
 BINARIES = [
-    Form(mark, whole, [(np.dtype(order + real), blank) for real in ("f8", "f4") for blank in (None, whole)])
+    RecordForm(mark, whole, [(np.dtype(order + real), blank) for real in ("f8", "f4") for blank in (None, whole)])
     for order, whole in (("<", np.dtype("<i4")), (">", np.dtype(">i4")))
     for mark in (4, 0)
 ]
@@ -38,39 +42,46 @@ WAYS = ((True, 3), (False, 3), (True, 2), (False, 2))
 """Whether a count of blocks comes first, and the dimension."""
 
 
-@dataclasses.dataclass(frozen=True)
-class FileLayout:
+class FileLayout(NamedTuple):
     """Sizes of the blocks, the bytes at which their coordinates begin, types, and whether text."""
 
-    shapes: tuple[tuple[int, ...], ...]
-    starts: list[int]
+    shapes: Shapes
+    starts: ndarray
     dtype: np.dtype
     blank: np.dtype | None
     is_text: bool
 
-    def coordinates(self, numbers: np.ndarray) -> list[np.ndarray]:
+    def coordinates(self, numbers: ndarray) -> list[ndarray]:
         """Returns views (d, nodes) of each block's coordinates in the bytes of numbers."""
         return [
-            np.ndarray((len(shape), int(np.prod(shape))), self.dtype, numbers.data, start)
+            ndarray((len(shape), int(np.prod(shape))), self.dtype, numbers.data, int(start))
             for shape, start in zip(self.shapes, self.starts, strict=True)
         ]
 
-    def blanks(self, numbers: np.ndarray) -> list[np.ndarray]:
+    def blanks(self, numbers: ndarray) -> list[ndarray]:
         """Returns views (nodes,) of each block's IBLANK, behind its coordinates."""
         if self.blank is None:
             return []
         ends = zip(self.coordinates(numbers), self.starts, strict=True)
-        return [np.ndarray(block.shape[1], self.blank, numbers.data, start + block.nbytes) for block, start in ends]
+        return [ndarray(block.shape[1], self.blank, numbers.data, int(start) + block.nbytes) for block, start in ends]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Content:
+class Plot3DContent(FilePoints):
     data: bytes
     layout: FileLayout
-    joined: FilePoints
+
+    def moved(self, points: ndarray) -> Pieces:
+        points, numbers, first = self.in_file(points), _numbers(self.data, self.layout.is_text).copy(), 0
+        for block in self.layout.coordinates(numbers):
+            block[...] = points[first : first + block.shape[1]].T
+            first += block.shape[1]
+        if not self.layout.is_text:
+            return iter([numbers.tobytes()])
+        return replaced(self.data, slice(0, len(self.data)), numbers.view(float), plain=_plain)
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads all blocks; nodes where blocks meet are one.
 
     Patches come from a file beside the grid, with its name and the ending `.patches`. Its lines are
@@ -79,42 +90,26 @@ def read(path: pathlib.Path) -> Parts:
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
-    numbers = _numbers(path, data, is_text)
-    layout = next(filter(None, (_layout(numbers, form) for form in (TEXTS if is_text else BINARIES))), None)
+    numbers = _numbers(data, is_text)
+    forms = TEXTS if is_text else BINARIES
+    layout = next(itertools.chain.from_iterable(_layouts(numbers, form) for form in forms), None)
     if layout is None:
         form = "text" if is_text else "binary"
-        raise ValueError(f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
+        raise ValueError(f"not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
     points = np.concatenate([block.T.astype(float) for block in layout.coordinates(numbers)])
     blank = sum(int((block == 0).sum()) for block in layout.blanks(numbers))
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
     notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
-    with faults_of(path):
-        mesh, joined = join(points, *_zones(path, layout.shapes))
-    joined = dataclasses.replace(joined, singles=singles)
-    return mesh._replace(source=Source(path, NAME, _Content(data, layout, joined), notes=notes, **joined.known))
-
-
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    source = own_source(path, mesh, NAME)
-    content: _Content = source.content
-    data, layout = content.data, content.layout
-    points, first = content.joined.in_file(np.asarray(mesh.points)), 0
-    numbers = _numbers(source.path, data, layout.is_text).copy()
-    for block in layout.coordinates(numbers):
-        block[...] = points[first : first + block.shape[1]].T
-        first += block.shape[1]
-    with path.open("wb") as file:
-        if layout.is_text:
-            file.writelines(replaced(data, slice(0, len(data)), numbers.view(float), plain=_plain))
-        else:
-            file.write(numbers.tobytes())
+    mesh, joined = join(points, *_zones(path, layout.shapes))
+    content = Plot3DContent(points, data, layout, node=joined.node, singles=singles)
+    return mesh._replace(source=Source(path, NAME, content, notes=notes, **content.known))
 
 
 def _plain(text: bytes) -> bytes:
     return text.translate(WORDS)
 
 
-def _numbers(path: pathlib.Path, data: bytes, is_text: bool) -> np.ndarray:
+def _numbers(data: bytes, is_text: bool) -> ndarray:
     if not is_text:
         return np.frombuffer(data, np.uint8)
     parts = []
@@ -123,37 +118,40 @@ def _numbers(path: pathlib.Path, data: bytes, is_text: bool) -> np.ndarray:
         parts.append(parse(words, np.float64))
         if len(parts[-1]) != len(words.split()):
             line = data.count(b"\n", 0, data.find(chunk)) + 1
-            raise ValueError(f"{path}, lines from {line}: something that is not a number.")
+            raise ValueError(f"lines from {line}: something that is not a number.")
     return np.concatenate(parts).view(np.uint8)
 
 
-def _layout(numbers: np.ndarray, form: Form) -> FileLayout | None:
-    """Finds the sizes that fit a form to its last byte; None where none do."""
+def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
+    """Yields sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark, head = form.mark, form.head
     for is_multiple, d in WAYS:
         start = mark + (head.itemsize + 2 * mark) * is_multiple
         count = _view(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
         shapes = _shapes(count, _view(numbers[start:], head), d)
-        lengths = [head.itemsize] * is_multiple + [head.itemsize * d * len(shapes)]
-        start += lengths[-1] + mark
-        counts = np.array([np.prod(shape, dtype=float) for shape in shapes])
+        first = [float(head.itemsize)] * is_multiple + [head.itemsize * d * len(shapes)]
+        nodes = np.array([*map(math.prod, shapes)], float)
         for dtype, blank in form.types if shapes else []:
-            sizes = counts * (d * dtype.itemsize + (blank.itemsize if blank else 0)) + 2 * mark
-            if start + sizes.sum() != len(numbers):
-                continue
-            starts = (start + np.cumsum(sizes) - sizes).astype(int) + mark
-            layout = FileLayout(shapes, starts.tolist(), dtype, blank, head.kind == "f")
-            is_whole = all((block == np.floor(block)).all() for block in layout.blanks(numbers))  # of a text
-            if is_whole and _are_records(numbers, form, [*lengths, *(sizes - 2 * mark).astype(int).tolist()]):
-                return layout
-    return None
+            sizes = np.append(first, nodes * (d * dtype.itemsize + getattr(blank, "itemsize", 0)))
+            ends = np.cumsum(sizes + 2 * mark)
+            layout = FileLayout(shapes, (ends - mark - sizes)[-len(shapes) :], dtype, blank, head.kind == "f")
+            if ends[-1] == len(numbers) and _is_whole(numbers, layout, form, sizes, ends):
+                yield layout
 
 
-def _view(numbers: np.ndarray, dtype: np.dtype) -> np.ndarray:
+def _is_whole(numbers: ndarray, layout: FileLayout, form: RecordForm, sizes: ndarray, ends: ndarray) -> bool:
+    """Checks IBLANK of a text, and whether Fortran's marks stand before and after each record."""
+    if not form.mark:
+        return all((block == np.floor(block)).all() for block in layout.blanks(numbers))
+    places = np.stack([ends - sizes - 8, ends - 4], axis=1).astype(int)[..., None] + np.arange(4)
+    return bool((numbers[places].view(form.head)[..., 0] == sizes[:, None]).all())
+
+
+def _view(numbers: ndarray, dtype: np.dtype) -> ndarray:
     return numbers[: len(numbers) // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
-def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ...], ...]:
+def _shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
     """Reads the sizes of so many blocks; returns none if the numbers cannot be sizes."""
     if not len(count) or not 0 < count[0] <= len(sizes) // d or count[0] != np.floor(count[0]):
         return ()
@@ -165,17 +163,7 @@ def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ..
     return tuple(tuple(map(int, row)) for row in rows)
 
 
-def _are_records(numbers: np.ndarray, form: Form, lengths: list[int]) -> bool:
-    """Checks whether Fortran's marks stand before and after records of these lengths."""
-    if not form.mark:
-        return True
-    sizes = np.array(lengths, np.int64)
-    ends = np.cumsum(sizes + 8)
-    places = np.stack([ends - 8 - sizes, ends - 4], axis=1)[..., None] + np.arange(4)
-    return bool((numbers[places].view(form.head)[..., 0] == sizes[:, None]).all())
-
-
-def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[list, dict, list[np.ndarray], list[str]]:
+def _zones(path: Path, shapes: Shapes) -> tuple[list, dict, list[ndarray], list[str]]:
     """Makes the cells, patches and outer faces of all blocks, and the names of the faces."""
     cells, faces, names, first = [], [], [], 0
     for block, shape in enumerate(shapes, start=1):
@@ -190,8 +178,8 @@ def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> tuple[lis
     return cells, patches, faces, [] if patches else names
 
 
-def _patches(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> dict[str, list[np.ndarray]]:
-    patches: dict[str, list[np.ndarray]] = {}
+def _patches(path: Path, shapes: Shapes) -> dict[str, list[ndarray]]:
+    patches: dict[str, list[ndarray]] = {}
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         words = line.partition("#")[0].split()
         try:
@@ -206,14 +194,14 @@ def _patches(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> dict[st
     return patches
 
 
-def _patch(words: list[str], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
+def _patch(words: list[str], shapes: Shapes) -> ndarray:
     block = int(words[1]) - 1
     shape = shapes[block] if block >= 0 else ()
     ids = block_ids(shape, sum(map(math.prod, shapes[:block]))).reshape(shape)
     if len(words) == 3:
         axis, end = divmod(SIDES.index(words[2].lower()), 2)
         return ids.take(-end, axis=axis).ravel()
-    ends = np.array(words[2:], int).reshape(len(shape), 2)
-    if (ends < 1).any() or (ends > np.array(shape)[:, None]).any():
+    ends = np.sort(np.array(words[2:], int).reshape(len(shape), 2), axis=1)
+    if (ends < 1).any() or (ends[:, 1] > shape).any():
         raise ValueError
-    return ids[tuple(slice(min(pair) - 1, max(pair)) for pair in ends.tolist())].ravel()
+    return ids[tuple(slice(first - 1, last) for first, last in ends.tolist())].ravel()

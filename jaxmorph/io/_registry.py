@@ -2,14 +2,14 @@
 
 import contextlib
 import dataclasses
-import os
-import pathlib
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from jaxtyping import Float, Shaped
+from numpy import ndarray
 
 from jaxmorph import Mesh, Periodic, QualityReport
 from jaxmorph._host.cells.adjacency import repeated_cells
@@ -21,12 +21,13 @@ from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Format, Source, own_source, source_of, warn_of_loss
+from ._format import Format, Source, faults_of, own_source, source_of, warn_of_loss
+from ._text import PathLike
 
 FORMATS = (
     Format("SU2", "_su2"),
     Format("VTK", "_vtk", holds_arrays=True),
-    Format("gmsh", "gmsh.file"),
+    Format("gmsh", "_gmsh"),
     Format("Fluent", "_fluent", magic=(b"(",)),
     Format("Fluent HDF5", "_fluent_h5"),
     Format("CGNS", "cgns.file"),
@@ -41,55 +42,53 @@ FORMATS = (
 )
 
 
-def format_of(path: pathlib.Path, source: object = None) -> Format:
+def format_of(path: Path, source: object = None) -> Format:
     """Finds the format of a file by its ending; a folder is an OpenFOAM case.
 
     Where two formats share an ending, the format of `source` (of a mesh to be written) or the
     file's first bytes decide. Raises `ValueError`, with the known endings, for another one.
     """
     if is_folder(path):  # it raises for unknown endings
-        return next(candidate for candidate in FORMATS if candidate.is_folder)
+        return FORMATS[-1]
     found = [candidate for candidate in FORMATS if ending(path) in candidate.suffixes]
     if not found:
         point = plugin(path)
         return Format(point.name, _Plugin(point.name, point.load()))
     if isinstance(source, Source):
-        found.sort(key=lambda candidate: candidate.name != source.format)
-    elif len(found) > 1 and path.is_file():
+        return min(found, key=lambda candidate: candidate.name != source.format)
+    first = b"\0"
+    if path.is_file():
         with path.open("rb") as file:
             first = file.read(64).lstrip()
-        found.sort(key=lambda candidate: 1 if not candidate.magic else 2 - 2 * first.startswith(candidate.magic))
-    return found[0]
+    return min(found, key=lambda candidate: candidate.rank(first))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Plugin:
+class _Plugin(NamedTuple):
     """A format of another package: a `codec` with `read(path)`, and perhaps `write(path, mesh)`."""
 
     name: str
     codec: Any
 
-    def read(self, path: pathlib.Path) -> Parts:
+    def read(self, path: Path) -> Parts:
         mesh = self.codec.read(path)
         if not isinstance(mesh, Mesh):
-            raise ValueError(
-                f"{path}: the format {self.name} of another package returned {type(mesh).__name__}, no Mesh."
-            )
+            raise ValueError(f"the format {self.name} of another package returned {type(mesh).__name__}, no Mesh.")
         return Parts(mesh.points, dict(mesh.cells), dict(mesh.patches), Source(path, self.name, mesh.source))
 
-    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+    def check(self, path: Path, mesh: Mesh) -> None:
         if not hasattr(self.codec, "write"):
-            raise ValueError(f"{path}: files of the format {self.name} are read, and not written; write .vtu.")
+            raise ValueError(f"files of the format {self.name} are read, and not written; write .vtu.")
 
-    def write(self, path: pathlib.Path, mesh: Mesh) -> None:
+    def write(self, path: Path, mesh: Mesh) -> None:
         source = source_of(mesh, self.name)
         self.codec.write(path, Mesh(mesh.points, mesh.cells, mesh.patches, source and source.content))
 
 
-def file_mesh(path: pathlib.Path) -> Parts:
+def file_mesh(path: Path) -> Parts:
     with files.unpacked(path) as file:
         try:
-            mesh = format_of(file).codec().read(file)
+            with faults_of(file):
+                mesh = format_of(file).codec().read(file)
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
@@ -99,35 +98,34 @@ def file_mesh(path: pathlib.Path) -> Parts:
             )
         mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
     check_nodes(path, mesh)
-    notes = (*mesh.source.notes, *_hidden_groups(mesh))
+    groups = {group: names for group, names in mesh.source.groups.items() if group in mesh.patches}
+    hidden = (
+        f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
+        for group, names in groups.items()
+        if {*names} != {group}
+    )
+    notes = (*mesh.source.notes, *hidden)
     source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
     return mesh._replace(source=source)
 
 
-def _hidden_groups(mesh: Parts) -> Iterator[str]:
-    for group, names in mesh.source.groups.items():
-        if group in mesh.patches and set(names) != {group}:
-            yield f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
-
-
-def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
+def check_nodes(path: Path, mesh: Parts) -> None:
     """Refuses duplicate cells but pieces of polyhedra; warns of duplicate nodes in curved cells."""
     whole, first = mesh.source.polyhedra, 0
     for kind, corners in mesh.cells.items():
-        corners, rows = np.asarray(corners), slice(None)
+        corners = np.asarray(corners)
+        rows = np.arange(len(corners))
         if whole is not None:
-            rows = np.flatnonzero(~np.isin(mesh.source.cell_ids[first : first + len(corners)], whole.cut))
+            rows = rows[~np.isin(mesh.source.cell_ids[first + rows], whole.cut)]
         first += len(corners)
-        twice = np.arange(len(corners))[rows][repeated_cells(corners[rows])]
+        twice = rows[repeated_cells(corners[rows])]
         if len(twice):
             raise ValueError(
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
                 f"between nodes {corners[twice[0]].tolist()}: remove the copies."
             )
-        if kind not in HIGH_ORDER:
-            continue
         folded = np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1))
-        if len(folded):
+        if kind in HIGH_ORDER and len(folded):
             centre = place_of(np.asarray(mesh.points)[corners[folded[0]]].mean(axis=0))
             warn(
                 f"{path}: {len(folded)} of {len(corners)} cells of type {kind} name a node twice, first cell {folded[0]} "
@@ -136,7 +134,7 @@ def check_nodes(path: pathlib.Path, mesh: Parts) -> None:
 
 
 @checked
-def read(path: str | os.PathLike[str]) -> Mesh:
+def read(path: PathLike) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
     Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), Fluent (.msh,
@@ -174,11 +172,11 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
 @checked
 def write(
-    path: str | os.PathLike[str],
+    path: PathLike,
     mesh: Mesh,
     *,
-    point_data: dict[str, Shaped[np.ndarray, "n ..."]] | None = None,
-    cell_data: dict[str, Shaped[np.ndarray, "c ..."]] | None = None,
+    point_data: dict[str, Shaped[ndarray, "n ..."]] | None = None,
+    cell_data: dict[str, Shaped[ndarray, "c ..."]] | None = None,
 ) -> None:
     """Writes a mesh in the format of the file's ending.
 
@@ -204,22 +202,24 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
     wrong length, points that are not finite, and what the format cannot express.
     """
-    chosen, path = _checked(path, mesh), pathlib.Path(path)
+    chosen, path = _checked(path, mesh), Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
         raise ValueError(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
         )
     as_written(path, mesh)
-    with (
-        contextlib.nullcontext(path) if chosen.is_folder else complete(path) as target,
-        files.packed(target, path.stem) as file,
-    ):
-        chosen.codec().write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
+    appear, codec = contextlib.nullcontext if chosen.is_folder else complete, chosen.codec()
+    with appear(path) as target, files.packed(target, path.stem) as file:
+        if hasattr(codec, "write"):
+            codec.write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
+        else:
+            with file.open("wb") as stream:
+                stream.writelines(own_source(mesh, chosen.name).content.moved(np.asarray(mesh.points)))
 
 
 @checked
-def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
+def as_written(path: PathLike, mesh: Mesh) -> Float[ndarray, "n d"]:
     """Computes the points that reading a written file will give, bit for bit; writes nothing.
 
     A file in single precision rounds them: a small motion or the first cells at a wall may be lost.
@@ -234,7 +234,7 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
     **Warns:** where rounding takes more than a tenth of the motion, or of an edge of a cell.
     """
-    chosen = format_of(pathlib.Path(path), mesh.source)
+    chosen = format_of(Path(path), mesh.source)
     path = files.output_path(path, folder=chosen.is_folder)
     points, source = np.asarray(mesh.points), source_of(mesh, chosen.name)
     if source is None or source.held is None:
@@ -243,7 +243,7 @@ def as_written(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n
 
 
 @checked
-def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
+def check_output(path: PathLike, mesh: Mesh) -> bool:
     """Checks a path as `write` does, before any work.
 
     **Arguments:**
@@ -258,26 +258,25 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
     return _checked(path, mesh).holds_arrays
 
 
-def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
-    source, chosen = mesh.source, format_of(pathlib.Path(name), mesh.source)
+def _checked(name: PathLike, mesh: Mesh) -> Format:
+    source, chosen = mesh.source, format_of(Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
-    if hasattr(codec, "check"):
-        codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
-    else:
-        own_source(path, mesh, chosen.name)
-    finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
-    if not finite.all():
-        raise ValueError(
-            f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
-        )
+    with faults_of(path):
+        if hasattr(codec, "check"):
+            codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
+        else:
+            own_source(mesh, chosen.name)
+    bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
+    if len(bad):
+        raise ValueError(f"{path}: {len(bad)} of {len(mesh.points)} points are not finite, first node {bad[0]}.")
     return chosen
 
 
 @checked
-def losses(path: str | os.PathLike[str], mesh: Mesh) -> tuple[str, ...]:
+def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
     """Lists what a mesh and its file know, and a file at `path` will not have.
 
     **Arguments:**
@@ -291,13 +290,14 @@ def losses(path: str | os.PathLike[str], mesh: Mesh) -> tuple[str, ...]:
     chosen, source = _checked(path, mesh), mesh.source
     if not isinstance(source, Source) or source_of(mesh, chosen.name) is not None:
         return ()
-    kinds = dict.fromkeys(mesh.kinds.values())
-    told = [f"kinds of patches are lost: {', '.join(kinds)}."] * bool(kinds)
-    told += [f"groups of patches are lost: {', '.join(mesh.groups)}."] * bool(mesh.groups)
-    told += [f"periodic pairs of patches are lost: {len(source.periodic)}."] * bool(source.periodic)
+    names = {
+        "kinds of patches": dict.fromkeys(mesh.kinds.values()),
+        "groups of patches": mesh.groups,
+        "periodic pairs of patches": [str(len(source.periodic))][: len(source.periodic)],
+        "arrays": getattr(source.content, "arrays", ()),
+    }
+    told = [f"{what} are lost: {', '.join(lost)}." for what, lost in names.items() if lost]
     told += ["whole polyhedra are lost; they are cut."] * (source.polyhedra is not None)
-    arrays = getattr(source.content, "arrays", [])
-    told += [f"arrays are lost: {', '.join(arrays)}."] * bool(arrays)
     return (*told, *source.notes)
 
 
@@ -330,7 +330,7 @@ def symmetry(mesh: Mesh) -> tuple[str, ...]:
 
 
 @checked
-def cell_arrays(report: QualityReport) -> dict[str, np.ndarray]:
+def cell_arrays(report: QualityReport) -> dict[str, ndarray]:
     """Lists each cell's quality by name, as files hold it: a number a cell, as in `mesh.cells`."""
     names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
     arrays = {name: np.asarray(getattr(report, name)) for name in names}
@@ -338,7 +338,7 @@ def cell_arrays(report: QualityReport) -> dict[str, np.ndarray]:
 
 
 @checked
-def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
+def write_moved(path: PathLike, mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
     """Writes a moved mesh, with displacement and cell quality where the format holds arrays.
 
     **Arguments:**
@@ -349,7 +349,7 @@ def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: Q
 
     **Raises:** `ValueError` as `write` does.
     """
-    path = pathlib.Path(path)
+    path = Path(path)
     if not check_output(path, mesh):
         write(path, moved)
         return
@@ -360,13 +360,13 @@ def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: Q
 
 
 @checked
-def write_pvd(path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]], times: Sequence[float]) -> None:
+def write_pvd(path: PathLike, files: Sequence[PathLike], times: Sequence[float]) -> None:
     """Writes ParaView's collection (.pvd): each of `files`, by its name, at one of `times`."""
     path = output_path(path, ".pvd")
     if len(files) != len(times):
         raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
     rows = [
-        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(pathlib.Path(file).name)}/>'
+        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(Path(file).name)}/>'
         for file, time in zip(files, times, strict=True)
     ]
     head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']

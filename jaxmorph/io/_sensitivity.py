@@ -1,26 +1,25 @@
 """Sensitivities by nodes, as adjoint solvers write them, and derivatives by design variables."""
 
 import csv
-import dataclasses
 import io
 import json
-import os
-import pathlib
 import re
+from pathlib import Path
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int, PyTree
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
-from jaxmorph._host.package.rounding import rows_in
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
-from ._format import source_of
-from ._surface import check_values, read_named, read_table
+from ._displacement import in_order, read_named, read_table
+from ._format import faults_of, source_of
+from ._text import PathLike
 from .openfoam.case import NAME
 from .openfoam.file import load
 
@@ -28,9 +27,7 @@ NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 
 
 @checked
-def read_sensitivity(
-    path: str | os.PathLike[str], mesh: Mesh, *, moving: Int[np.ndarray, " m"] | None = None
-) -> Float[np.ndarray, "k d"]:
+def read_sensitivity(path: PathLike, mesh: Mesh, *, moving: Int[ndarray, " m"] | None = None) -> Float[ndarray, "k d"]:
     """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
     With `moving` it may be for every node of a wall, for `shapes.project`. The file is one of
@@ -59,31 +56,19 @@ def read_sensitivity(
     path = input_path(path)
     n, d = mesh.points.shape
     moving = None if moving is None else rows_of("moving", moving, n)
-    if path.suffix.lower() == ".npz":
-        ids, values, _ = read_named(path, ("sensitivity",))
-    elif is_foam_file(path):
-        ids, values = np.arange(n), read_point_vectors(path, mesh)
-    else:
-        ids, values = read_table(path, d, NAMES)
-    check_values(path, ids, values, d)
-    foreign = np.setdiff1d(ids, np.arange(n))
-    if foreign.size:
-        raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
-    wanted = np.arange(n) if moving is None or len(ids) >= n else moving
-    is_surface = wanted is moving
-    missing = np.setdiff1d(wanted, ids)
-    if missing.size:
-        which = f"the {len(wanted)} moving nodes" if is_surface else f"{n} nodes"
-        need = f"a surface's file has all of them, a volume's all {n} nodes"
-        need = need if is_surface else "sensitivities of all nodes of the volume are needed"
-        raise ValueError(f"{path}: {missing.size} of {which} are missing (first {missing[0]}); {need}.")
-    return values[rows_in(ids, wanted)]
+    with faults_of(path):
+        if path.suffix.lower() == ".npz":
+            ids, values, _ = read_named(path, ("sensitivity",))
+        elif is_foam_file(path):
+            ids, values = np.arange(n), read_point_vectors(path, mesh)
+        else:
+            ids, values = read_table(path, d, NAMES)
+        wanted = np.arange(n) if moving is None or len(ids) >= n else moving
+        return in_order(ids, values, d, wanted, (np.arange(n), f"the mesh, 0 to {n - 1}"))
 
 
 @checked
-def write_sensitivity(
-    path: str | os.PathLike[str], ids: Int[np.ndarray, " m"], values: Float[np.ndarray, "m d"]
-) -> None:
+def write_sensitivity(path: PathLike, ids: Int[ndarray, " m"], values: Float[ndarray, "m d"]) -> None:
     """Writes dJ/d(nodes) by node id: a table (.csv), or .npz of `ids` and `sensitivity`.
 
     **Arguments:**
@@ -109,7 +94,7 @@ def write_sensitivity(
 
 
 @checked
-def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
+def check_sensitivity_output(path: PathLike) -> Path:
     """Raises `ValueError` for a file that `write_sensitivity` cannot write; returns its path."""
     return output_path(path, *SENSITIVITIES)
 
@@ -118,18 +103,18 @@ _INTERNAL = re.compile(rb"internalField\s+(nonuniform\s+List<vector>|uniform)")
 _END = re.compile(rb"\)\s*\)\s*;")
 
 
-def is_foam_file(path: pathlib.Path) -> bool:
+def is_foam_file(path: Path) -> bool:
     if path.suffix == ".gz":
         return True
     with path.open("rb") as file:
         return b"FoamFile" in file.read(1 << 14)
 
 
-def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d"]:
+def read_point_vectors(path: Path, mesh: Mesh) -> Float[ndarray, "n d"]:
     """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up."""
     source = source_of(mesh, NAME)
     if source is None:
-        raise ValueError(f"{path}: a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
+        raise ValueError("a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
     file = load(path.parent, path.name)
     kind, entry = file.header.get("class", "no class"), _INTERNAL.search(file.data, file.end)
     if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
@@ -137,14 +122,14 @@ def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d
         raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
     stop = None if file.is_binary else _END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
-    values, content = dataclasses.replace(file, data=data, end=entry.end()).numbers("scalar", 3), source.content
+    values, content = file._replace(data=data, end=entry.end()).numbers("scalar", 3), source.content
     if len(values) != len(content.points):
         raise file.error(f"{len(content.points)} vectors expected, one for each point of the case, found {len(values)}")
     return values if content.plane is None else content.plane.added(values)
 
 
 @checked
-def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: PyTree) -> None:
+def write_gradient(path: PathLike, parameters: PyTree, gradient: PyTree) -> None:
     """Writes design variables by name, each with its value and its derivative.
 
     Names come from `shapes.names`. A table (.csv) has the columns `variable`, `value` and
@@ -179,6 +164,6 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
 
 
 @checked
-def check_gradient_output(path: str | os.PathLike[str]) -> pathlib.Path:
+def check_gradient_output(path: PathLike) -> Path:
     """Raises `ValueError` for a file that `write_gradient` cannot write; returns its path."""
     return output_path(path, *GRADIENTS)

@@ -1,14 +1,13 @@
 """SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File)."""
 
 import collections
-import dataclasses
 import itertools
-import os
-import pathlib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph import Mesh
 from jaxmorph._host.cells.pieces import boundary_faces
@@ -17,9 +16,9 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
-from ._format import MeshLike, Source, patch_faces, source_of
+from ._format import Arrays, MeshLike, Source, faults_of, patch_faces, source_of
 from ._registry import check_nodes, check_output
-from ._text import Rows, Section, blank_comments, decoded, replaced
+from ._text import PathLike, Pieces, Section, blank_comments, decoded, replaced
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -33,8 +32,7 @@ ROWS = 1 << 16
 WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
 
 
-@dataclasses.dataclass(frozen=True)
-class Keyword:
+class Keyword(NamedTuple):
     name: str
     value: str
     section: Section
@@ -47,8 +45,7 @@ class Keyword:
         return int(words[0])
 
 
-@dataclasses.dataclass(frozen=True)
-class SU2Content:
+class SU2Content(NamedTuple):
     """A file's text, and where its coordinates are: rows (n, width) of d and indices."""
 
     text: bytes
@@ -57,13 +54,13 @@ class SU2Content:
     shape: tuple[int, int]
     width: int
 
-    def moved(self, points: np.ndarray) -> Iterator[bytes | memoryview]:
+    def moved(self, points: ndarray) -> Pieces:
         n, d = self.shape
         places = (self.width * np.arange(n)[:, None] + np.arange(d)).ravel()
         return replaced(self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments)
 
 
-def read(path: pathlib.Path) -> Parts:
+def read(path: Path) -> Parts:
     """Reads points in the order of the file; `patches` are the markers, joined by name.
 
     With `NMARK= 0` the patch is `boundary`. Markers of one tag are one boundary to SU2, too. Index
@@ -74,47 +71,46 @@ def read(path: pathlib.Path) -> Parts:
     zones = by_zones(path, text)
     if len(zones) > 1:
         raise ValueError(
-            f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
+            f"the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
             "writes some of them, other zones as they are. On the command line --zone 1 is the first."
         )
     return mesh_of(path, text, zones[0])
 
 
-def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
+def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
     keywords = list(_keywords(path, blank_comments(text)))
     cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
+    _check_zones(head, zones)
+    zones = sorted(zones, key=lambda zone: zone[0].number())
+    return [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones] or [
+        head
+    ]
+
+
+def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
     for keyword in head:
         if keyword.name == "NZONE" and keyword.number(least=1) != max(len(zones), 1):
             raise keyword.section.error(f"NZONE= {keyword.value}, but {len(zones)} zones are in the file.")
-    zones = sorted(zones, key=lambda zone: zone[0].number())
     numbers = [zone[0].number() for zone in zones]
-    if numbers != list(range(1, len(zones) + 1)):
-        raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
-    return [_with_head(head, zone) for zone in zones or [[]]]
+    if sorted(numbers) != list(range(1, len(zones) + 1)):
+        raise ValueError(f"IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
 
 
-def _with_head(head: list[Keyword], zone: list[Keyword]) -> list[Keyword]:
-    names = {keyword.name for keyword in zone}
-    return [*(keyword for keyword in head if keyword.name not in names), *zone]
-
-
-def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Parts:
-    dimension, rows = (_only(path, keywords, name) for name in ("NDIME", "NPOIN"))
+def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
+    dimension, rows = (_only(keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-    tables = list(_points(rows, d))
-    points = np.concatenate([table[:, :d] for table in tables])
-    cells = _cells(_only(path, keywords, "NELEM"), len(points))
-    section = rows.section
-    content = SU2Content(text, section.start, section.stop, points.shape, tables[0].shape[1])
-    patches = _markers(path, keywords, len(points))
+    table, section = _points(rows, d), rows.section
+    points = np.ascontiguousarray(table[:, :d])
+    cells = _cells(_only(keywords, "NELEM"), len(points))
+    content = SU2Content(text, section.start, section.stop, points.shape, table.shape[1])
+    patches = _markers(keywords, len(points))
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    source = Source(path, NAME, content, notes=tuple(_notes(keywords)))
-    return checked_parts(points, cells, patches, source)
+    return checked_parts(points, cells, patches, Source(path, NAME, content, notes=tuple(_notes(keywords))))
 
 
 def _notes(keywords: list[Keyword]) -> Iterator[str]:
@@ -124,22 +120,20 @@ def _notes(keywords: list[Keyword]) -> Iterator[str]:
             yield f"the {count} markers {tag} are one patch, as they are to SU2."
 
 
-def check(path: pathlib.Path, mesh: MeshLike) -> None:
+def check(path: Path, mesh: MeshLike) -> None:
     """Refuses patches that boundary faces cannot express, or whose name is no tag of a marker."""
     if source_of(mesh, NAME) is not None:
         return
     curved = [kind for kind in mesh.cells if kind not in VTK]
     if curved:
-        raise ValueError(f"{path}: SU2's files hold linear cells, not {', '.join(curved)}; write .msh or .vtu.")
+        raise ValueError(f"SU2's files hold linear cells, not {', '.join(curved)}; write .msh or .vtu.")
     for name in mesh.patches:
         if name != name.strip() or not name or any(mark in name for mark in "%=\r\n"):
-            raise ValueError(
-                f"{path}: {name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break."
-            )
+            raise ValueError(f"{name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break.")
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
+def write(path: Path, mesh: MeshLike) -> None:
     """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
     source, points = source_of(mesh, NAME), np.asarray(mesh.points)
     if source is not None and points.shape != source.content.shape:
@@ -148,7 +142,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
         file.writelines(_new_text(mesh) if source is None else source.content.moved(points))
 
 
-def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
+def _keywords(path: Path, text: bytes) -> Iterator[Keyword]:
     lines = []
     at = text.find(b"=")
     while at >= 0:
@@ -164,63 +158,49 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
         yield Keyword(name, value, Section(path, text, end, stop))
 
 
-def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
+def _only(keywords: list[Keyword], name: str) -> Keyword:
     matches = [keyword for keyword in keywords if keyword.name == name]
     if not matches:
         small = any(keyword.name.upper() == name for keyword in keywords)
         cause = "SU2's keywords are in capitals" if small else "it is not an SU2 mesh, or it is cut short"
-        raise ValueError(f"{path}: no {name}= in this file; {cause}.")
+        raise ValueError(f"no {name}= in this file; {cause}.")
     if len(matches) > 1:
         raise matches[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
     return matches[0]
 
 
-def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:
-    n, width, count = keyword.number(least=1), 0, 0
-    for block in keyword.section.blocks(np.float64):
-        counts, row = block.counts, block.row
-        width = width or int(counts[0])
-        block.refuse(
-            (counts < d) | (counts > d + 2) | (counts != width),
-            lambda k, counts=counts, width=width: (
-                f"a point of {d} coordinates expected, found {_numbers(counts[k])}"
-                f"{f', {width} on the rows before' if counts[k] != width else ''}."
-            ),
-        )
-        table = block.values.reshape(-1, width)
-        points, indices = table[:, :d], table[:, d:]
-        block.refuse(
-            (indices != np.floor(indices)).any(axis=1),
-            lambda k, found=indices: (
-                f"a point of {d} coordinates and its index expected, found {found[k].tolist()} as index."
-            ),
-        )
-        block.refuse(
-            ~np.isfinite(points).all(axis=1),
-            lambda k, row=row, points=points: f"point {row + k} is not finite: {points[k].tolist()}.",
-        )
-        yield table
-        count += len(table)
-    _check_count(keyword, n, count, "points")
+def _points(keyword: Keyword, d: int) -> ndarray:
+    n, rows = keyword.number(least=1), keyword.section.rows(np.float64)
+    counts = rows.counts
+    width = int(counts[:1].sum()) or d
+    expected = f"a point of {d} coordinates, and on all rows or none up to 2 indices, expected"
+    rows.refuse(
+        (counts < d) | (counts > d + 2) | (counts != width), lambda k: f"{expected}, found {counts[k]} numbers."
+    )
+    table = rows.values.reshape(-1, width)
+    is_good = np.isfinite(table).all(axis=1) & (table[:, d:] == np.floor(table[:, d:])).all(axis=1)
+    rows.refuse(~is_good, lambda k: f"{expected}, found point {k} at {table[k].tolist()}.")
+    _check_count(keyword, n, len(table), "points")
+    return table
 
 
-def _cells(keyword: Keyword, n: int) -> dict[str, np.ndarray]:
+def _cells(keyword: Keyword, n: int) -> Arrays:
     cells = gathered(_tables(keyword, keyword.section, n, "elements"))
     if 1 in cells:
         raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
     return {TYPES[number]: corners for number, corners in cells.items()}
 
 
-def _markers(path: pathlib.Path, keywords: list[Keyword], n: int) -> dict[str, np.ndarray]:
+def _markers(keywords: list[Keyword], n: int) -> Arrays:
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
     patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
-    stated = _only(path, keywords, "NMARK")
+    stated = _only(keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
     return patches
 
 
-def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, np.ndarray]]:
+def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, ndarray]]:
     """Yields the nodes behind a tag; of SEND_RECEIVE, SEND_TO= stands before the rows."""
     if not rest or rest[0].name != "MARKER_ELEMS":
         raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
@@ -230,45 +210,16 @@ def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, np.ndar
         yield tag.value, corners.ravel()
 
 
-def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, np.ndarray]]:
+def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, ndarray]]:
     """Yields types by SU2's number and corners (k, corners), in order of first appearance."""
-    count, extra = 0, None
+    count, more = 0, None
     for block in section.blocks(np.int64):
-        first = block.first
-        kinds = block.values[first]
-        corners = np.array([SIZES.get(kind, 0) for kind in range(max(SIZES) + 2)])[np.clip(kinds, 0, max(SIZES) + 1)]
-        extra = int(block.counts[0] - 1 - corners[0]) if extra is None else extra
-        _check_rows(block, kinds, corners, extra)
-        for kind in dict.fromkeys(kinds.tolist()):
-            rows = np.flatnonzero(kinds == kind)
-            ids = block.values[first[rows, None] + 1 + np.arange(SIZES[kind])]
-            block.refuse(
-                rows[((ids < 0) | (ids >= n)).any(axis=1)],
-                lambda k, rows=rows, ids=ids: (
-                    f"nodes {ids[np.searchsorted(rows, k)].tolist()}, but there are points 0 to {n - 1}."
-                ),
-            )
-            yield kind, ids.astype(np.int32 if n < 2**31 else np.int64)
-        count += len(kinds)
+        if more is None:  # all rows have an index behind the nodes, or none
+            more = min(max(int(block.counts[0]) - 1 - SIZES.get(int(block.values[0]), 0), 0), 1)
+        for kind, rows, table in block.by_kind(0, SIZES, n, more):
+            yield kind, table[:, 1:].astype(np.int32 if n < 2**31 else np.int64)
+            count += len(rows)
     _check_count(keyword, keyword.number(), count, what)
-
-
-def _check_rows(block: Rows, kinds: np.ndarray, corners: np.ndarray, extra: int) -> None:
-    """Raises `ValueError` for unknown types, and rows without `corners` and `extra` numbers."""
-    known = ", ".join(map(str, SIZES))
-    block.refuse(corners == 0, lambda k: f"element type {kinds[k]} is not known; SU2's are {known}.")
-    counts = block.counts - 1 - corners
-
-    def message(k: int) -> str:
-        others = ", and an index as the rows before have" if extra else ", and no index before it"
-        others = others if counts[k] in (0, 1) else ""  # else the row is wrong by itself
-        return f"an element of type {kinds[k]} has {corners[k]} nodes{others}, found {_numbers(block.counts[k])}."
-
-    block.refuse((counts < 0) | (counts > 1) | (counts != extra), message)
-
-
-def _numbers(count: int) -> str:
-    return f"{count} {'number' if count == 1 else 'numbers'}"
 
 
 def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
@@ -276,7 +227,7 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
         raise keyword.section.error(f"{keyword.name}= {stated}, but {count} rows of {what} follow.")
 
 
-def _new_text(mesh: MeshLike) -> Iterator[bytes]:
+def _new_text(mesh: MeshLike) -> Pieces:
     points, markers = np.asarray(mesh.points), patch_faces(mesh)
     n, d = points.shape
     yield f"NDIME= {d}\nNELEM= {sum(map(len, mesh.cells.values()))}\n".encode()
@@ -289,19 +240,19 @@ def _new_text(mesh: MeshLike) -> Iterator[bytes]:
         yield from _element_rows(faces)
 
 
-def _element_rows(cells: Mapping[str, Any]) -> Iterator[bytes]:
+def _element_rows(cells: Mapping[str, Any]) -> Pieces:
     for kind, corners in cells.items():
         yield from _rows(" ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners))
 
 
-def _rows(form: str, table: np.ndarray) -> Iterator[bytes]:
+def _rows(form: str, table: ndarray) -> Pieces:
     for start in range(0, len(table), ROWS):
         block = table[start : start + ROWS]
         yield (f"{form}\n" * len(block) % tuple(block.ravel().tolist())).encode()
 
 
 @checked
-def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
+def read_zones(path: PathLike) -> tuple[Mesh, ...]:
     """Reads each zone of an SU2 file (`NZONE= 2`) as a mesh, in the order of `IZONE=`.
 
     Zones are moved alone or together: a wall that two zones have moves in both where each is given
@@ -319,14 +270,15 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
     if path.suffix.lower() != ".su2":
         raise ValueError(f"{path}: SU2 files have zones that are meshes of their own; io.read joins zones of others.")
     text = path.read_bytes()
-    meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
+    with faults_of(path):
+        meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
     for mesh in meshes:
         check_nodes(path, mesh)
     return tuple(Mesh(*mesh) for mesh in meshes)
 
 
 @checked
-def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
+def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
     """Writes the zones' SU2 file with the coordinates of some of them, all else byte for byte.
 
     The file appears when it is complete.
@@ -340,7 +292,7 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
     `write` refuses.
     """
     zones = [(_content(path, mesh), mesh) for mesh in meshes]
-    if pathlib.Path(path).suffix.lower() != ".su2" or not zones:
+    if Path(path).suffix.lower() != ".su2" or not zones:
         raise ValueError(f"{path}: {WANTED}")
     text = zones[0][0].text
     if any(content.text is not text for content, _ in zones):
@@ -351,12 +303,12 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
         raise ValueError(f"{path}: one zone is twice in `meshes`.")
     # from the last zone to the first, so that places of earlier zones stay
     for content, mesh in sorted(zones, key=lambda zone: -zone[0].start):
-        text = b"".join(dataclasses.replace(content, text=text).moved(np.asarray(mesh.points)))
-    with complete(pathlib.Path(path)) as partial:
+        text = b"".join(content._replace(text=text).moved(np.asarray(mesh.points)))
+    with complete(Path(path)) as partial:
         partial.write_bytes(text)
 
 
-def _content(path: str | os.PathLike[str], mesh: Mesh) -> SU2Content:
+def _content(path: PathLike, mesh: Mesh) -> SU2Content:
     source = source_of(mesh, NAME)
     check_output(path, mesh)
     if source is None:

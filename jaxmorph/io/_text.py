@@ -1,16 +1,22 @@
 """Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand."""
 
-import dataclasses
 import io
-import pathlib
+import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.package.text import decoded as decoded
+
+PathLike = str | os.PathLike[str]
+"""The name of a file, as users give it."""
+Pieces = Iterator[bytes | memoryview]
+"""A file, piece by piece."""
 
 ENOUGH = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
@@ -18,7 +24,7 @@ ENOUGH = 1 << 14
 _FORTRAN = bytes.maketrans(b"Dd", b"ee")
 
 
-def parse(text: bytes, dtype: type) -> np.ndarray:
+def parse(text: bytes, dtype: type) -> ndarray:
     """Reads a text's numbers up to the first non-number, also with Fortran's exponents, 1.5D-3."""
     if not text.strip():
         return np.zeros(0, dtype)
@@ -32,7 +38,7 @@ def parse(text: bytes, dtype: type) -> np.ndarray:
             return np.zeros(0, dtype)
 
 
-def lines(values: np.ndarray) -> bytes:
+def lines(values: ndarray) -> bytes:
     """Writes one number a line, with the fewest digits that read back as the double it is."""
     values = values.astype(float, copy=False)
     if 16 * len(values) < ENOUGH:
@@ -50,7 +56,7 @@ WIDEST = 64
 """Bytes of a text that are one row of a table at most."""
 
 
-def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> bytes:
+def spliced(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
     """Replaces what stands between `starts` and `ends` of a text by `lines`, without line ends.
 
     Pieces of text and lines alternate. Each is a row of a table as wide as the widest of its kind,
@@ -70,10 +76,10 @@ def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> 
     return table[inside].tobytes() + text[ends[-1] :]
 
 
-def _rows(text: bytes, starts: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rows(text: bytes, starts: ndarray, sizes: ndarray) -> tuple[ndarray, ndarray]:
     """Gathers bytes from each of `starts`, as wide as the longest; a mask marks own bytes."""
     width = max(int(sizes.max()), 1)
-    windows = np.ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))
+    windows = ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))
     return windows[starts].view(np.uint8).reshape(-1, width), np.arange(width) < sizes[:, None]
 
 
@@ -81,11 +87,10 @@ CHUNK = 1 << 20
 """Bytes looked at together: all tables made of them stay in a core's own cache."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """Marks the bytes `start` to `stop` of a file's text, and names the line of anything in it."""
 
-    path: pathlib.Path
+    path: Path
     text: bytes
     start: int
     stop: int
@@ -128,33 +133,57 @@ class Section:
         return Rows(self, np.concatenate(values), np.concatenate(counts))
 
     def _not_a_number(self, dtype: type) -> ValueError:
-        kind = int if np.issubdtype(dtype, np.integer) else float
+        kind, what = (int, "an integer") if np.issubdtype(dtype, np.integer) else (float, "a number")
         for row, line in enumerate(line for line in self._lines() if line.strip()):
             for word in line.split():
-                if len(parse(word, dtype)) != 1 or not _is(kind, word):
-                    expected = "an integer" if kind is int else "a number"
-                    return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {expected}.", row)
+                try:
+                    kind(word.translate(_FORTRAN))
+                except ValueError:
+                    return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {what}.", row)
         return self.error("the rows that follow hold something that is not a number.")
 
 
-@dataclasses.dataclass(frozen=True)
-class Rows:
+class Rows(NamedTuple):
     """Lines of a section with numbers, from number `row` on: all `values`, `counts` a line."""
 
     section: Section
-    values: np.ndarray
-    counts: np.ndarray
+    values: ndarray
+    counts: ndarray
     row: int = 0
 
     @property
-    def first(self) -> np.ndarray:
+    def first(self) -> ndarray:
         return np.cumsum(self.counts) - self.counts
 
-    def refuse(self, wrong: Any, message: Callable[[int], str]) -> None:
+    def refuse(self, wrong: Any, message: str | Callable[[int], str]) -> None:
         """Raises `ValueError` for the first of the rows `wrong`, ids or a mask."""
         rows = np.flatnonzero(wrong) if wrong.dtype == bool else wrong
         if len(rows):
-            raise self.section.error(message(int(rows[0])), self.row + int(rows[0]))
+            row = int(rows[0])
+            raise self.section.error(message if isinstance(message, str) else message(row), self.row + row)
+
+    def by_kind(
+        self, column: int, sizes: Mapping[int, int], n: int, more: int = 0
+    ) -> Iterator[tuple[int, ndarray, ndarray]]:
+        """Yields each type of elements in a column, its rows, and their numbers up to the nodes.
+
+        These are 0 to n - 1, so many of each type as `sizes` says. An index follows if `more` is 1.
+        """
+        self.refuse(self.counts <= column, "an element's type and nodes expected.")
+        kinds = self.values[self.first + column]
+        for kind in dict.fromkeys(kinds.tolist()):
+            rows, size = np.flatnonzero(kinds == kind), sizes.get(kind, 0)
+            known = f"element type {kind} is not known; known are {', '.join(map(str, sizes))}."
+            self.refuse(rows[: 0 if size else 1], known)
+            width = column + 1 + size
+            message = f"an element of type {kind} has {size} nodes: {width} numbers{' and an index' * more} expected."
+            self.refuse(rows[self.counts[rows] != width + more], message)
+            table = self.values[self.first[rows, None] + np.arange(width)]
+            nodes = table[:, column + 1 :]
+            self.refuse(
+                rows[((nodes < 0) | (nodes >= n)).any(axis=1)], f"there are nodes 0 to {n - 1}, and others here."
+            )
+            yield kind, rows, table
 
 
 def blank_comments(text: bytes) -> bytes:
@@ -173,7 +202,7 @@ def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
         start = end
 
 
-def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def scan(chunk: bytes) -> tuple[ndarray, ndarray, ndarray]:
     """Finds where a chunk's words begin and end, and how many each line has that has any."""
     codes = np.frombuffer(chunk, np.uint8)
     blank = np.ones(len(codes) + 2, bool)
@@ -188,11 +217,11 @@ def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def replaced(
     text: bytes,
     part: slice,
-    values: np.ndarray,
+    values: ndarray,
     *,
-    at: np.ndarray | None = None,
+    at: ndarray | None = None,
     plain: Callable[[bytes], bytes] = bytes,
-) -> Iterator[bytes | memoryview]:
+) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 
     `at` are the places of these numbers among all words of the part, ascending; None for all words.
@@ -213,11 +242,3 @@ def replaced(
         yield spliced(chunk, starts[places], ends[places], lines(new[changed])) if len(changed) else chunk
         words, done = words + len(starts), done + len(chosen)
     yield memoryview(text)[part.stop :]
-
-
-def _is(kind: type, word: bytes) -> bool:
-    try:
-        kind(word)
-    except ValueError:
-        return False
-    return True

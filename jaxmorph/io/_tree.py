@@ -1,17 +1,24 @@
 """The tree of a CGNS, MED or Exodus file, in HDF5, in ADF or in classic netCDF.
 
+ADF is that of cgnslib's core, the older format of CGNS. A file is a heap of parts between tags: a
+header, nodes, their tables of children, and chunks of data. A place is a block of 4,096 bytes and
+an offset in it: hexadecimal digits in version A, integers in version B.
+
 Classic netCDF is CDF-1, CDF-2 and CDF-5 of Unidata's "NetCDF Classic Format Specification": a
 header of dimensions, attributes and variables with their places, and big-endian numbers.
 """
 
 import contextlib
 import math
-import pathlib
+import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._mesh.exchange import Grid, Parts, Patch
 
@@ -21,7 +28,6 @@ try:
 except ImportError as error:
     raise ImportError("CGNS, MED and Exodus files need h5py: pip install 'jaxmorph[io]'") from error
 
-from . import _adf
 from ._format import FilePoints, MeshLike, Source, of_grid, own_source, stamp_of
 from ._text import decoded
 
@@ -29,24 +35,23 @@ WHAT = "a CGNS file in HDF5 or ADF"
 
 
 @contextlib.contextmanager
-def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
+def opened(path: Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
     """Yields the root of a file's tree as h5py has it: groups with `label`, arrays as " data".
 
     `what` names the format in messages. Raises `ValueError` for another format, and for a file that
     is damaged or has data elsewhere, which a copy would share.
     """
-    with path.open("rb") as file:
-        magic = file.read(_adf.TAG + len(_adf.MAGIC))
-    trees = {_adf.MAGIC: lambda file: _adf.Reader(path, file).tree(), MAGIC: lambda file: _Header(file).tree()}
-    makes = [make for first, make in trees.items() if first in (magic[: len(first)], magic[_adf.TAG :])]
     try:
-        if makes:
-            with path.open("r+b" if writes else "rb") as file:
-                yield makes[0](file)
-        else:
-            with h5py.File(path, "r+" if writes else "r") as file:
-                _refuse_foreign_data(path, file)
-                yield file
+        with path.open("r+b" if writes else "rb") as file:
+            magic = file.read(TAG + len(ADF))
+            if magic.startswith(CDF):
+                yield _Header(file).tree()
+            elif magic.endswith(ADF):
+                yield Reader(path, file).tree()
+            else:
+                with h5py.File(path, "r+" if writes else "r") as tree:
+                    _refuse_foreign_data(path, tree)
+                    yield tree
     except Exception as error:  # HDF5 answers damage by a dozen classes
         if writes or (isinstance(error, ValueError) and str(path) in str(error)):
             raise
@@ -54,7 +59,7 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
         raise ValueError(f"{path}: not {what}, or a damaged one ({detail}).") from error
 
 
-def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
+def _refuse_foreign_data(path: Path, file: Any) -> None:
     def elsewhere(name: bytes) -> str | None:
         kind = file.id.links.get_info(name).type
         if kind == h5l.TYPE_EXTERNAL:
@@ -71,6 +76,17 @@ def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
         raise ValueError(f"{path}: {found[-200:]}. {remedy}")
 
 
+def text_of(value: Any) -> str:
+    """Decodes a text in a file: what stands before its first zero, without blanks around."""
+    return value if isinstance(value, str) else decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()
+
+
+def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
+    if len(groups) != 1:
+        raise ValueError(f"{len(groups)} {what} in the file, one is read")
+    return next(iter(groups.items()))
+
+
 class Coordinates(NamedTuple):
     """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns.
 
@@ -83,7 +99,7 @@ class Coordinates(NamedTuple):
     by_rows: bool = False
 
 
-def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> np.ndarray:
+def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> ndarray:
     points = np.full((n, d), np.nan)
     for array, rows, columns, by_rows in coordinates:
         width = d if columns == slice(None) else 1
@@ -96,7 +112,7 @@ def singles_of(coordinates: Iterable[Coordinates]) -> list[tuple[slice, slice]]:
 
 
 def of_tree(
-    path: pathlib.Path,
+    path: Path,
     name: str,
     coordinates: Iterable[Coordinates],
     grid: Grid,
@@ -108,7 +124,7 @@ def of_tree(
 
 
 def write_points(
-    path: pathlib.Path,
+    path: Path,
     mesh: MeshLike,
     format_name: str,
     coordinates: Callable[[Any], Iterable[Coordinates]],
@@ -119,7 +135,7 @@ def write_points(
     `coordinates` finds them in the root of the copy's tree. NumPy rounds them, since HDF5 rounds
     ties otherwise. A file with data in another one is refused before it is copied.
     """
-    source = own_source(path, mesh, format_name)
+    source = own_source(mesh, format_name)
     with opened(source.path, what=what):
         pass
     shutil.copyfile(source.path, path)
@@ -133,7 +149,189 @@ def write_points(
                 array[...] = (new if by_rows else new.T).reshape(array.shape).astype(array.dtype)
 
 
-MAGIC = b"CDF"
+BLOCK, ENTRY, POINTER, TAG = 4096, 44, 12, 4
+ADF = b"ADF Database Version "
+_ORDERS = {b"L": "<", b"B": ">"}
+_HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
+_NODE = struct.Struct("4x 32s 32s 8s 8x 12s 32s 2s 96s 4s 12s 4x")
+"""A node's name, label, number and table of children, type, number of sizes, sizes, its data."""
+
+
+class Array:
+    """A node's numbers, read and written in place: bytes `(at, count)` of the file, in pieces."""
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        dtype: np.dtype,
+        shape: tuple[int, ...],
+        pieces: list[tuple[int, int]],
+        attrs: Mapping[str, bytes] | None = None,
+    ):
+        self._file, self.dtype, self.pieces, self.attrs = file, dtype, pieces, attrs or {}
+        self.shape, self.size = shape, math.prod(shape)
+
+    def __getitem__(self, key: Any) -> ndarray:
+        parts = []
+        for at, count in self.pieces:
+            self._file.seek(at)
+            parts.append(self._file.read(count))
+        values = np.frombuffer(b"".join(parts), self.dtype, self.size).reshape(self.shape)
+        return values.astype(self.dtype.newbyteorder("="))[key]
+
+    def __setitem__(self, _: Any, values: ndarray) -> None:
+        raw = np.ascontiguousarray(values, self.dtype).tobytes()
+        for at, count in self.pieces:
+            self._file.seek(at)
+            self._file.write(raw[:count])
+            raw = raw[count:]
+
+
+class Node(dict[str, Any]):
+    """A node: its children by name, and its `Array` as " data", if it has one."""
+
+    def __init__(self, name: str, label: bytes):
+        super().__init__()
+        self.name, self.attrs = name, {"label": label}
+
+
+def check_spans(spans: list[tuple[int, int]], size: int) -> None:
+    """Raises `ValueError` for parts of a file that share a byte, or lie beyond its end."""
+    places = np.array(sorted(spans))
+    if (places[1:, 0] < places[:-1, 1]).any() or places[places[:, 0] < places[:, 1], 1].max() > size:
+        raise ValueError("parts of the file lie in one another, or beyond its end")
+
+
+def hexadecimal(digits: bytes) -> int:
+    if not re.fullmatch(rb"[0-9A-Fa-f]+", digits):
+        raise ValueError(f"{digits!r} where hexadecimal digits should stand")
+    return int(digits, 16)
+
+
+class Reader:
+    """Reads nodes, and records their `spans` of the file: no two may share a byte."""
+
+    def __init__(self, path: Path, file: BinaryIO):
+        self.path, self.file, self.size, self.spans = path, file, file.seek(0, 2), [(0, 186)]
+        head = self._read(0, 186)
+        self._tagged(head, _HEADER_TAGS)
+        self.is_old, code, long = head[25:26] != b"B", head[100:101], hexadecimal(head[112:114])
+        if code not in _ORDERS:
+            raise ValueError(
+                f"{path}: an ADF file with numbers of format {code.decode(errors='replace')!r}; IEEE's "
+                "formats are read: `cgnsconvert`, where the file was written, converts it."
+            )
+        if long not in (4, 8):
+            raise ValueError(f"long numbers of {long} bytes")
+        self.order = _ORDERS[code]
+        kinds = {
+            "I4": "i4",
+            "U4": "u4",
+            "R4": "f4",
+            "R8": "f8",
+            "C1": "i1",
+            "B1": "u1",
+            "I8": f"i{long}",
+            "U8": f"u{long}",
+        }
+        self.kinds = {code: np.dtype(self.order + kind) for code, kind in kinds.items()}
+        self.root = self._pointer(head[134:146])
+
+    def tree(self) -> Node:
+        """Reads the tree of an open file, without arrays; refuses links, cycles and damage."""
+        root, below = self._node(self.root)
+        waiting, seen = [(root, "", below)], {self.root}
+        while waiting:
+            node, place, entries = waiting.pop()
+            for at in entries:
+                if at in seen:
+                    raise ValueError(f"a node of {place or '/'} stands at two places of the tree")
+                seen.add(at)
+                child, below = self._node(at, place)
+                if child.name in node:
+                    raise ValueError(f"{place or '/'} has two nodes {child.name}")
+                node[child.name] = child
+                waiting.append((child, f"{place}/{child.name}", below))
+        check_spans(self.spans, self.size)
+        return root
+
+    def _read(self, at: int, count: int) -> bytes:
+        if at + count > self.size:
+            raise ValueError(f"a place {at} beyond the {self.size} bytes of the file")
+        self.file.seek(at)
+        return self.file.read(count)
+
+    def _pointer(self, raw: bytes) -> int:
+        return self._integer(raw[:8]) * BLOCK + self._integer(raw[8:])
+
+    def _integer(self, raw: bytes) -> int:
+        return hexadecimal(raw) if self.is_old else int(np.frombuffer(raw, f"{self.order}u{len(raw)}")[0])
+
+    def _tagged(self, raw: bytes, tags: dict[int, bytes]) -> None:
+        for at, tag in tags.items():
+            if raw[at : at + TAG].lower() != tag:
+                raise ValueError(f"{raw[at : at + TAG]!r} where {tag!r} should stand")
+
+    def _node(self, at: int, place: str = "") -> tuple[Node, list[int]]:
+        raw = self._read(at, _NODE.size)
+        self._tagged(raw, {0: b"node", _NODE.size - TAG: b"tail"})
+        self.spans.append((at, at + len(raw)))
+        name, label, children, below, kind, dimensions, sizes, chunks, data = _NODE.unpack(raw)
+        node = Node(decoded(name.rstrip(b" \0")), label.rstrip())
+        code = kind.strip(b" \0").decode(errors="replace").upper()
+        pieces = self._pieces(hexadecimal(chunks), data)
+        if code == "LK":
+            target = b"".join(self._read(first, count) for first, count in pieces)[:200].decode(errors="replace")
+            raise ValueError(
+                f"{self.path}: {place}/{node.name} is a link to {target.strip()}. Only files that hold all of their "
+                "data, and without links, are read: `cgnsconvert -l` makes one."
+            )
+        # HDF5 has the last number of ADF's sizes first
+        shape = tuple(self._integer(sizes[8 * k : 8 * k + 8]) for k in reversed(range(hexadecimal(dimensions))))
+        if code in self.kinds and pieces and shape:
+            need = math.prod(shape) * self.kinds[code].itemsize
+            if need > sum(count for _, count in pieces):
+                raise ValueError(f"{place}/{node.name} has less data than its shape {shape} says")
+            node[" data"] = Array(self.file, self.kinds[code], shape, pieces)
+        tags = (b"sntb", b"snte")
+        entries = self._table(below, tags, ENTRY, hexadecimal(children))
+        return node, [self._pointer(entry[-POINTER:]) for entry in entries]
+
+    def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:
+        if number < 2:
+            return [self._part(raw, (b"data", b"dend"))] if number else []
+        pieces = []
+        for entry in self._table(raw, (b"dctb", b"dcte"), 2 * POINTER, number):
+            at, count = self._part(entry[:POINTER], (b"data", b"dend"))
+            used = max(self._pointer(entry[POINTER:]) - at, 0)
+            if used > count:
+                raise ValueError(f"a chunk of {count} bytes, of which its table says {used}")
+            pieces.append((at, used))
+        return pieces
+
+    def _table(self, raw: bytes, tags: tuple[bytes, bytes], width: int, number: int) -> list[bytes]:
+        """Reads so many rows of a table, if any, whose place is in `raw`."""
+        if not number:
+            return []
+        first, count = self._part(raw, tags)
+        if width * number > count:
+            raise ValueError(f"a table of {width * number} bytes in {count}")
+        return [self._read(first + k * width, width) for k in range(number)]
+
+    def _part(self, raw: bytes, tags: tuple[bytes, bytes]) -> tuple[int, int]:
+        """Finds a part's content, behind the place of the last one, and its number of bytes."""
+        at = self._pointer(raw)
+        head = self._read(at, TAG + POINTER)
+        first, stop = at + len(head), self._pointer(head[TAG:])
+        self._tagged(head, {0: tags[0]})
+        self._tagged(self._read(stop, TAG), {0: tags[1]})
+        if stop < first:
+            raise ValueError(f"a part at {at} that ends at {stop}")
+        self.spans.append((at, stop + TAG))
+        return first, stop - first
+
+
+CDF = b"CDF"
 _TYPES = {1: "i1", 2: "S1", 3: ">i2", 4: ">i4", 5: ">f4", 6: ">f8", 7: "u1", 8: ">u2", 9: ">u4", 10: ">i8", 11: ">u8"}
 _DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
 _UNSTATED = 2**32 - 4
@@ -148,7 +346,6 @@ class _Header:
         if version not in (1, 2, 5):
             raise ValueError(f"version {version} of netCDF; 1, 2 and 5 are read")
         self.count, self.place = (8 if version == 5 else 4), (4 if version == 1 else 8)
-        self.spans: list[tuple[int, int]] = []
 
     def taken(self, count: int) -> bytes:
         """Reads some bytes, and the bytes that fill them up to a multiple of four."""
@@ -160,55 +357,46 @@ class _Header:
     def number(self, width: int = 0) -> int:
         return int.from_bytes(self.taken(width or self.count), "big")
 
-    def name(self) -> str:
-        return self.taken(self.number()).decode()
-
-    def entries(self, tag: int) -> range:
-        """Reads the head of a list: a tag and a count, or zeros for a list that is absent."""
+    def entries(self, tag: int) -> Iterator[str]:
+        """Yields names of a list: behind a tag and a count, or zeros for a list that is absent."""
         found, count = self.number(4), self.number()
         if found != tag and (found, count) != (0, 0):
             raise ValueError(f"a list of tag {found} where {tag} is expected")
-        return range(count)
+        names = set()
+        for _ in range(count):
+            name = self.taken(self.number()).decode()
+            if name in names:
+                raise ValueError(f"two dimensions, variables or attributes are called {name}")
+            names.add(name)
+            yield name
 
     def attributes(self) -> dict[str, bytes]:
         texts = {}
-        for _ in self.entries(_ATTRIBUTES):
-            name, kind = self.name(), np.dtype(_TYPES[self.number(4)])
-            data = self.taken(self.number() * kind.itemsize)
-            if kind.kind == "S":
-                texts[name] = data
+        for name in self.entries(_ATTRIBUTES):
+            kind = np.dtype(_TYPES[self.number(4)])
+            texts[name] = self.taken(self.number() * kind.itemsize)
         return texts
 
-    def tree(self) -> dict[str, _adf.Array]:
+    def tree(self) -> dict[str, Array]:
         """Reads the variables by name, without records of time.
 
         A dimension without a variable of its name is an empty array of its length, as in netCDF-4.
         Raises `ValueError` for what lies beyond the file, or in two variables.
         """
         self.number()  # of records
-        dimensions = [(self.name(), self.number()) for _ in self.entries(_DIMENSIONS)]
+        lengths = {name: self.number() for name in self.entries(_DIMENSIONS)}
         self.attributes()
-        variables = [self._variable(dimensions) for _ in self.entries(_VARIABLES)]
-        spans = np.array(sorted([(0, self.file.tell()), *self.spans]))
-        ends = spans[spans[:, 0] < spans[:, 1], 1]
-        if (spans[1:, 0] < spans[:-1, 1]).any() or ends.max() > self.size:
-            raise ValueError("variables lie in one another, or beyond the end of the file")
-        if any(len(dict(several)) < len(several) for several in (dimensions, variables)):
-            raise ValueError("two dimensions or two variables of one name")
-        lengths = {name: _adf.Array(self.file, np.dtype("i1"), (length,), []) for name, length in dimensions}
-        return lengths | {name: array for name, array in variables if array is not None}
+        arrays = {name: self._variable(name, [*lengths.values()]) for name in self.entries(_VARIABLES)}
+        pieces = [(at, at + size) for array in arrays.values() for at, size in array.pieces]
+        check_spans([(0, self.file.tell()), *pieces], self.size)
+        arrays = {name: array for name, array in arrays.items() if array.shape[0]}  # a record has none
+        return {name: Array(self.file, np.dtype("i1"), (n,), []) for name, n in lengths.items()} | arrays
 
-    def _variable(self, dimensions: list[tuple[str, int]]) -> tuple[str, _adf.Array | None]:
-        """Reads a variable's name and place; one of a number each record stands behind all else."""
-        name = self.name()
-        sizes = [dimensions[self.number()][1] for _ in range(self.number())]
+    def _variable(self, name: str, lengths: list[int]) -> Array:
+        """Reads the place of a variable; one of a number each record stands behind all else."""
+        sizes = [lengths[self.number()] for _ in range(self.number())] or [1]
         attributes, kind = self.attributes(), np.dtype(_TYPES[self.number(4)])
-        stated, at = self.number(), self.number(self.place)
-        is_record = sizes[:1] == [0]
-        size = 0 if is_record else kind.itemsize * math.prod(sizes)
-        self.spans.append((at, at + size))
-        if is_record:
-            return name, None
-        if stated not in (size, -(-size // 4) * 4) and size < _UNSTATED:
+        stated, at, size = self.number(), self.number(self.place), kind.itemsize * math.prod(sizes)
+        if sizes[0] and stated not in (size, -(-size // 4) * 4) and size < _UNSTATED:
             raise ValueError(f"{name} has {stated} bytes, {size} expected")
-        return name, _adf.Array(self.file, kind, tuple(sizes) or (1,), [(at, size)], attributes)
+        return Array(self.file, kind, tuple(sizes), [(at, size)], attributes)

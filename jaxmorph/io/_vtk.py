@@ -1,13 +1,12 @@
 """VTK's files of one mesh, XML and legacy (.vtk): VTK reads them apart, and writes them."""
 
-import dataclasses
 import json
 import os
-import pathlib
 import re
 import tempfile
 import urllib.parse
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
 
 from ._apart import run_apart
-from ._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of, faults_of
+from ._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of
 
 NAME = "VTK"
 
@@ -31,8 +30,7 @@ TOLD = re.compile(r"(?:ERROR|Warning): In .*\n(?:\w+ \(0x[0-9a-f]+\): )?((?:.+\n
 """An error or a warning of VTK, and its sentence."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Encoding:
+class Encoding(NamedTuple):
     """How a file is written: an XML file's mode (ascii, binary or appended, base64 or raw), its
     compressor, header and order of bytes; a legacy file's mode, title and version.
     """
@@ -47,8 +45,7 @@ class Encoding:
     version: str = "4.2"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Content:
+class VTKContent(NamedTuple):
     data: Any
     encoding: Encoding
 
@@ -64,10 +61,9 @@ class Content:
         return type(self), (self.data, self.encoding)
 
 
-def read(path: pathlib.Path) -> Parts:
-    with faults_of(path):
-        content = _read(path)
-        mesh = vtk.mesh_of(vtk.unstructured(content.data))
+def read(path: Path) -> Parts:
+    content = _read(path)
+    mesh = vtk.mesh_of(vtk.unstructured(content.data))
     places = vtk.coordinates(content.data)
     points = FilePoints(np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ())
     origin = mesh.source
@@ -75,22 +71,19 @@ def read(path: pathlib.Path) -> Parts:
     return mesh._replace(source=source)
 
 
-def check(path: pathlib.Path, mesh: MeshLike) -> None:
+def check(path: Path, mesh: MeshLike) -> None:
     suffix = path.suffix.lower()
     content = content_of(mesh, NAME)
     if suffix in FILES_OF_FILES:
-        raise ValueError(f"{path}: {suffix} files name other files, and are not written; write .vtu, which holds all.")
-    try:
-        for kind in mesh.cells if content is None else ():
-            vtk.number_of(kind)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise ValueError(f"{suffix} files name other files, and are not written; write .vtu, which holds all.")
+    for kind in mesh.cells if content is None else ():
+        vtk.number_of(kind)
     holds = GRIDS.get(suffix, "vtkDataSet")
     if suffix != ".vtu" and not (content.data.IsA(holds) if content else holds == "vtkDataSet"):
-        raise ValueError(f"{path}: the cells of the mesh are not those of a {holds}; write .vtu.")
+        raise ValueError(f"the cells of the mesh are not those of a {holds}; write .vtu.")
 
 
-def write(path: pathlib.Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes what was read with other points, or a new grid in double precision.
 
     The file is encoded as the one that was read, where that was of the same kind.
@@ -115,8 +108,7 @@ def text_of(data: Any, encoding: Encoding) -> bytes:
 
 
 def _xml_writer(data: Any, encoding: Encoding) -> Any:
-    kind = data.GetClassName().removeprefix("vtk")
-    writer = getattr(vtk.vtk("vtkIOXML"), f"vtkXML{kind}Writer")()
+    writer = vtk.vtk("vtkIOXML").vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
     getattr(writer, f"SetDataModeTo{encoding.mode.capitalize()}")()
     writer.SetEncodeAppendedData(not encoding.is_raw)
     getattr(writer, f"SetCompressorTypeTo{encoding.compressor}")()
@@ -126,7 +118,7 @@ def _xml_writer(data: Any, encoding: Encoding) -> Any:
 
 
 def _legacy_writer(data: Any, encoding: Encoding) -> Any:
-    kind = data.GetClassName().removeprefix("vtk")
+    kind = data.GetClassName().removeprefix("vtk")  # a writer of any kind does not take the precision
     writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
@@ -151,21 +143,21 @@ def _encoding(raw: bytes) -> Encoding:
     return Encoding(False, mode, b'encoding="raw"' in raw, compressor, header, order)
 
 
-def _read(path: pathlib.Path) -> Content:
+def _read(path: Path) -> VTKContent:
     raw, named = path.read_bytes(), []
     if path.suffix.lower() in FILES_OF_FILES:
         named = [path.parent / os.fsdecode(file) for file in re.findall(rb'(?:Source|file)="([^"]+)"', raw)]
     size = len(raw) + sum(file.stat().st_size for file in named if file.is_file())
     data_sets = _read_apart(path, size)
     if named:
-        return Content(_joined(data_sets), Encoding())
+        return VTKContent(_joined(data_sets), Encoding())
     ((_, data),) = data_sets
     if not any(data.IsA(kind) for kind in GRIDS.values()):  # a lattice has no points that can move
         data = vtk.unstructured(data)
-    return Content(data, _encoding(raw))
+    return VTKContent(data, _encoding(raw))
 
 
-def _read_apart(path: pathlib.Path, size: int) -> list[tuple[str, Any]]:
+def _read_apart(path: Path, size: int) -> list[tuple[str, Any]]:
     """Reads data sets and their names in another process, which a damaged file may end."""
     generic = vtk.vtk("vtkIOXML").vtkXMLGenericDataObjectReader
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
@@ -185,20 +177,19 @@ def _read_apart(path: pathlib.Path, size: int) -> list[tuple[str, Any]]:
 def _joined(named: list[tuple[str, Any]]) -> Any:
     """Joins pieces and blocks without ghost cells; blocks of lower dimension become patches."""
     grids = [(name, vtk.unstructured(data)) for name, data in named]
-    levels = [vtk.dimension_of(grid) for _, grid in grids]
-    joined = vtk.vtk("vtkFiltersCore").vtkAppendFilter()
-    for level, (_, grid) in zip(levels, grids, strict=True):
-        if level == max(levels):
-            joined.AddInputData(grid)
+    levels = np.array([vtk.dimension_of(grid) for _, grid in grids])
+    joined, is_solid = vtk.vtk("vtkFiltersCore").vtkAppendFilter(), levels == levels.max()
+    for at in np.flatnonzero(is_solid):
+        joined.AddInputData(grids[at][1])
     joined.Update()
     whole = joined.GetOutput()
     whole.RemoveGhostCells()
-    whole.GetFieldData().ShallowCopy(grids[levels.index(max(levels))][1].GetFieldData())
+    whole.GetFieldData().ShallowCopy(grids[is_solid.argmax()][1].GetFieldData())
     place = {point.tobytes(): k for k, point in enumerate(vtk.coordinates(whole))}
-    for level, (name, grid) in zip(levels, grids, strict=True):
-        nodes = [place.get(point.tobytes(), -1) for point in vtk.coordinates(grid)] if level < max(levels) else []
-        if nodes and min(nodes) >= 0:
-            inside = np.zeros(whole.GetNumberOfPoints(), np.uint8)
-            inside[nodes] = 1
+    for at in np.flatnonzero(~is_solid):
+        name, grid = grids[at]
+        nodes = [place.get(point.tobytes(), -1) for point in vtk.coordinates(grid)]
+        if min(nodes, default=-1) >= 0:
+            inside = np.isin(np.arange(whole.GetNumberOfPoints()), nodes).astype(np.uint8)
             vtk.add_arrays(whole.GetPointData(), {f"{PREFIX}{urllib.parse.quote(name)}": inside})
     return whole

@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
 from ._plane import Axes, given_or_new, legend_above, plt
-from ._style import BLUE, DARK, GREEN, GREY, LIGHT, ORANGE, RULE, WIDTH
+from ._style import BLUE, DARK, GREEN, GREY, LIGHT, ORANGE, RULE, WIDTH, Column
 
 
 @checked
@@ -47,7 +46,7 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
     return ax
 
 
-def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]:
+def _of_cells(report: jm.QualityReport, measure: str) -> Column:
     values = np.asarray(getattr(report, measure))
     return values[report.counted & np.isfinite(values)]
 
@@ -76,10 +75,7 @@ def convergence(
     bounds = {} if bounds is None else bounds
     if not len(history):
         raise ValueError(f"`history`: {history.path} has no iteration yet.")
-    if unknown := [name for name in bounds if name not in history.names]:
-        known = ", ".join(history.names) or "none"
-        raise ValueError(f"`bounds`: no iteration has {', '.join(unknown)}; there are: {known}.")
-    panels = {"objective": history.values} | {name: history.column(name) for name in history.names}
+    panels = {"objective": history.values} | {name: history.column(name) for name in (*history.names, *bounds)}
     axes = _stack(ax, len(panels))
     for axis, (name, column) in zip(axes, panels.items(), strict=True):
         style: dict[str, Any] = {"marker": "."} if column.ndim == 1 else {"linewidth": 0.8}
@@ -96,10 +92,9 @@ def convergence(
 
 def _shade_beyond(axis: Axes, bounds: tuple[float | int, float | int]) -> None:
     low, high = axis.get_ylim()
-    room, known = 0.05 * (high - low), [bound for bound in bounds if np.isfinite(bound)]
-    low, high = min(low, *(bound - room for bound in known), low), max(high, *(bound + room for bound in known), high)
-    axis.set_ylim(low, high)
-    for bound, end in zip(bounds, (low, high), strict=True):
+    known, room = np.array([bound for bound in bounds if np.isfinite(bound)]), 0.05 * (high - low)
+    axis.set_ylim(min(low, *(known - room), np.inf), max(high, *(known + room), -np.inf))
+    for bound, end in zip(bounds, axis.get_ylim(), strict=True):
         if np.isfinite(bound):
             axis.axhline(bound, color=ORANGE, linestyle="--")
             axis.axhspan(bound, end, color=LIGHT, alpha=0.5, linewidth=0)

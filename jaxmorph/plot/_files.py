@@ -13,10 +13,9 @@ from jaxtyping import Float
 import jaxmorph as jm
 from jaxmorph.extend import checked, complete, output_path
 
-from ._outside import outlines, outside, patches_of
 from ._plane import plt, round_numbers, to_hex
-from ._space import view_axes, viewer_of
-from ._style import DARK, DISPLACEMENT, UNNAMED, Limits, Values, colour_scale
+from ._space import outlines, outside, patches_of, view_axes, viewer_of
+from ._style import DARK, DISPLACEMENT, UNNAMED, Limits, Places, Values, colour_scale
 
 SLIDER = """
 const panel = document.createElement("form");
@@ -146,7 +145,7 @@ def _with_words(code: str, words: dict[str, Any]) -> str:
     return re.sub("|".join(words), lambda match: data[match[0]], code)
 
 
-def _camera(shown: Float[np.ndarray, "k 3"], viewer: np.ndarray) -> list[float]:
+def _camera(shown: Places, viewer: np.ndarray) -> list[float]:
     axes = np.stack(view_axes(viewer))
     seen = shown.astype(float) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)

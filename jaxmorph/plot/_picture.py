@@ -1,24 +1,21 @@
 """A file with a picture of a mesh, or of what became of it."""
 
 import dataclasses
-import io
 import os
 import pathlib
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.sparse import csr_array
+from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, complete, lagrange_types, output_path, rows_of
+from jaxmorph.extend import checked, complete, output_path, rows_of
 
 from . import _plane
 from ._files import page
 from ._plane import Figure, plt
 from ._space import before_after_3d, surface
-from ._style import BLUE, STILL, WIDTH, bodies, check_cells, finite
+from ._style import BLUE, STILL, WIDTH, Column, Ids, Places, bodies, check_cells, finite
 
 FLAT = 0.45
 """Height over width of a window below which two of them stand one above the other."""
@@ -30,7 +27,7 @@ def picture(
     before: jm.Mesh,
     points: Float[Any, "n d"] | None = None,
     *,
-    moving: Int[np.ndarray, " m"] | None = None,
+    moving: Ids | None = None,
     verdict: jm.Verdict | None = None,
 ) -> None:
     """Writes a mesh, or a mesh before and after: in 2-D the skewness, in 3-D bodies and what moved.
@@ -55,43 +52,35 @@ def picture(
     nodes = _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))
     side = None if path.suffix.lower() == ".html" else FlatSide.of(before, places)
     if side is None and points is not None:
-        drawn: bytes | None = _in_3d(path, before, places, nodes)
-    else:
-        verdict = jm.judge(before, points) if verdict is None or verdict.judged is None else verdict
-        drawn = _alone(path, before, verdict) if side is None else _in_2d(side, nodes, verdict)
-    if drawn is not None:
-        with complete(path) as partial:
-            partial.write_bytes(drawn)
+        return _in_3d(path, before, places, nodes)
+    verdict = jm.judge(before, points) if verdict is None or verdict.judged is None else verdict
+    return _alone(path, before, verdict) if side is None else _in_2d(path, side, nodes, verdict)
 
 
-def _moved(mesh: jm.Mesh, places: Float[np.ndarray, "n d"]) -> Int[np.ndarray, " m"]:
+def _moved(mesh: jm.Mesh, places: Places) -> Ids:
     lengths = np.linalg.norm(places - np.asarray(mesh.points), axis=1)
     return np.intersect1d(mesh.patch(*mesh.patches), np.flatnonzero(lengths > STILL * lengths.max()))
 
 
-def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Float[np.ndarray, "n 3"], moving: np.ndarray) -> bytes | None:
+def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: np.ndarray) -> None:
     nodes = np.union1d(moving, mesh.patch(*bodies(mesh)))
     only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
-    patch = "drawn" if len(nodes) else None
+    _page_or_png(path, page, before_after_3d, only, places, patch="drawn" if len(nodes) else None)
+
+
+def _alone(path: pathlib.Path, mesh: jm.Mesh, verdict: jm.Verdict) -> None:
+    colours = {"label": _measure(verdict).replace("_", " "), "values": _of_cells(verdict)}
+    _page_or_png(path, page, surface, mesh, np.asarray(mesh.points), **colours)
+
+
+def _page_or_png(path: pathlib.Path, page: Any, draw: Any, *drawn: Any, **settings: Any) -> None:
     if path.suffix.lower() == ".html":
-        page(path, only, places, patch=patch)
-        return None
-    return _png(before_after_3d(only, places, patch=patch))
-
-
-def _alone(path: pathlib.Path, mesh: jm.Mesh, verdict: jm.Verdict) -> bytes | None:
-    colours: dict[str, Any] = {"label": _measure(verdict).replace("_", " "), "values": _of_cells(verdict)}
-    if path.suffix.lower() == ".html":
-        page(path, mesh, np.asarray(mesh.points), **colours)
-        return None
-    return _png(surface(mesh, **colours))
-
-
-def _png(plotter: Any) -> bytes:
-    file = io.BytesIO()
-    plt.imsave(file, plotter.screenshot(return_img=True), format="png")
+        page(path, *drawn, **settings)
+        return
+    plotter = draw(*drawn, **settings)
+    with complete(path) as partial:
+        plt.imsave(partial, plotter.screenshot(return_img=True), format="png")
     plotter.close()
-    return file.getvalue()
 
 
 def _measure(verdict: jm.Verdict) -> str:
@@ -99,7 +88,7 @@ def _measure(verdict: jm.Verdict) -> str:
     return next(name for _, name in verdict.rows if name.endswith("skewness"))
 
 
-def _of_cells(verdict: jm.Verdict) -> Float[np.ndarray, " k"]:
+def _of_cells(verdict: jm.Verdict) -> Column:
     """Skewness of the file's cells; NaN for cells that do not count."""
     judged: Any = verdict.judged
     values = np.full(len(judged.report.counted), np.nan)
@@ -107,37 +96,40 @@ def _of_cells(verdict: jm.Verdict) -> Float[np.ndarray, " k"]:
     return values
 
 
-def _in_2d(side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> bytes:
+def _in_2d(path: pathlib.Path, side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> None:
     mesh, name = side.mesh, _measure(verdict)
-    label = name.replace("_", " ")
-    states = {"deformed": (side.points, verdict)}
+    label, states = name.replace("_", " "), {"deformed": (side.points, verdict)}
     if verdict.before is not None:
         states = {"undeformed": (np.asarray(mesh.points), verdict.before)} | states
-    seen, every = np.flatnonzero(np.isin(side.nodes, moving)), [points for points, _ in states.values()]
-    window = _plane.window_of(mesh, seen if len(seen) else None, *every)
-    width, height = (end - start for start, end in window)
-    rows = len(states) if height < FLAT * width else 1
-    columns = len(states) // rows
-    tall = rows * (0.4 + (WIDTH - 0.9) / columns * min(height / width, 1.5)) + 1.15 + 0.2 * columns
-    figure = Figure(figsize=(WIDTH, tall), dpi=300, layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    seen = np.flatnonzero(np.isin(side.nodes, moving))
+    window = _plane.window_of(mesh, seen, *(points for points, _ in states.values()))
+    figure, axes = _panels(window, len(states))
     colours = [_averaged(mesh, _of_cells(own)[side.cells]) for _, own in states.values()]
-    largest = max(np.nanmax(values, initial=0) for values in colours)
-    for axis, values, (state, (points, own)) in zip(axes, colours, states.items(), strict=True):
+    largest = np.nanmax([np.nanmax(values, initial=0) for values in colours])
+    for axis, values, (state, (points, own)) in zip(axes.ravel(), colours, states.items(), strict=True):
         _plane.mesh(mesh, points, values=values, limits=(0, largest or 1), window=window, bar=False, ax=axis)
         worst = own.rows["max", name]
         axis.plot(*np.array(worst.near)[side.axes], "x", color=BLUE, markersize=7, markeredgewidth=1.5)
-        title = f"{state}\n" if len(states) > 1 and rows == 1 else f"{state}: " if len(states) > 1 else ""
-        axis.set_title(f"{title}largest {label} {round(worst.value, 9):.3g} (×)", fontsize="medium")
+        titles = [state, f"largest {label} {round(worst.value, 9):.3g} (×)"][-axes.size :]
+        axis.set_title(("\n" if len(axes) == 1 else ": ").join(titles), fontsize="medium")
         axis.label_outer()
-    bar = figure.colorbar(axes[0].collections[0], ax=axes, location="bottom", aspect=40)
+    bar = figure.colorbar(axes[0, 0].collections[0], ax=axes, location="bottom", aspect=40)
     bar.set_label(f"{label}, mean of the cells at each node")
-    file = io.BytesIO()
-    figure.savefig(file, format="png")
-    return file.getvalue()
+    with complete(path) as partial:
+        figure.savefig(partial, format="png")
 
 
-def _averaged(mesh: jm.Mesh, values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+def _panels(window: _plane.Window, count: int) -> tuple[Figure, Any]:
+    """Axes beside each other, or one above the other for a flat window."""
+    width, height = (end - start for start, end in window)
+    rows = count if height < FLAT * width else 1
+    columns = count // rows
+    tall = rows * (0.4 + (WIDTH - 0.9) / columns * min(height / width, 1.5)) + 1.15 + 0.2 * columns
+    figure = Figure(figsize=(WIDTH, tall), dpi=300, layout="constrained")
+    return figure, figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+
+
+def _averaged(mesh: jm.Mesh, values: Column) -> Column:
     """Means over the cells at each node, then over its nodes: single triangles are noise."""
     kinds = [np.asarray(ids) for ids in mesh.cells.values()]
     cell = np.repeat(np.arange(len(values)), np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds]))
@@ -156,13 +148,13 @@ class FlatSide:
     """
 
     mesh: jm.Mesh
-    points: Float[np.ndarray, "k 2"]
-    nodes: Int[np.ndarray, " k"]
-    cells: Int[np.ndarray, " c"]
+    points: Places
+    nodes: Ids
+    cells: Ids
     axes: list[int]
 
     @classmethod
-    def of(cls, mesh: jm.Mesh, places: Float[np.ndarray, "n d"]) -> "FlatSide | None":
+    def of(cls, mesh: jm.Mesh, places: Places) -> "FlatSide | None":
         base = np.asarray(mesh.points)
         if base.shape[1] == 2:
             return cls(mesh, places, np.arange(len(base)), np.asarray(mesh.cell_ids), [0, 1])
@@ -172,28 +164,10 @@ class FlatSide:
         thin = int(np.argmin(np.where(is_layer, size, np.inf)))
         if not is_layer[thin] or np.abs(places - base)[:, thin].max() > near:
             return None
-        on = height[:, thin] < near
-        faces = {kind: ids[on[ids].all(axis=1)] for kind, ids in jm.boundary_faces(mesh).items()}
-        faces = {kind: ids for kind, ids in sorted(faces.items()) if len(ids)}
-        nodes, axes, number = np.flatnonzero(on), [k for k in range(3) if k != thin], np.cumsum(on) - 1
-        cells = {kind: number[_counterclockwise(base[:, axes], ids)] for kind, ids in faces.items()}
-        return cls(
-            jm.Mesh(base[nodes][:, axes], cells), places[nodes][:, axes], nodes, _owners(mesh, faces.values()), axes
-        )
-
-
-def _owners(mesh: jm.Mesh, faces: Iterable[Int[np.ndarray, "k c"]]) -> Int[np.ndarray, " f"]:
-    """Finds the file's cell that has all nodes of each face."""
-    kinds = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
-    sizes = np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds.values()])
-    solid = np.concatenate([np.full(len(ids), lagrange_types()[kind].dimension == 3) for kind, ids in kinds.items()])
-    cells, nodes = np.repeat(np.asarray(mesh.cell_ids), sizes), np.concatenate([ids.ravel() for ids in kinds.values()])
-    table = csr_array((np.repeat(solid, sizes).astype(float), (nodes, cells)))
-    table.data = np.minimum(table.data, 1)  # pieces of a cell share nodes
-    shared: list[Any] = [sum(table[column] for column in ids.T) for ids in faces]
-    return np.concatenate([counts.argmax(axis=1) for counts in shared])
-
-
-def _counterclockwise(points: Float[np.ndarray, "n 2"], ids: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c"]:
-    (a, b), (c, d) = ((points[ids[:, k]] - points[ids[:, 0]]).T for k in (1, 2))
-    return np.where((a * d - b * c < 0)[:, None], ids[:, ::-1], ids)
+        on, axes = height[:, thin] < near, [k for k in range(3) if k != thin]
+        surface, owner = jm.Mesh(base, mesh.cells).skin()
+        chosen = {kind: on[ids].all(axis=1) for kind, ids in surface.cells.items()}
+        nodes, number = np.flatnonzero(on), np.cumsum(on) - 1
+        flat = jm.Mesh(base[nodes][:, axes], {kind: number[ids[chosen[kind]]] for kind, ids in surface.cells.items()})
+        cells = np.asarray(mesh.cell_ids)[owner[np.concatenate([*chosen.values()])]]
+        return cls(flat, places[nodes][:, axes], nodes, cells, axes)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import Delaunay
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, finite_array, lagrange_types
+from jaxmorph.extend import checked, finite_array
 
 from ._style import (
     BLUE,
@@ -18,16 +18,19 @@ from ._style import (
     GREY,
     LIGHT,
     ORANGE,
-    SEGMENTS,
     TALLEST,
     UNNAMED,
     WIDTH,
+    Column,
+    Ids,
     Limits,
+    Places,
     Values,
     bodies,
     cell_values,
     check_cells,
     finite,
+    refined,
     scale_of,
 )
 
@@ -46,6 +49,7 @@ except ImportError as error:
     raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
 
 Window = tuple[tuple[float, float], tuple[float, float]]
+Outlines = Float[np.ndarray, "_ c 2"]
 
 THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
 """Line widths in points: of cells a sixth of the cell, so that layers stay light; of walls."""
@@ -65,7 +69,8 @@ UNLABELLED = 0.775
 STEPS = 1, 2, 2.5, 5, 10
 """Steps between round numbers, times powers of ten."""
 
-FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
+PIECES = 200_000
+"""Pieces of curved cells that a picture has about at most."""
 
 ROOM, INTERNAL = 0.4, 0.7
 """Margin around the bodies, relative to their extent, unless a window is given; and the part of the
@@ -110,16 +115,18 @@ def mesh(
     **Raises:** `ValueError` for a mesh in 3-D, points of another shape, a number of values that is
     not that of the cells, and a `label` without values.
     """
-    cells = PlaneCells.of(mesh, points)
     if values is None and label is not None:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    every = None if values is None else cell_values(mesh, values)
+    cells = PlaneCells.of(mesh, points)
+    every = None if values is None else cell_values(mesh, values)[cells.cell]
     drawn = cells.drawn(window)
     window = window_of(mesh, None, points) if window is None else window
-    seen, shown = cells.inside(window), np.zeros(len(cells.ids)) if every is None else every
-    colours, ends, *beyond = scale_of(shown[seen], cells.areas[seen], limits)
-    ax = show(given_or_new(ax, window, bar=bar and values is not None), window)
-    if every is not None:
+    if every is None:
+        ax = show(given_or_new(ax, window), window)
+    else:
+        seen = cells.inside(window)
+        colours, ends, *beyond = scale_of(every[seen], cells.areas[seen], limits)
+        ax = show(given_or_new(ax, window, bar=bar), window)
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
         ax.set_facecolor(BODY)
         faces.set_array(every[drawn])
@@ -201,18 +208,18 @@ def graph(
 
 @dataclasses.dataclass(frozen=True)
 class PlaneCells:
-    """A 2-D mesh's cells as they are drawn: four sides, some of no length in triangles and lines.
+    """A 2-D mesh's cells as they are drawn, curved ones in pieces.
 
-    - `sides` (k, 4, m, 2): places along each side with both ends, m = 2 for straight ones.
-    - `ids` (k, 4): corners, repeated in triangles and lines.
-    - `between` (k, 4): the node next to the first corner of a curved side; -1 for a straight one.
-    - `whole` (k,): the file's cell of each cell or piece.
+    - `points` (n, 2), `ids` (k, 4): corners, the last one repeated in triangles and lines.
+    - `cell`, `whole` (k,): the mesh's cell, and the file's, of each of them.
+    - `steps`: pieces along an edge.
     """
 
-    sides: Float[np.ndarray, "k 4 m 2"]
+    points: Places
     ids: Int[np.ndarray, "k 4"]
-    between: Int[np.ndarray, "k 4"]
-    whole: Int[np.ndarray, " k"]
+    cell: Ids
+    whole: Ids
+    steps: int
 
     @classmethod
     def of(cls, mesh: jm.Mesh, points: Any) -> "PlaneCells":
@@ -221,87 +228,64 @@ class PlaneCells:
                 f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
             )
         check_cells(mesh)
-        points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-        cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
-        order = max(lagrange_types()[kind].order for kind in cells)
-        along = np.linspace(0, 1, 2 if order == 1 else SEGMENTS * order + 1)
-        parts = [_sides(kind, nodes, points, along) for kind, nodes in cells.items()]
-        sides, ids, between = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return cls(sides, ids, between, np.arange(len(ids)) if mesh.is_curved else np.asarray(mesh.cell_ids))
+        places = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+        fine, cell = mesh, np.arange(len(mesh.cell_ids))
+        if mesh.is_curved:
+            fine, cell = refined(mesh.moved(places), PIECES)
+            places = np.asarray(fine.points)
+        ids = [np.asarray(ids)[:, [*range(ids.shape[1]), -1, -1][:4]] for ids in fine.cells.values()]
+        steps = round((len(cell) / len(mesh.cell_ids)) ** 0.5)
+        return cls(places, np.concatenate(ids), cell, np.asarray(mesh.cell_ids)[cell], steps)
 
     @property
-    def outlines(self) -> Float[np.ndarray, "k c 2"]:
-        return self.sides[:, :, :-1].reshape(len(self.ids), -1, 2)
+    def outlines(self) -> Outlines:
+        return self.points[self.ids]
 
     @property
-    def areas(self) -> Float[np.ndarray, " k"]:
-        x = self.outlines - self.outlines[:, :1]
-        (a, b), (c, d) = (np.moveaxis(part, 2, 0) for part in (x, np.roll(x, -1, axis=1)))
-        return np.abs(np.sum(a * d - b * c, axis=1)) / 2
+    def areas(self) -> Column:
+        (a, b), (c, d) = (
+            np.moveaxis(self.points[self.ids[:, k + 2]] - self.points[self.ids[:, k]], 1, 0) for k in (0, 1)
+        )
+        return np.abs(a * d - b * c) / 2
 
-    def inside(self, window: Window) -> Int[np.ndarray, " s"]:
+    def inside(self, window: Window) -> Ids:
         return seen_in(self.outlines, window)
 
-    def drawn(self, window: Window | None) -> Int[np.ndarray, " s"]:
+    def drawn(self, window: Window | None) -> Ids:
         """Lists the cells in a given window; else all, for views that move."""
         return np.arange(len(self.ids)) if window is None else self.inside(window)
 
-    def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lists edges (e, m, 2) of whole cells, their counts, and the narrowest widths (e,)."""
+    def edges(self, cells: Ids) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""
         ids = self.ids[cells]
-        ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2), axis=2)
-        keys = np.concatenate([ends, self.between[cells][:, :, None]], axis=2)
-        lengths = np.linalg.norm(np.diff(self.sides[cells], axis=2), axis=3).sum(axis=2).max(axis=1)
-        width = self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny)
-        real = keys[..., 0] != keys[..., 1]
-        edges, index, which, counts = np.unique(
-            keys[real], axis=0, return_index=True, return_inverse=True, return_counts=True
-        )
-        which, owner = which.ravel(), np.repeat(self.whole[cells], 4)[real.ravel()]
-        narrowest, first = np.full(len(edges), np.inf), np.full(len(edges), len(self.whole))
-        last = np.full(len(edges), -1)
-        np.minimum.at(narrowest, which, np.repeat(width, 4)[real.ravel()])
-        np.minimum.at(first, which, owner)
-        np.maximum.at(last, which, owner)
-        shown = (counts == 1) | (first < last) | (narrowest == 0)
-        return self.sides[cells][real][index[shown]], counts[shown], narrowest[shown]
+        ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        lengths = np.linalg.norm(np.diff(self.points[ends], axis=1), axis=2).reshape(-1, 4).max(axis=1)
+        width = np.repeat(self.steps * self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny), 4)
+        real = ends[:, 0] != ends[:, 1]
+        # an edge between two pieces of a whole cell is none; a line's cell has its edge twice
+        keys = np.column_stack([ends, np.repeat(self.whole[cells], 4)])[real]
+        own, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
+        width = width[real][first]
+        shown = (count == 1) | (width == 0)
+        edges, which = np.unique(own[shown, :2], axis=0, return_inverse=True)
+        narrowest = np.full(len(edges), np.inf)
+        np.minimum.at(narrowest, which.ravel(), width[shown])
+        return self.points[edges], np.bincount(which.ravel(), count[shown]), narrowest
 
 
-def _sides(
-    kind: str, nodes: Int[np.ndarray, "k s"], points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, " m"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Computes the sides of cells of one type at places `along` an edge, their corners and keys."""
-    cell = lagrange_types()[kind]
-    corners = FOUR_CORNERS[cell.shape]
-    edges = {frozenset(edge[:2].tolist()): edge for edge in cell.edges}
-    places = np.append([0, 1], np.arange(1, cell.order) / cell.order)  # of an edge's nodes: both ends come first
-    powers = [np.vander(at, cell.order + 1) for at in (along, places)]
-    weights = powers[0] @ np.linalg.inv(powers[1])
-    sides, between = [], []
-    for first, second in zip(corners, [*corners[1:], corners[0]], strict=True):
-        edge = edges.get(frozenset((first, second)), np.full(cell.order + 1, first))
-        x = np.einsum("mn,knd->kmd", weights, points[nodes[:, edge]])
-        sides.append(x if edge[0] == first else x[:, ::-1])
-        inner = nodes[:, edge[2:]]
-        between.append(inner.min(axis=1) if inner.shape[1] else np.full(len(nodes), -1))
-    return np.stack(sides, axis=1), nodes[:, corners], np.stack(between, axis=1)
-
-
-def seen_in(corners: Float[np.ndarray, "k c 2"], window: Window) -> Int[np.ndarray, " s"]:
+def seen_in(corners: Outlines, window: Window) -> Ids:
     low, high = corners.min(axis=1), corners.max(axis=1)
     (left, right), (bottom, top) = window
     return np.flatnonzero((high >= (left, bottom)).all(axis=1) & (low <= (right, top)).all(axis=1))
 
 
-def fill(ax: Axes, outlines: Float[np.ndarray, "k c 2"], **style: Any) -> PolyCollection:
+def fill(ax: Axes, outlines: Outlines, **style: Any) -> PolyCollection:
     faces = PolyCollection(list(outlines), linewidths=0.3, edgecolors="face", rasterized=True, **style)
     ax.add_collection(faces, autolim=False)
     return faces
 
 
-def draw_lines(
-    ax: Axes, cells: PlaneCells, seen: Int[np.ndarray, " s"], window: Window, colour: str, least: float | int = 0
-) -> None:
+def draw_lines(ax: Axes, cells: PlaneCells, seen: Ids, window: Window, colour: str, least: float | int = 0) -> None:
     edges, _, narrowest = cells.edges(seen)
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
     chosen, areas = narrowest * to_points >= least, narrowest * np.linalg.norm(np.ptp(edges, axis=1), axis=1)
@@ -358,7 +342,7 @@ def show(ax: Axes, window: Window) -> Axes:
     return ax
 
 
-def in_dimension(points: Any, dimension: int = 2) -> Float[np.ndarray, "n d"]:
+def in_dimension(points: Any, dimension: int = 2) -> Places:
     points = finite(points)
     if points.ndim != 2 or points.shape[1] != dimension:
         raise ValueError(
@@ -385,16 +369,17 @@ def whole(points: Float[Any, "n 2"]) -> Window:
     return (left, right), (bottom, top)
 
 
-def window_of(mesh: jm.Mesh, nodes: Int[np.ndarray, " k"] | None, *states: Any) -> Window:
+def window_of(mesh: jm.Mesh, nodes: Ids | None, *states: Any) -> Window:
     """Chooses the window round nodes, by default the bodies', in all states of the mesh."""
     states = tuple(np.asarray(mesh.points if points is None else points) for points in states)
-    everything, nodes = np.concatenate(states), mesh.patch(*bodies(mesh)) if nodes is None else nodes
+    everything = np.concatenate(states)
+    nodes = mesh.patch(*bodies(mesh)) if nodes is None or not len(nodes) else nodes
     if not len(nodes):
         return whole(everything)
     return window_round(np.concatenate([points[nodes] for points in states]), everything)
 
 
-def window_round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
+def window_round(body: Places, points: Places) -> Window:
     """Leaves room round a body; of internal flow it is the whole mesh's."""
     low, high = body.min(axis=0), body.max(axis=0)
     room = ROOM * (high - low).max()

@@ -10,10 +10,9 @@ from jaxtyping import Float
 import jaxmorph as jm
 from jaxmorph.extend import checked
 
-from ._outside import lines_of
 from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above, show, whole
-from ._space import add_legend, aim, aim_again, new_plotter
-from ._style import GREEN, GREY, ORANGE
+from ._space import add_legend, aim, aim_again, lines_of, new_plotter
+from ._style import GREEN, GREY, ORANGE, Places
 
 FEW = 30
 """Sources up to which they are drawn as large dots, without covering each other."""
@@ -96,8 +95,8 @@ def sources_3d(
 class _Picture:
     """A drawing: coordinates of nodes and sources, corners of leaves' boxes."""
 
-    nodes: Float[np.ndarray, "n d"]
-    sources: Float[np.ndarray, "s d"]
+    nodes: Places
+    sources: Places
     boxes: Float[np.ndarray, "l 2 d"]
 
     @property

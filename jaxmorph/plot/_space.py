@@ -1,4 +1,4 @@
-"""Pictures in 3-D, with pyvista, off screen: their cameras, bars, legends, axes and scales."""
+"""Pictures in 3-D, with pyvista, off screen: cells, cameras, bars, legends, axes and scales."""
 
 import weakref
 from collections.abc import Sequence
@@ -8,14 +8,32 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph.extend import checked
+from jaxmorph.extend import checked, lagrange_types
 
-from ._outside import NOTHING, grid_of, near_plane, outlines, outside, patches_of, pyvista, skin
 from ._plane import ROOM, TextPath, findfont, plt, round_numbers
-from ._style import BLUE, DARK, GREY, ORANGE, STILL, UNNAMED, Limits, Values, bodies, scale_of
+from ._style import (
+    BLUE,
+    DARK,
+    GREY,
+    ORANGE,
+    STILL,
+    UNNAMED,
+    Limits,
+    Values,
+    bodies,
+    cell_values,
+    check_cells,
+    finite,
+    refined,
+    scale_of,
+)
+
+NOTHING = "there is nothing to draw: the plane cuts no cell."
 
 LIT = {"ambient": 0.4, "diffuse": 0.7}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
+
+Direction = Sequence[float] | np.ndarray
 
 VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x right, y away, z up; mirrored for an open surface."""
@@ -114,9 +132,7 @@ def cut(
     """
     normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
-    grid = near_plane(mesh, points, values, normal, origin) if mesh.is_curved else grid_of(mesh, points, values)
-    if not mesh.is_curved:
-        grid.cell_data["whole"] = np.asarray(mesh.cell_ids)
+    grid = _near_plane(mesh, points, values, normal, origin)
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[mesh.patch(*bodies(mesh))]
@@ -220,17 +236,16 @@ def add_bar(plotter: Any, label: str | None, limits: tuple[float | int, float | 
     bar.SetUseCustomLabels(True)
     bar.SetCustomLabels(pyvista().convert_array(np.array(round_numbers(*limits, 6))))
     bar.SetTextPad(8)
-    for text in (bar.GetTitleTextProperty(), bar.GetLabelTextProperty(), bar.GetAnnotationTextProperty()):
+    _in_font(*(getattr(bar, f"Get{part}TextProperty")() for part in ("Title", "Label", "Annotation")))
+
+
+def _in_font(*texts: Any) -> None:
+    for text in texts:
         text.SetFontSize(TEXT)
-        _in_font(text)
-
-
-def _in_font(text: Any) -> None:
-    text.SetFontFamily(4)  # VTK's number for a font from a file
-    text.SetFontFile(findfont("DejaVu Sans"))
-    text.SetBold(False)
-    text.SetItalic(False)
-    text.SetShadow(False)
+        text.SetFontFamily(4)  # VTK's number for a font from a file
+        text.SetFontFile(findfont("DejaVu Sans"))
+        for style in ("Bold", "Italic", "Shadow"):
+            getattr(text, f"Set{style}")(False)
 
 
 def new_plotter() -> Any:
@@ -243,40 +258,39 @@ def new_plotter() -> Any:
 
 
 def _add_axes(plotter: Any) -> None:
-    axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
-    captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
-    for caption in captions:
+    axes, scale = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3), _scale()
+    texts = [scale.GetTitleTextProperty()]
+    for name in "XYZ":
+        caption = getattr(axes, f"Get{name}AxisCaptionActor2D")()
         caption.GetTextActor().SetTextScaleModeToNone()
-        caption.GetCaptionTextProperty().SetJustificationToCentered()
-        caption.GetCaptionTextProperty().SetVerticalJustificationToCentered()
+        texts.append(caption.GetCaptionTextProperty())
+        texts[-1].SetJustificationToCentered()
+        texts[-1].SetVerticalJustificationToCentered()
     axes.SetNormalizedLabelPosition(1.4, 1.4, 1.4)  # off the arrows
-    scale = _scale()
-    texts = [scale.GetTitleTextProperty(), *(caption.GetCaptionTextProperty() for caption in captions)]
-    for text in texts:
-        _in_font(text)
+    _in_font(*texts)
     plotter.renderer.AddViewProp(scale)
+    plotter.renderer.AddObserver("StartEvent", lambda *_: _fit(plotter, axes, scale, texts))
 
-    def fit(*_: Any) -> None:
-        width, height = plotter.window_size
-        seen = 2 * plotter.camera.parallel_scale * width / height
-        length = _round_length(0.2 * seen)
-        ends = (scale.GetPositionCoordinate(), 0.97 - length / seen), (scale.GetPosition2Coordinate(), 0.97)
-        for coordinate, x in ends:
-            coordinate.SetCoordinateSystemToNormalizedViewport()
-            coordinate.SetValue(x, 0.075 * width / height)
-        low = (BELOW + EDGE) * width / height
-        for bar in plotter.scalar_bars.values():
-            bar.SetPosition(1 - 0.6 * BAR, low)
-            bar.SetHeight(min(0.93 - low, 0.6 * WINDOW[1] / height))
-        scale.SetTitle(f"{length:g}")
-        scale.SetVisibility(bool(plotter.camera.parallel_projection))
-        plotter.renderer.axes_widget.SetViewport(-0.075, -0.105 * width / height, 0.163, 0.133 * width / height)
-        for text in texts:
-            text.SetFontSize(round(TEXT * width / WINDOW[0]))
-        for name, along in zip("xyz", plotter.camera.direction, strict=True):
-            getattr(axes, f"Set{name.upper()}AxisLabelText")(name if abs(along) < ALONG else "")
 
-    plotter.renderer.AddObserver("StartEvent", fit)
+def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
+    """Fits axes, scale and bars to the window and the view, before each drawing."""
+    (width, height), camera = plotter.window_size, plotter.camera
+    tall, seen = width / height, 2 * camera.parallel_scale * width / height
+    power = 10 ** np.floor(np.log10(0.2 * seen))
+    length = max(factor * power for factor in (1, 2, 5) if factor * power <= 0.2 * seen * (1 + 1e-9))
+    scale.SetPosition(0.97 - length / seen, 0.075 * tall)
+    scale.SetPosition2(0.97, 0.075 * tall)
+    scale.SetTitle(f"{length:g}")
+    scale.SetVisibility(bool(camera.parallel_projection))
+    low = (BELOW + EDGE) * tall
+    for bar in plotter.scalar_bars.values():
+        bar.SetPosition(1 - 0.6 * BAR, low)
+        bar.SetHeight(min(0.93 - low, 0.6 * WINDOW[1] / height))
+    plotter.renderer.axes_widget.SetViewport(-0.075, -0.105 * tall, 0.163, 0.133 * tall)
+    for text in texts:
+        text.SetFontSize(round(TEXT * width / WINDOW[0]))
+    for name, along in zip("xyz", camera.direction, strict=True):
+        getattr(axes, f"Set{name.upper()}AxisLabelText")(name if abs(along) < ALONG else "")
 
 
 def _scale() -> Any:
@@ -286,80 +300,46 @@ def _scale() -> Any:
     scale.SetNumberOfLabels(2)
     scale.AdjustLabelsOff()
     scale.LabelVisibilityOff()
-    scale.GetProperty().SetColor(pyvista().Color(DARK).float_rgb)
     scale.GetProperty().SetLineWidth(3)
     scale.UseFontSizeFromPropertyOn()
-    scale.GetTitleTextProperty().SetColor(pyvista().Color(DARK).float_rgb)
+    for part in (scale.GetProperty(), scale.GetTitleTextProperty()):
+        part.SetColor(pyvista().Color(DARK).float_rgb)
     return scale
 
 
-def _round_length(largest: float) -> float:
-    power = 10 ** np.floor(np.log10(largest))
-    return float(power * max(factor for factor in (1, 2, 5) if factor * power <= largest * (1 + 1e-9)))
-
-
-def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
-    shown = content(plotter)
-    plotter.window_size = fitted_window(plotter, shown, viewer)
-    set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
-    AIMED[plotter] = view_of(plotter), viewer
+def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
+    """Shows all without perspective, in a window of its shape, with room for bars and legends."""
+    axes = np.stack(view_axes(viewer))
+    seen = np.concatenate([np.asarray(part.points, dtype=float) for part in plotter.meshes]) @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    depth, width, height = high - low
+    right = BAR if len(plotter.scalar_bars) else EDGE
+    above = LEGEND if any(name.startswith("legend") for name in plotter.actors) else EDGE
+    wide, tall = 1 - EDGE - right, BELOW + above
+    share = wide * height / max(width, 1e-9 * height) + tall
+    plotter.window_size = WINDOW[0], round(float(np.clip(share * WINDOW[0], WINDOW[1] / 2, WINDOW[1])))
+    share = plotter.window_size[1] / WINDOW[0]
+    scale = max(width / wide, height / (share - tall))  # length across the window
+    middle = ((low + high) / 2 + scale / 2 * np.array([0, right - EDGE, above - BELOW])) @ axes
+    position = middle + 2 * (depth + width + height) * axes[0]
+    plotter.camera_position = [tuple(vector.tolist()) for vector in (position, middle, axes[2])]
+    plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, scale * share / 2
+    plotter.renderer.reset_camera_clipping_range()
+    AIMED[plotter] = viewer, _view(plotter)
 
 
 def aim_again(plotter: Any) -> None:
     """Makes room for what was added to a plotter, unless its camera has moved since `aim`."""
-    view, viewer = AIMED.get(plotter, (None, VIEWER))
-    if view is not None and np.array_equal(view, view_of(plotter)):
+    viewer, view = AIMED.get(plotter, (VIEWER, None))
+    if view == _view(plotter):
         aim(plotter, viewer)
 
 
-def fitted_window(
-    plotter: Any, points: Float[np.ndarray, "k 3"], viewer: Sequence[float] | np.ndarray
-) -> tuple[int, int]:
-    width, height = np.ptp(points @ np.stack(view_axes(viewer)[1:]).T, axis=0)
-    left, right, below, above = margins(plotter)
-    tall = (1 - left - right) * height / max(width, 1e-9 * height) + below + above
-    return WINDOW[0], round(float(np.clip(tall * WINDOW[0], WINDOW[1] / 2, WINDOW[1])))
+def _view(plotter: Any) -> tuple[Any, float]:
+    return plotter.camera_position.to_list(), plotter.camera.parallel_scale
 
 
-def content(plotter: Any) -> Float[np.ndarray, "k 3"]:
-    return np.concatenate([np.asarray(mesh.points, dtype=float) for mesh in plotter.meshes])
-
-
-def margins(plotter: Any) -> tuple[float, float, float, float]:
-    """Returns the margins left, right, below and above, relative to the width."""
-    has_legend = any(name.startswith("legend") for name in plotter.actors)
-    return EDGE, BAR if len(plotter.scalar_bars) else EDGE, BELOW, LEGEND if has_legend else EDGE
-
-
-def whole_view(
-    points: Float[np.ndarray, "k 3"],
-    window: Sequence[int],
-    viewer: Sequence[float] | np.ndarray,
-    free: tuple[float, float, float, float],
-) -> Float[np.ndarray, " 10"]:
-    """Places a camera without perspective: position, target, upwards, half the height in view."""
-    axes, tall = np.stack(view_axes(viewer)), window[1] / window[0]
-    seen, (left, right, below, above) = points @ axes.T, free
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    depth, width, height = high - low
-    scale = max(width / (1 - left - right), height / (tall - below - above))  # length across the window
-    beside = np.array([0, (right - left) / 2, (above - below) / 2]) * scale
-    middle = ((low + high) / 2 + beside) @ axes
-    distance = 2 * (depth + width + height)
-    return np.array([*(middle + distance * axes[0]), *middle, *axes[2], scale * tall / 2])
-
-
-def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
-    return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
-
-
-def set_view(plotter: Any, view: Float[np.ndarray, " 10"]) -> None:
-    plotter.camera_position = [tuple(vector) for vector in view[:9].reshape(3, 3).tolist()]
-    plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, float(view[9])
-    plotter.renderer.reset_camera_clipping_range()
-
-
-def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def view_axes(viewer: Direction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns unit vectors to the viewer, right, and up in the picture: z, or y seen along z."""
     towards = np.array(viewer) / np.linalg.norm(viewer)
     across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
@@ -371,8 +351,126 @@ def add_legend(plotter: Any, entries: Sequence[tuple[str, str]]) -> None:
     place = EDGE
     for k, (name, colour) in enumerate(entries):
         text = plotter.add_text(name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.0))
-        text.prop.SetFontSize(TEXT)
         text.prop.SetVerticalJustificationToTop()
         text.SetPosition(place, 0.985)
         _in_font(text.prop)
         place += (TextPath((0, 0), name, size=TEXT).get_extents().width + TEXT) / WINDOW[0]
+
+
+def pyvista() -> Any:
+    try:
+        import pyvista
+    except ImportError as error:
+        raise ImportError("pictures in 3-D need pyvista: pip install 'jaxmorph[plot]'") from error
+    return pyvista
+
+
+def lines_of(points: Any, ids: np.ndarray) -> Any:
+    return pyvista().PolyData(points, lines=np.insert(ids, 0, 2, axis=1).ravel())
+
+
+def outlines(section: Any) -> Any:
+    cells = section.cast_to_unstructured_grid().GetCells()
+    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
+    after = np.roll(labels, -1)
+    after[starts[1:] - 1] = labels[starts[:-1]]
+    owner = np.repeat(section.cell_data["whole"], np.diff(starts))
+    pairs = np.column_stack([np.minimum(labels, after), np.maximum(labels, after), owner])
+    edges, counts = np.unique(pairs, axis=0, return_counts=True)
+    return lines_of(section.points, np.unique(edges[counts == 1, :2], axis=0))
+
+
+def patches_of(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
+    check_cells(mesh)
+    return bodies(mesh) if patch is None else (patch,)
+
+
+def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:
+    """Returns outer faces, of all or patches; `whole` is the face of a piece of a curved one."""
+    on_patch = mesh.patch(*patches) if patches else None
+    if mesh.is_curved:
+        faces = _curved_faces(mesh, points, values, patches)
+    else:
+        grid = _grid_of(mesh, points, values)
+        faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
+        if on_patch is not None:
+            faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
+    if faces.n_cells == 0:
+        owner = f"patch {', '.join(map(repr, patches))}" if patches else "the mesh"
+        raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
+    return faces
+
+
+def skin(grid: Any) -> Any:
+    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
+
+    boundary = vtkGeometryFilter()
+    boundary.SetInputData(grid)
+    boundary.PassThroughPointIdsOn()
+    boundary.Update()
+    faces = pyvista().wrap(boundary.GetOutput())
+    # a name that the next filter takes again
+    faces.point_data["node"] = np.asarray(faces.point_data["vtkOriginalPointIds"])
+    return faces
+
+
+def _polygons(whole: Any, grid: Any, cell_ids: Any) -> Any:
+    """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
+    outer = np.flatnonzero(whole.all_neighbours() < 0)
+    rows = np.column_stack([whole.sizes[outer], whole.padded(outer)])  # -1 behind the last corner
+    is_node = np.pad(rows[:, 1:] >= 0, ((0, 0), (1, 0)))
+    nodes, rows[is_node] = np.unique(rows[is_node], return_inverse=True)
+    faces = pyvista().PolyData(np.asarray(grid.points)[nodes], rows[rows >= 0])
+    faces.point_data["node"] = nodes
+    if "values" in grid.cell_data:
+        mean = np.bincount(cell_ids, grid.cell_data["values"]) / np.bincount(cell_ids)
+        faces.cell_data["values"] = mean[whole.owner[outer]]
+    return faces
+
+
+def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
+    if mesh.points.shape[1] != 3:
+        raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
+    return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+
+
+def _grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
+    grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)
+    return grid
+
+
+def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:
+    """Returns outer faces of curved cells in pieces, all or those with all nodes on a patch."""
+    surface, owner = mesh.moved(_places(mesh, points)).skin(*patches)
+    if not len(owner):
+        return pyvista().PolyData()
+    pieces, face = refined(surface)
+    grid = pieces.to_pyvista()
+    grid.cell_data["whole"] = face
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)[owner][face]
+    return skin(grid)
+
+
+def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray) -> Any:
+    """Returns solid cells that a plane may cut, curved ones in pieces; `whole` are the file's."""
+    x, kinds = _places(mesh, points), lagrange_types()
+    above, chosen, is_met = (x - origin) @ normal, {}, []
+    for kind, ids in mesh.cells.items():
+        low, high = above[ids].min(axis=1), above[ids].max(axis=1)
+        room = (high - low) / 2  # a curved cell goes beyond its nodes
+        is_met.append((low - room <= 0) & (high + room >= 0) & (kinds[kind].dimension == 3))
+        chosen[kind] = np.asarray(ids)[is_met[-1]]
+    cells = np.flatnonzero(np.concatenate(is_met))
+    if not len(cells):
+        raise ValueError(NOTHING)
+    near, owner = jm.Mesh(x, chosen), np.arange(len(cells))
+    if mesh.is_curved:
+        near, owner = refined(near)
+    grid = near.to_pyvista()
+    grid.cell_data["whole"] = np.asarray(mesh.cell_ids)[cells][owner]
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)[cells][owner]
+    return grid

@@ -4,11 +4,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Real
+from jaxtyping import Float, Int, Real
 
 import jaxmorph as jm
+from jaxmorph.extend import lagrange_types
 
 Limits = tuple[float | int, float | int]
+Column = Float[np.ndarray, " k"]
+Places = Float[np.ndarray, "_ d"]
+Ids = Int[np.ndarray, " _"]
 Values = Real[Any, " k"] | Sequence[float | int]
 
 DARK, GREY, BLUE, ORANGE, GREEN = "#1b1b1b", "#9a9a9a", "#0072b2", "#d55e00", "#009e73"
@@ -36,8 +40,8 @@ STILL = 0.01
 """Share of the largest displacement below which a node counts as still."""
 
 
-SEGMENTS = 4
-"""Pieces of a curved edge, for each order of its polynomial."""
+SEGMENTS, PIECES = 4, 1_000_000
+"""Pieces of a curved edge, for each order of its polynomial; about the most pieces of a picture."""
 
 
 def finite(points: Any) -> np.ndarray:
@@ -50,6 +54,14 @@ def finite(points: Any) -> np.ndarray:
 def check_cells(mesh: jm.Mesh) -> None:
     if not sum(map(len, mesh.cells.values())):
         raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
+
+
+def refined(mesh: jm.Mesh, most: int = PIECES) -> tuple[jm.Mesh, Ids]:
+    """Cuts curved cells into linear pieces, which share points; returns the cell of each too."""
+    types = [(lagrange_types()[kind], len(ids)) for kind, ids in mesh.cells.items() if len(ids)]
+    order, dimension = max(cell.order for cell, _ in types), max(cell.dimension for cell, _ in types)
+    count = sum(number * cell.order**cell.dimension for cell, number in types)
+    return mesh.refined(order * int(np.clip((most / count) ** (1 / dimension), 1, SEGMENTS)))
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
@@ -75,9 +87,7 @@ def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Li
     return (colours, (light, dark)) if light < dark else (f"{colours}_r", (dark, light))
 
 
-def scale_of(
-    values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"], limits: Limits | None
-) -> tuple[str, Limits, bool, bool]:
+def scale_of(values: Real[np.ndarray, " k"], sizes: Column, limits: Limits | None) -> tuple[str, Limits, bool, bool]:
     """Returns the colour map, its limits, and whether values are below them, and above."""
     colours, limits = colour_scale(limits)
     low, high = limits or _usual_limits(values, sizes)
@@ -85,16 +95,14 @@ def scale_of(
     return colours, (low, high), bool((known < low).any()), bool((known > high).any())
 
 
-def _usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]) -> Limits:
+def _usual_limits(values: Real[np.ndarray, " k"], sizes: Column) -> Limits:
     """Returns the least and largest value without outliers: 1 % of the area would pale others."""
     chosen = np.isfinite(values)
     values, sizes = values[chosen].astype(float), np.abs(sizes[chosen])
     if not len(values):
         return 0.0, 1.0
-    order = np.argsort(values, kind="stable")
-    share = np.cumsum(sizes[order]) / max(float(sizes.sum()), np.finfo(float).tiny)
-    ends = np.searchsorted(share, (OUTLIERS, 1 - OUTLIERS)).clip(0, len(values) - 1)
-    low, high = values[order][ends].tolist()
+    shares, weights = (OUTLIERS, 1 - OUTLIERS), sizes + np.finfo(float).tiny
+    low, high = np.quantile(values, shares, weights=weights, method="inverted_cdf").tolist()
     near = FAR * (high - low)  # what is little farther away is no outlier
     low, high = (
         float(extreme) if abs(extreme - end) <= near else end

@@ -1,52 +1,51 @@
 """Shapes: traced functions from positions to positions, from design variables to a new wall."""
 
-from ._curves import CST as CST
-from ._curves import NACA4 as NACA4
-from ._curves import BSplineCurve as BSplineCurve
-from ._curves import HicksHenne as HicksHenne
-from ._curves import Modes as Modes
-from ._displacement import displacement as displacement
-from ._displacement import names as names
-from ._displacement import path as path
-from ._displacement import project as project
-from ._displacement import pullback as pullback
-from ._displacement import varied as varied
-from ._fit import Fit as Fit
-from ._fit import fit as fit
-from ._fit import fit_cst as fit_cst
-from ._freeform import FreeForm as FreeForm
-from ._guard import MeshGuard as MeshGuard
-from ._guard import QualityRows as QualityRows
-from ._hexahedron import Hexahedron as Hexahedron
-from ._history import History as History
-from ._motions import ReferenceAxis as ReferenceAxis
-from ._motions import bend as bend
-from ._motions import rotate as rotate
-from ._motions import scale as scale
-from ._motions import translate as translate
-from ._motions import twist as twist
-from ._offset import Offset as Offset
-from ._onto import Onto as Onto
-from ._onto import onto as onto
-from ._section import Chord as Chord
-from ._section import upper_side as upper_side
-from ._shape import AbstractLinearShape as AbstractLinearShape
-from ._shape import AbstractShape as AbstractShape
-from ._shape import Chain as Chain
-from ._shape import Function as Function
-from ._shape import Linked as Linked
-from ._shape import OnRows as OnRows
-from ._shape import Part as Part
-from ._shape import Together as Together
-from ._smooth import Smoother as Smoother
-from ._walls import Stations as Stations
-from ._walls import area as area
-from ._walls import centroid as centroid
-from ._walls import chord as chord
-from ._walls import curvature as curvature
-from ._walls import leading_edge_radius as leading_edge_radius
-from ._walls import thickness as thickness
-from ._walls import trailing_edge_angle as trailing_edge_angle
-from ._walls import volume as volume
-from ._walls import wall_loop as wall_loop
-from ._walls import wall_normals as wall_normals
+# isort: off
+from ._curves import BSplineCurve as BSplineCurve, CST as CST, HicksHenne as HicksHenne, Modes as Modes, NACA4 as NACA4
+from ._displacement import (
+    Fit as Fit,
+    displacement as displacement,
+    fit as fit,
+    fit_cst as fit_cst,
+    names as names,
+    path as path,
+    project as project,
+    pullback as pullback,
+    varied as varied,
+)
+from ._freeform import FreeForm as FreeForm, Hexahedron as Hexahedron
+from ._motions import (
+    ReferenceAxis as ReferenceAxis,
+    bend as bend,
+    rotate as rotate,
+    scale as scale,
+    translate as translate,
+    twist as twist,
+)
+from ._onto import Onto as Onto, onto as onto
+from ._optimisation import History as History, MeshGuard as MeshGuard, QualityRows as QualityRows
+from ._section import Chord as Chord, upper_side as upper_side
+from ._shape import (
+    AbstractLinearShape as AbstractLinearShape,
+    AbstractShape as AbstractShape,
+    Chain as Chain,
+    Function as Function,
+    Linked as Linked,
+    OnRows as OnRows,
+    Part as Part,
+    Together as Together,
+)
+from ._smooth import Offset as Offset, Smoother as Smoother
+from ._walls import (
+    Stations as Stations,
+    area as area,
+    centroid as centroid,
+    chord as chord,
+    curvature as curvature,
+    leading_edge_radius as leading_edge_radius,
+    thickness as thickness,
+    trailing_edge_angle as trailing_edge_angle,
+    volume as volume,
+    wall_loop as wall_loop,
+    wall_normals as wall_normals,
+)

@@ -1,5 +1,6 @@
 """Checks of arguments: shapes always, values where they are known."""
 
+import functools
 import reprlib
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -15,25 +16,24 @@ from jaxmorph.extend import rows_of as listed_rows
 M = TypeVar("M", bound=Module)
 Number = Real[ArrayLike, ""]
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
+Scalar = Float[Array, ""]
+Column = Float[Array, " m"]
+Vector = Float[Array, " d"]
+Positions = Float[Array, "m d"]
+Weights = Float[Array, "m k"]
 
 
-def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
+def positions(x: Numbers, name: str = "x", like: tuple[int, ...] | None = None) -> Positions:
     is_array = isinstance(x, jax.Array) or not is_known(x)
     places = jnp.asarray(x) if is_array else jax.device_put(np.array(x))  # copied, and no program compiled
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
+    if like is not None and places.shape != like:
+        raise ValueError(f"`{name}` has shape {places.shape}; this shape is for positions {like}.")
     return places if jnp.issubdtype(places.dtype, jnp.floating) else places.astype(jnp.result_type(float))
 
 
-def positions_in(x: Numbers, counts: tuple[int, ...]) -> Float[Array, "m d"]:
-    """Turns positions into an array (m, d) for a box of control points with d counts."""
-    places = positions(x)
-    if places.shape[1] != len(counts):
-        raise ValueError(f"`x` has shape {places.shape}; this box is in {len(counts)}-D.")
-    return places
-
-
-def cast(module: M, x: Float[Array, "m d"]) -> M:
+def cast(module: M, x: Positions) -> M:
     return jax.tree.map(lambda leaf: leaf.astype(x.dtype) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, module)
 
 
@@ -66,11 +66,11 @@ def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
     return listed_rows(name, array.ravel(), count).reshape(array.shape)
 
 
-def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
+def number(name: str, value: Any, like: Array) -> Scalar:
     return _finite(name, value, like, (), "it is one number")
 
 
-def vector(name: str, values: Any, like: Array) -> Float[Array, " d"]:
+def vector(name: str, values: Any, like: Array) -> Vector:
     d = like.shape[1]
     return _finite(name, values, like, (d,), f"positions in {d}-D need ({d},)")
 
@@ -84,26 +84,42 @@ def _finite(name: str, values: Any, like: Array, shape: tuple[int, ...], expecte
     return values
 
 
-def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
+def arms(x: Positions, about: Any) -> Positions:
+    return x - vector("about", about, x)[None, :]
+
+
+def direction(name: str, values: Any, like: Array) -> Vector:
     values = vector(name, values, like)
     if is_known(values) and not np.asarray(values).any():  # NumPy's, which no trace records
         raise ValueError(f"`{name}` has length 0; it must be a direction.")
     return values / jnp.linalg.norm(values)
 
 
-def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
+def positive(name: str, value: Any, like: Array) -> Scalar:
     value = number(name, value, like)
     if is_known(value) and not value > 0:
         raise ValueError(f"`{name}` is {value}; it must be above 0.")
     return value
 
 
-def axis_for(values: Any, like: Array) -> Float[Array, " 3"] | None:
-    if like.shape[1] == 3 and values is None:
-        raise ValueError("`axis` is missing: a rotation in 3-D needs (3,) numbers.")
-    if like.shape[1] == 2 and values is not None:
-        raise ValueError("`axis` is for positions in 3-D; leave it out in 2-D.")
-    return None if values is None else direction("axis", values, like)
+def axis_for(values: Any, like: Positions) -> Float[Array, " 3"]:
+    """The direction (3,) about which positions turn; in 2-D that of the drawing."""
+    if (values is None) != (like.shape[1] == 2):
+        raise ValueError("`axis` is for positions in 3-D, where a rotation needs (3,) numbers; leave it out in 2-D.")
+    return jnp.array([0.0, 0.0, 1.0], like.dtype) if values is None else direction("axis", values, like)
+
+
+def piecewise(t: Column, breaks: Any, coefficients: Sequence[Any]) -> Weights:
+    """Evaluates polynomials between breaks; coefficients (pieces, k) by rising power."""
+    breaks = jnp.asarray(breaks, t.dtype)
+    piece = jnp.clip(jnp.searchsorted(breaks, t, side="right") - 1, 0, len(breaks) - 2)
+    terms = [jnp.asarray(term, t.dtype)[piece] for term in coefficients]
+    from_break = (t - breaks[piece])[:, None]
+    return functools.reduce(lambda total, term: total * from_break + term, reversed(terms))
+
+
+def shown_place(point: Any) -> str:
+    return f"({', '.join(f'{x:.6g}' for x in point)})"
 
 
 def slack(dtype: Any) -> float:

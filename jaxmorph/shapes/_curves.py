@@ -6,10 +6,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxmorph.extend import between, checked
+from jaxmorph.extend import between, checked, finite_array
 
-from ._arguments import Numbers, cast, check_finite, clipped, known_positions, positions, slack
-from ._lattice import bernstein, splines
+from ._arguments import (
+    Column,
+    Numbers,
+    Positions,
+    Vector,
+    cast,
+    check_finite,
+    clipped,
+    known_positions,
+    positions,
+    slack,
+)
+from ._freeform import bernstein, splines
 from ._section import Chord
 from ._shape import AbstractLinearShape, AbstractShape, Move
 
@@ -30,25 +41,23 @@ class HicksHenne(AbstractLinearShape):
     **Raises:** `ValueError` for numbers outside of these ranges, and equal bumps.
     """
 
-    centres: Float[Array, " k"]
-    widths: Float[Array, " k"]
+    centres: Vector
+    widths: Vector
     chord: Chord
 
     @checked
     def __init__(self, centres: Numbers, widths: Numbers = 3.0, *, chord: Chord | None = None):
-        known = np.asarray(centres, float)
-        if known.ndim != 1 or not ((known > 0) & (known < 1)).all():
-            raise ValueError(f"`centres` must be (k,) between 0 and 1, got {known}.")
-        check_finite(widths=widths)
-        if np.shape(widths) not in ((), known.shape) or not (np.asarray(widths) > 0).all():
-            raise ValueError(f"`widths` must be one number above 0, or {len(known)} of them.")
-        bumps = np.column_stack([known, np.broadcast_to(np.asarray(widths, float), known.shape)])
+        known = finite_array("centres", np.asarray(centres, float), (None,))
+        powers = finite_array("widths", np.asarray(widths, float), (), known.shape)
+        if not ((known > 0) & (known < 1) & (powers > 0)).all():
+            raise ValueError(f"`centres` lie between 0 and 1, `widths` above 0; got {known} and {powers}.")
+        bumps = np.column_stack([known, np.broadcast_to(powers, known.shape)])
         if twice := len(bumps) - len(np.unique(bumps, axis=0)):
             raise ValueError(f"{twice} of {len(bumps)} bumps stand twice.")
         self.centres, self.widths = (jnp.asarray(column) for column in bumps.T)
         self.chord = Chord() if chord is None else chord
 
-    def neutral(self) -> Float[Array, " k"]:
+    def neutral(self) -> Vector:
         return jnp.zeros(len(self.centres))
 
     def at(self, x: Numbers) -> Move:
@@ -86,7 +95,7 @@ class CST(AbstractLinearShape):
             raise ValueError(f"order {order} and exponents {exponents} must be 1 or more, and above 0.")
         self.order, self.exponents, self.chord = order, exponents, Chord() if chord is None else chord
 
-    def neutral(self) -> Float[Array, " k"]:
+    def neutral(self) -> Vector:
         return jnp.zeros(self.order + 2)
 
     def at(self, x: Numbers) -> Move:
@@ -103,7 +112,7 @@ class CST(AbstractLinearShape):
         return lambda numbers: (weights @ self._numbers(numbers, x))[:, None] * chord.up[None, :]
 
 
-def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
+def _power(distance: Column, exponent: float) -> Column:
     """The derivative at the nose or tail is the one inside, or 0 where that is infinite."""
     if float(exponent).is_integer():
         return distance ** int(exponent)
@@ -120,7 +129,7 @@ class BSplineCurve(AbstractLinearShape):
     **Raises:** `ValueError` for other arguments, and positions other than `points`.
     """
 
-    shares: Float[Array, " m"]
+    shares: Column
     count: int = eqx.field(static=True)
     degree: int = eqx.field(static=True)
     dimension: int = eqx.field(static=True)
@@ -142,9 +151,7 @@ class BSplineCurve(AbstractLinearShape):
         return jnp.zeros((self.count, self.dimension))
 
     def at(self, x: Numbers) -> Move:
-        x = positions(x)
-        if (*self.shares.shape, self.dimension) != x.shape:
-            raise ValueError(f"this curve has {len(self.shares)} nodes in {self.dimension}-D; `x` has shape {x.shape}.")
+        x = positions(x, like=(len(self.shares), self.dimension))
         weights = splines(self.shares.astype(x.dtype), self.count, self.degree)
         return lambda control: weights @ self._numbers(control, x)
 
@@ -164,15 +171,15 @@ class Modes(AbstractLinearShape):
         if self.fields.ndim != 3:
             raise ValueError(f"`fields` has shape {self.fields.shape}; expected (k, m, d).")
 
-    def neutral(self) -> Float[Array, " k"]:
+    def neutral(self) -> Vector:
         return jnp.zeros(len(self.fields))
 
     def at(self, x: Numbers) -> Move:
-        x = positions(x)
-        if self.fields.shape[1:] != x.shape:
-            raise ValueError(f"`x` has shape {x.shape}; the modes have {self.fields.shape[1:]}.")
+        x = positions(x, like=self.fields.shape[1:])
         return lambda amplitudes: jnp.tensordot(self._numbers(amplitudes, x), self.fields.astype(x.dtype), 1)
 
+
+Pair = tuple[Array, Array]
 
 LAST = (0.1015, 0.1036)  # last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge
 REACH = 2.0  # chords before and behind the crest of the mean line in which feet are searched
@@ -191,7 +198,7 @@ class NACA4(AbstractShape):
     **Raises:** `ValueError` for a thickness that is not above 0, and a place outside of 0 to 1.
     """
 
-    original: Float[Array, " 3"]
+    original: Vector
     chord: Chord
 
     @checked
@@ -202,10 +209,10 @@ class NACA4(AbstractShape):
         self.original = jnp.asarray([camber, place, thickness], float)
         self.chord = Chord() if chord is None else chord
 
-    def neutral(self) -> Float[Array, " 3"]:
+    def neutral(self) -> Vector:
         return self.original
 
-    def __call__(self, x: Numbers, parameters: Numbers) -> Float[Array, "m d"]:
+    def __call__(self, x: Numbers, parameters: Numbers) -> Positions:
         x = positions(x)
         own, parameters = cast(self, x), jnp.asarray(parameters, x.dtype)
         if parameters.shape != (3,):
@@ -221,36 +228,35 @@ class NACA4(AbstractShape):
         return x + (t1 - t0)[:, None] * along[None, :] + (y1 - y0)[:, None] * across[None, :]
 
 
-def _mean_line(s, airfoil: Float[Array, " 3"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+def _mean_line(s, airfoil: Vector) -> Pair:
     camber, place = airfoil[0], airfoil[1]
     width = jnp.where(s < place, place, 1 - place)
-    ordinate = camber / width**2 * (jnp.where(s < place, 0, 1 - 2 * place) + 2 * place * s - s**2)
-    return ordinate, 2 * camber / width**2 * (place - s)
+    return camber * (1 - ((s - place) / width) ** 2), 2 * camber / width**2 * (place - s)
 
 
-def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
+def _away(s, t, height, airfoil: Vector) -> Array:
     ordinate, slope = _mean_line(s, airfoil)
     return s - t + (ordinate - height) * slope
 
 
-def _rate(s, *position) -> Float[Array, "..."]:
+def _rate(s, *position) -> Array:
     return jax.jvp(lambda s: _away(s, *position), (s,), (jnp.ones_like(s),))[1]
 
 
 @jax.custom_jvp
 @jax.jit
-def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
+def _station(t: Column, height: Column, airfoil: Vector) -> Column:
     """The foot of each position on the mean line; of several, the one half a thickness away."""
     position = t[None], height[None], airfoil
-    near, far = _intervals(height[None], airfoil)
-    sign = jnp.sign(_away(near, *position))
+    ends = _borders(height, airfoil)
+    sign = jnp.sign(_away(ends[:-1], *position))
 
     def halved(_, ends):
         middle = ends.mean(axis=0)
         same = jnp.sign(_away(middle, *position)) == sign
         return jnp.stack([jnp.where(same, middle, ends[0]), jnp.where(same, ends[1], middle)])
 
-    s = jax.lax.fori_loop(0, HALVINGS, halved, jnp.stack([near, far])).mean(axis=0)
+    s = jax.lax.fori_loop(0, HALVINGS, halved, jnp.stack([ends[:-1], ends[1:]])).mean(axis=0)
     for _ in range(2):
         rate = _rate(s, *position)
         s = s - _away(s, *position) / jnp.where(jnp.abs(rate) > 0.1, rate, jnp.inf)
@@ -271,7 +277,7 @@ def _station_jvp(primals, tangents):
     return s, -moved / jnp.where(jnp.abs(rate) > slack(s.dtype), rate, 1)
 
 
-def _intervals(height: Float[Array, "1 m"], airfoil: Float[Array, " 3"]) -> Float[Array, "2 4 m"]:
+def _borders(height: Column, airfoil: Vector) -> Float[Array, "5 m"]:
     """Computes the ends of intervals in which a position has at most one foot.
 
     Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a
@@ -279,27 +285,24 @@ def _intervals(height: Float[Array, "1 m"], airfoil: Float[Array, " 3"]) -> Floa
     extremum, and beyond it.
     """
     camber, place = airfoil[0], airfoil[1]
-    ends = []
-    for width, sign in ((place, -1), (1 - place, 1)):
-        bend = -camber / width**2
-        square = -(1 + 2 * bend * (camber - height)) / jnp.where(bend == 0, 1, 6 * bend**2)
-        extremum = jnp.minimum(jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0), REACH)
-        crest, last = (jnp.broadcast_to(end, height.shape) for end in (place, place + sign * REACH))
-        ends += [(crest, place + sign * extremum), (place + sign * extremum, last)]
-    return jnp.stack([jnp.concatenate(side) for side in zip(*ends, strict=True)])
+    bend = -camber / jnp.stack([place, 1 - place])[:, None] ** 2
+    square = -(1 + 2 * bend * (camber - height)[None]) / (6 * bend**2)  # of v at the extremum; without a bend -inf
+    ahead, behind = jnp.minimum(jnp.sqrt(jnp.maximum(square, 0)), REACH)
+    last = jnp.full_like(height, REACH)
+    return place + jnp.stack([-last, -ahead, 0 * last, behind, last])
 
 
-def _half_thickness(s, thickness, last: float) -> Float[Array, "..."]:
+def _half_thickness(s, thickness, last: float) -> Array:
     rest = s * (-0.126 + s * (-0.3516 + s * (0.2843 - last * s)))
     return 5 * thickness * (0.2969 * jnp.sqrt(s) + rest)
 
 
-def _offset(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
+def _offset(s, t, height, airfoil: Vector) -> Array:
     ordinate, slope = _mean_line(s, airfoil)
     return ((height - ordinate) - (t - s) * slope) / jnp.sqrt(1 + slope**2)
 
 
-def _from_mean_line(s, offset, airfoil: Float[Array, " 3"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+def _from_mean_line(s, offset, airfoil: Vector) -> Pair:
     ordinate, slope = _mean_line(s, airfoil)
     cosine = 1 / jnp.sqrt(1 + slope**2)
     return s - offset * slope * cosine, ordinate + offset * cosine

@@ -6,15 +6,17 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module
 
-from ._arguments import rows_of
+from ._arguments import Column, Positions, rows_of, shown_place
+
+Ids = Int[np.ndarray | Array, " _"]
+Borders = tuple[tuple[Plane, Ids], ...]
 
 SAME, REACH = 1e-6, 0.25
 """Shares of the extent: distance of points that are on a plane; the farthest edge or corner."""
@@ -26,12 +28,12 @@ class Rail(Module):
     `beside` (c, 2) are the neighbours of each node along the wall's own curve.
     """
 
-    rows: Int[np.ndarray | Array, " c"]
+    rows: Ids
     beside: Int[np.ndarray | Array, "c 2"]
-    ids: Int[np.ndarray | Array, " c"] | None = None
+    ids: Ids | None = None
     curve: Facets | None = None
 
-    def places(self, x: Float[Array, "m d"], facing: Float[Array, "m d"], points: Float[Array, "n d"]) -> Any:
+    def places(self, x: Positions, facing: Positions, points: Array) -> Any:
         return (
             points[self.ids] if self.curve is None else self.curve.at(points).closest(x[self.rows], facing[self.rows])
         )
@@ -46,7 +48,7 @@ class Clip(Module):
     on: Bool[np.ndarray | Array, " n"]
     plane: Plane
 
-    def __call__(self, points: Float[Array, "k d"]) -> Float[Array, "n d"]:
+    def __call__(self, points: Array) -> Positions:
         a, b = points[self.pairs[:, 0]], points[self.pairs[:, 1]]
         first, second = (height_of(end, self.plane) for end in (a, b))
         apart = first - second
@@ -55,7 +57,17 @@ class Clip(Module):
         return jnp.where(self.on[:, None], place, a)
 
 
-def height_of(x: Float[Array, "n d"], plane: Plane) -> Float[Array, " n"]:
+def borders_of(wall: Facets, symmetry: Plane | Sequence[Plane]) -> Borders:
+    """Finds the rows of a wall's border that stand in each plane."""
+    planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
+    x, rim = np.asarray(wall.points, float), np.unique(wall.rim)
+    slack, d = SAME * np.ptp(x, axis=0).max(), x.shape[1]
+    if others := {len(plane.normal) for plane in planes} - {d}:
+        raise ValueError(f"the wall is in {d}-D, a plane in {max(others)}-D.")
+    return tuple((plane, rim[np.abs(plane.height(x[rim])) <= slack]) for plane in planes)
+
+
+def height_of(x: Positions, plane: Plane) -> Column:
     normal, origin = (jnp.asarray(vector, x.dtype) for vector in (plane.normal, plane.origin))
     return jnp.matmul(x - origin[None], normal, precision="highest")
 
@@ -67,18 +79,18 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
     points, faces = np.asarray(target.points, float), np.asarray(target.faces)
     height, width = side * plane.height(points), faces.shape[1]
     height = np.where(np.abs(height) <= slack, 0, height)
-    table = np.stack([faces, faces, faces, np.roll(faces, -1, axis=1)], axis=2).reshape(len(faces), -1, 2)
-    table = table[:, : 2 * width - (width == 2)]
-    ends = height[table]
-    kept = np.where(table[..., 0] == table[..., 1], ends[..., 0] >= 0, ends[..., 0] * ends[..., 1] < 0)
-    kept &= (height[faces] != 0).any(axis=1)[:, None]
-    order, count = np.argsort(~kept, axis=1, kind="stable"), kept.sum(axis=1)
-    polygon = np.sort(np.take_along_axis(table, order[..., None], axis=1), axis=2)
-    cuts = [polygon[count >= width][:, list(range(width))], polygon[count > 3][:, [0, 2, 3][:width]]]
-    pairs, place = np.unique(np.concatenate(cuts).reshape(-1, 2), axis=0, return_inverse=True)
+    ends = height[faces]
+    cuts: list[Any] = [np.repeat(faces[(ends >= 0).all(axis=1) & (ends > 0).any(axis=1)], 2).reshape(-1, 2)]
+    for corners in faces[(ends.min(axis=1) < 0) & (ends.max(axis=1) > 0)].tolist():
+        sides = zip(corners, corners[1:] + corners[:1], strict=True)
+        around = [pair for a, b in sides for pair in ((a, a), (min(a, b), max(a, b)))]
+        ring = dict.fromkeys((a, b) for a, b in around if (height[a] >= 0 if a == b else height[a] * height[b] < 0))
+        first, *others = ring
+        cuts += [[first, *others[k : k + width - 1]] for k in range(len(others) - width + 2)]
+    pairs, place = np.unique(np.concatenate(cuts), axis=0, return_inverse=True)
     if not len(pairs) or not (on := (height[pairs[:, 0]] == 0) | (pairs[:, 0] != pairs[:, 1])).any():
         raise ValueError(
-            f"the target ends {np.abs(height).min():.3g} before the symmetry plane through {_place(plane.origin)}. "
+            f"the target ends {np.abs(height).min():.3g} before the symmetry plane through {shown_place(plane.origin)}. "
             "Extend the target, or leave the plane out."
         )
     clip = Clip(pairs, on, plane)
@@ -89,14 +101,15 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
 @dataclasses.dataclass(frozen=True)
 class Curves:
     """Edges (s, 2) of a surface, in 2-D points (s, 1), by `kinds`: 0 for sharp ones, k for those on
-    the border in the k-th plane, then named ones. `corners` are by place the kinds that meet there.
+    the border in the k-th plane, then named ones. At `corners` kinds meet, the bits of `codes`.
     """
 
     points: np.ndarray
     normals: np.ndarray
     edges: np.ndarray
     kinds: np.ndarray
-    corners: dict[int, tuple[int, ...]]
+    corners: np.ndarray
+    codes: np.ndarray
 
     @classmethod
     def of(cls, facets: Facets, planes: Sequence[Plane], slack: float, ids: Sequence[Any]) -> "Curves":
@@ -109,7 +122,7 @@ class Curves:
             edges = np.unique(sides[np.isin(sides, named).all(axis=1)], axis=0)
             found.append(np.reshape(named, (-1, 1)) if rim.shape[1] == 1 else edges)
         edges, kinds = np.concatenate(found), np.repeat(np.arange(len(found)), [len(part) for part in found])
-        return cls(points, normals, edges, kinds, _corners(points, edges, kinds, rim, len(planes)))
+        return cls(points, normals, edges, kinds, *_corners(points, edges, kinds, rim, len(planes)))
 
     def chains(self, kind: int) -> list[np.ndarray]:
         """The edges of a kind in parts between corners; none in 2-D, where all are corners."""
@@ -117,32 +130,30 @@ class Curves:
         if edges.shape[1] == 1 or not len(edges):
             return []
         own = len(self.points) + np.arange(edges.size).reshape(edges.shape)  # a corner joins no edges
-        ends = np.where(np.isin(edges, list(self.corners)), own, edges)
-        part = _parts(ends, len(self.points) + edges.size)[ends[:, 0]]
+        ends = np.where(np.isin(edges, self.corners), own, edges)
+        links = coo_array((np.ones(len(ends)), tuple(ends.T)), (len(self.points) + edges.size,) * 2)
+        part = connected_components(links, directed=False)[1][ends[:, 0]]
         return [edges[part == number] for number in np.unique(part)]
 
 
 def _corners(
     points: np.ndarray, edges: np.ndarray, kinds: np.ndarray, rim: np.ndarray, planes: int
-) -> dict[int, tuple[int, ...]]:
+) -> tuple[np.ndarray, np.ndarray]:
     nodes, number = np.unique(edges, return_inverse=True)
-    number, total = number.reshape(edges.shape), np.zeros((len(nodes), points.shape[1]))
+    number, is_corner = number.reshape(edges.shape), np.ones(len(nodes), bool)
     met = np.zeros((len(nodes), max(kinds.max(initial=0), planes) + 1), bool)
     met[number, kinds[:, None]] = True
-    if edges.shape[1] == 1:
-        at = np.arange(len(nodes))
-    else:
+    if edges.shape[1] == 2:
         # Two directions away from a node cancel on a straight curve; at 60 degrees their sum has
         # length 1. An edge that ends at the border of the surface slides along itself.
-        along = points[edges[:, 1]] - points[edges[:, 0]]
+        along, total = points[edges[:, 1]] - points[edges[:, 0]], np.zeros((len(nodes), points.shape[1]))
         along = along / np.linalg.norm(along, axis=1, keepdims=True)
         np.add.at(total, number, np.stack([along, -along], axis=1))
         count = np.bincount(number.ravel())
         is_single = ~np.isin(nodes, rim) | met[:, planes + 1 :].any(axis=1)
         is_end = np.where(count == 1, is_single, (count > 2) | (np.sum(total**2, axis=1) > 1))
-        is_end &= ~met[:, 1 : planes + 1].any(axis=1)
-        at = np.flatnonzero(is_end | (met.sum(axis=1) > 1))
-    return {int(nodes[k]): tuple(np.flatnonzero(met[k]).tolist()) for k in at}
+        is_corner = (is_end & ~met[:, 1 : planes + 1].any(axis=1)) | (met.sum(axis=1) > 1)
+    return nodes[is_corner], met[is_corner] @ (1 << np.arange(met.shape[1]))
 
 
 def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]) -> tuple[Rail, ...]:
@@ -150,7 +161,7 @@ def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: S
     slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
     ids = _named(features, len(wall.points)), _named([pair[::-1] for pair in features], len(target.points))
     own, other = (Curves.of(facets, planes, slack, named) for facets, named in zip((wall, target), ids, strict=True))
-    guides = [guide for kinds in sorted({*own.corners.values()}) for guide in _on_points(own, other, kinds)]
+    guides = [guide for code in np.unique(own.codes).tolist() for guide in _on_points(own, other, code)]
     taken = np.concatenate([np.zeros(0, int), *(guide.rows for guide in guides)])
     kinds = range(own.kinds.max(initial=0) + 1)
     return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
@@ -162,20 +173,21 @@ def _named(features: Sequence[Any], count: int) -> list[Int[np.ndarray, " k"]]:
     return [rows_of("features", ids, count) for ids, _ in features]
 
 
-def _on_points(own: Curves, other: Curves, kinds: tuple[int, ...]) -> list[Rail]:
+def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
     """A corner goes onto the closest corner of the same kinds of curves, that looks alike."""
-    rows, ids = (np.array([at for at, met in side.corners.items() if met == kinds], int) for side in (own, other))
+    rows, ids = (side.corners[side.codes == code] for side in (own, other))
     if not len(ids):
         return []
     away, chosen = _best(own, rows, other.points[ids], other.normals[ids])
-    away |= max(kinds) > 0
+    away |= code > 1  # a plane or a name leaves no choice
     rows, ids, places = rows[away], ids[chosen][away], other.points[ids[chosen]][away]
-    pairs = KDTree(places).query_pairs(0, output_type="ndarray") if len(rows) else np.zeros((0, 2), int)
-    if len(pairs):
+    _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    shared = np.flatnonzero(count[place.ravel()] > 1)
+    if len(shared):
         raise MeshError(
-            f"{len(np.unique(pairs))} corners of the wall share one of the target, at {_place(places[pairs[0, 0]])}, one is "
+            f"{len(shared)} corners of the wall share one of the target, at {shown_place(places[shared[0]])}, one is "
             "node {node}. Name pairs in `features`, or find fewer edges by the `angle` of `Facets`.",
-            rows[np.unique(pairs)],
+            rows[shared],
         )
     return [Rail(rows, np.stack([rows, rows], axis=1), ids)] if len(rows) else []
 
@@ -211,14 +223,3 @@ def _beside(rows: np.ndarray, edges: np.ndarray) -> np.ndarray:
     both = both[np.lexsort(both.T[::-1])]
     first, last = np.searchsorted(both[:, 0], rows), np.searchsorted(both[:, 0], rows, side="right") - 1
     return np.stack([np.where(first == last, rows, both[first, 1]), both[last, 1]], axis=1)
-
-
-def _place(point: np.ndarray) -> str:
-    return f"({', '.join(f'{x:.6g}' for x in point)})"
-
-
-def _parts(edges: np.ndarray, count: int) -> np.ndarray:
-    """Connected parts of nodes (count,) by edges (e, 2)."""
-    return connected_components(coo_array((np.ones(len(edges)), tuple(edges.T)), shape=(count, count)), directed=False)[
-        1
-    ]

@@ -1,9 +1,15 @@
-"""Free-form deformation: a lattice of control points carries the points inside."""
+"""Free-form deformation: a lattice of control points carries the points inside.
 
+The box has parallel edges (`FreeForm`), or corners anywhere (`Hexahedron`).
+"""
+
+import functools
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -12,9 +18,50 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxmorph.extend import between, checked, is_known, whole
 
-from ._arguments import Numbers, check_finite, known_positions, positions, positions_in, slack
-from ._lattice import splines, sums
+from ._arguments import (
+    Column,
+    Numbers,
+    Positions,
+    Vector,
+    Weights,
+    check_finite,
+    known_positions,
+    piecewise,
+    positions,
+    shown_place,
+    slack,
+)
 from ._shape import AbstractLinearShape, Linked, Move
+
+Control = Float[Array, "..."]  # (*counts, d)
+Mask = Bool[np.ndarray, "..."]
+Groups = Sequence[Sequence[tuple[int, ...]]]
+
+SLAB = 8192  # points in a block: intermediate sums are larger than the result
+
+
+def splines(t: Column, count: int, degree: int) -> Weights:
+    """B-splines on clamped, equal knots in [0, 1]; Bernstein polynomials at the highest degree."""
+    if degree == count - 1:
+        return bernstein(t, degree)
+    from scipy.interpolate import BSpline  # not before it is needed: it takes a tenth of a second
+
+    breaks = np.linspace(0, 1, count - degree + 1)
+    spline = BSpline(np.pad(breaks, degree, mode="edge"), np.eye(count), degree)
+    return piecewise(t, breaks, [spline(breaks[:-1], p) / math.factorial(p) for p in range(degree + 1)])
+
+
+def bernstein(t: Column, degree: int) -> Weights:
+    return jnp.stack([math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)], axis=1)
+
+
+@jax.jit
+def sums(weights: Sequence[Float[Array, "m _"]], control: Control) -> Positions:
+    return jax.lax.map(functools.partial(_sum, control), tuple(weights), batch_size=SLAB)
+
+
+def _sum(control: Control, weights: Sequence[Float[Array, " _"]]) -> Vector:
+    return functools.reduce(lambda left, along: jnp.tensordot(along, left, 1), weights, control)
 
 
 class FreeForm(AbstractLinearShape):
@@ -36,7 +83,7 @@ class FreeForm(AbstractLinearShape):
     leaves no control point free.
     """
 
-    origin: Float[Array, " d"]
+    origin: Vector
     axes: Float[Array, "d d"]
     counts: tuple[int, ...] = eqx.field(static=True)
     degrees: tuple[int, ...] = eqx.field(static=True)
@@ -59,9 +106,8 @@ class FreeForm(AbstractLinearShape):
             raise ValueError(f"`origin` has shape {origin.shape} and `axes` {axes.shape}; expected (d,) and (d, d).")
         if is_known(axes) and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod():
             raise ValueError("the box is flat: its `axes` lie in one plane or one of them has no length.")
-        self.origin, self.axes = origin, axes
-        self.counts = _checked_counts(counts, d)
-        self.degrees, self.continuity = _checked_degrees(degree, self.counts), continuity
+        self.origin, self.axes, self.continuity = origin, axes, continuity
+        self.counts, self.degrees = _lattice_of(counts, degree, d)
         if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
             raise ValueError(
                 f"continuity={continuity} holds {continuity + 1} layers: no control of {self.counts} is free."
@@ -93,17 +139,17 @@ class FreeForm(AbstractLinearShape):
         space = margin * (high - low).max()
         return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
 
-    def neutral(self) -> Float[Array, "..."]:
+    def neutral(self) -> Control:
         return jnp.zeros((*self.counts, len(self.counts)))
 
     @property
-    def free(self) -> Bool[np.ndarray, "..."]:
+    def free(self) -> Mask:
         """Mask (*counts,) of the control points that `continuity` leaves free."""
         layers = 0 if self.continuity is None else self.continuity + 1
         return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
 
     def at(self, x: Numbers) -> Move:
-        x = positions_in(x, self.counts)
+        x = positions(x)
         t = self.coordinates(x)
         inside = self.holds(t)[:, None]
         # what is outside has no weight, and a place where none of its powers is large
@@ -113,17 +159,19 @@ class FreeForm(AbstractLinearShape):
         free = self.free[..., None]
         return lambda control: sums(weights, jnp.where(free, self._numbers(control, x), 0))
 
-    def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:
+    def coordinates(self, x: Positions) -> Positions:
         """Computes coordinates in the box, each from 0 to 1 inside."""
+        if x.shape[1] != len(self.counts):
+            raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
         inverse = jnp.linalg.inv(self.axes).astype(x.dtype)
         return (x - self.origin.astype(x.dtype)[None, :]) @ inverse
 
-    def holds(self, t: Float[Array, "m d"]) -> Bool[Array, " m"]:
+    def holds(self, t: Positions) -> Bool[Array, " m"]:
         """Marks the coordinates in the box, its border and round-off included."""
         beyond = slack(t.dtype)
         return jnp.all((t >= -beyond) & (t <= 1 + beyond), axis=1)
 
-    def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:
+    def lattice(self, control: Numbers | None = None) -> Control:
         """Computes the positions (*counts, d) of the control points, displaced by `control`."""
         shares = [jnp.linspace(0, 1, count) for count in self.counts]
         t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
@@ -135,7 +183,7 @@ class FreeForm(AbstractLinearShape):
         self,
         *,
         free: np.ndarray | None = None,
-        groups: Sequence[Sequence[tuple[int, ...]]] = (),
+        groups: Groups = (),
         mirror: int | None = None,
     ) -> Linked:
         """Makes a shape with fewer parameters (q,): frozen, linked and mirrored control points.
@@ -151,13 +199,16 @@ class FreeForm(AbstractLinearShape):
         and nothing free.
         """
         needed = *self.counts, len(self.counts)
-        free = np.ones(needed, bool) if free is None else np.asarray(free)
-        free = np.repeat(free[..., None], needed[-1], axis=-1) if free.shape == self.counts else free
-        if free.shape != needed or free.dtype != bool:
+        free = self.free if free is None else np.asarray(free)
+        if free.shape not in (self.counts, needed) or free.dtype != bool:
             raise ValueError(f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {needed}.")
-        _check_groups(groups, self.counts)
+        lattice = set(np.ndindex(self.counts))
+        bad = [control for group in groups for control in group if tuple(control) not in lattice]
+        if bad:
+            raise ValueError(f"{len(bad)} entries of `groups` are no control of {self.counts}, first {bad[0]}.")
         reflected = None if mirror is None else _reflection(np.asarray(self.axes), mirror)
-        matrix = _link_matrix(free & self.free[..., None], groups, reflected)
+        free = np.broadcast_to(free.reshape(*self.counts, -1) & self.free[..., None], needed)
+        matrix = _link_matrix(free, groups, reflected)
         if not matrix.shape[1]:
             raise ValueError("no control point is left free.")
         return Linked(self, matrix)
@@ -170,7 +221,7 @@ class FreeForm(AbstractLinearShape):
         if len(outside):
             raise ValueError(
                 f"{len(outside)} of {len(known)} positions are outside the box, first row {outside[0]} at "
-                f"({_place(known[outside[0]])}). Try a larger box."
+                f"{shown_place(known[outside[0]])}. Try a larger box."
             )
 
     @checked
@@ -188,46 +239,31 @@ class FreeForm(AbstractLinearShape):
             worst = int(np.where(torn, moves, 0).argmax())
             raise ValueError(
                 f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at "
-                f"({_place(x[worst])}) by {moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
+                f"{shown_place(x[worst])} by {moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
             )
 
 
-def _checked_counts(counts: Sequence[Any], d: int) -> tuple[int, ...]:
-    if any(int(count) != count for count in counts):
-        raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
-    counts = tuple(int(count) for count in counts)
-    if len(counts) != d or min(counts) < 2:
-        raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")
-    return counts
+def _lattice_of(counts: Sequence[Any], degree: Any, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    counts = tuple(whole("counts", count, 2) for count in counts)
+    if len(counts) != d:
+        raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers.")
+    given = [degree] * d if degree is None or isinstance(degree, int) else degree
+    degrees = tuple(count - 1 if p is None else p for p, count in zip(given, counts, strict=False))
+    if len(given) != d or any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
+        raise ValueError(f"degrees {tuple(given)} do not fit counts {counts}: each lies from 1 to count - 1.")
+    return counts, degrees
 
 
-def _checked_degrees(degree: Any, counts: tuple[int, ...]) -> tuple[int, ...]:
-    d = len(counts)
-    degrees = (degree,) * d if degree is None or isinstance(degree, int) else tuple(degree)
-    if len(degrees) != d:
-        raise ValueError(f"`degree` has {len(degrees)} numbers; a box in {d}-D needs one, or {d}.")
-    degrees = tuple(count - 1 if p is None else int(p) for p, count in zip(degrees, counts, strict=True))
-    if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
-        raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
-    return degrees
-
-
-def _place(point: np.ndarray) -> str:
-    return ", ".join(f"{x:.6g}" for x in point)
-
-
-def _link_matrix(
-    free: Bool[np.ndarray, "..."], groups: Sequence[Sequence[tuple[int, ...]]], mirror: tuple[int, np.ndarray] | None
-) -> Float[np.ndarray, "p q"]:
+def _link_matrix(free: Mask, groups: Groups, mirror: tuple[int, np.ndarray] | None) -> Float[np.ndarray, "p q"]:
     """Builds the matrix from free parameters to the flattened displacements of all controls.
     `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
     """
     ids, count = np.arange(free.size).reshape(free.shape), free.size
-    pairs = [(ids[:0], ids[:0], ids[:0])]
-    pairs += [(ids[group[0]], ids[control], np.ones(free.shape[-1])) for group in groups for control in group[1:]]
+    pairs: list[tuple[Any, Any, Any]] = [(ids[group[0]], ids[control], 1) for group in groups for control in group]
     if mirror is not None:
-        pairs.append((ids, np.flip(ids, axis=mirror[0]), np.broadcast_to(mirror[1], ids.shape)))
-    a, b, sign = (np.concatenate([array.ravel() for array in arrays]) for arrays in zip(*pairs, strict=True))
+        pairs.append((ids, np.flip(ids, axis=mirror[0]), mirror[1]))
+    rows = [np.stack(np.broadcast_arrays(*pair)).reshape(3, -1) for pair in pairs]
+    a, b, sign = np.concatenate([np.zeros((3, 0), int), *rows], axis=1)
     # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its
     # own opposite is zero; the first of a part has the lower label
     opposite = np.where(sign < 0, count, 0)
@@ -241,13 +277,6 @@ def _link_matrix(
     return matrix
 
 
-def _check_groups(groups: Sequence[Sequence[tuple[int, ...]]], counts: tuple[int, ...]) -> None:
-    lattice = set(np.ndindex(counts))
-    bad = [control for group in groups for control in group if tuple(control) not in lattice]
-    if bad:
-        raise ValueError(f"{len(bad)} entries of `groups` are no control of {counts}, first {bad[0]}.")
-
-
 def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.ndarray]:
     if whole("mirror", mirror, 0) >= len(axes):
         raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
@@ -256,3 +285,130 @@ def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.nd
     if (signs < 0).sum() != 1:
         raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
     return mirror, signs
+
+
+STEPS = 30  # steps of Newton's method; a box that is no parallelepiped takes about six
+OUTSIDE = 2.0  # coordinate of a position far from the box, whose place is not found
+
+SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+ORDER = {2: SQUARE, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE])}
+"""Place of each corner in the lattice, in VTK's order: one face, then the opposite face."""
+
+
+class Hexahedron(AbstractLinearShape):
+    """A box of control points between corners that may stand anywhere: a bent `FreeForm`.
+
+    In 2-D it is a quadrilateral. Coordinates in the box are those of a multilinear map of the unit
+    cube. Positions inside move by the controls' displacements (*counts, d), the parameters,
+    weighted with B-splines of these coordinates; positions outside stay. The `corners` are (8, 3)
+    in the order of a cell of the mesh (VTK's and SU2's), the first four around one face; (4, 2) in
+    2-D. All else is as for `FreeForm`.
+
+    **Raises:** `ValueError` for another number of corners, a box without volume or turned inside
+    out, and as `FreeForm` does.
+    """
+
+    corners: Control
+    box: FreeForm
+
+    @checked
+    def __init__(
+        self,
+        corners: Numbers,
+        counts: Sequence[int],
+        *,
+        degree: int | Sequence[int | None] | None = None,
+        continuity: int | None = None,
+    ):
+        listed = jnp.asarray(corners, float)
+        check_finite(corners=listed)
+        if listed.shape not in ((4, 2), (8, 3)):
+            raise ValueError(f"`corners` has shape {listed.shape}; expected (8, 3), or (4, 2) in 2-D.")
+        d = listed.shape[1]
+        self.corners = jnp.zeros((*(2,) * d, d), listed.dtype).at[tuple(ORDER[d].T)].set(listed)
+        self.box = FreeForm(np.zeros(d), np.eye(d), counts, degree=degree, continuity=continuity)
+        if is_known(self.corners):
+            slopes = jax.vmap(lambda t: _slopes(t, self.corners))(jnp.asarray(ORDER[d], float))
+            sizes, scale = np.asarray(jnp.linalg.det(slopes)), np.linalg.norm(np.ptp(np.asarray(listed), axis=0)) ** d
+            if not ((sizes > 1e-12 * scale).all() or (sizes < -1e-12 * scale).all()):
+                raise ValueError(
+                    "the box is flat or turned inside out: list the corners around one face, then around the opposite face."
+                )
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Numbers of control points along each direction."""
+        return self.box.counts
+
+    @property
+    def continuity(self) -> int | None:
+        """As for `FreeForm`."""
+        return self.box.continuity
+
+    @property
+    def free(self) -> Mask:
+        """Mask (*counts,) of the control points that `continuity` leaves free."""
+        return self.box.free
+
+    @property
+    def given_corners(self) -> Float[np.ndarray, "c d"]:
+        return np.asarray(self.corners)[tuple(ORDER[len(self.counts)].T)]
+
+    def neutral(self) -> Control:
+        return self.box.neutral()
+
+    def at(self, x: Numbers) -> Move:
+        return self.box.at(self.coordinates(x))
+
+    @checked
+    def coordinates(self, x: Numbers) -> Positions:
+        """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced."""
+        x = positions(x)
+        x = positions(x, like=(len(x), len(self.counts)))
+        return _places(x, self.corners.astype(x.dtype))
+
+    def lattice(self, control: Numbers | None = None) -> Control:
+        """Computes the positions (*counts, d) of the control points, displaced by `control`."""
+        t = self.box.lattice()
+        points = jax.vmap(lambda place: _at(place, self.corners))(t.reshape(-1, t.shape[-1])).reshape(t.shape)
+        return points if control is None else points + jnp.asarray(control)
+
+
+def _at(t: Vector, corners: Control) -> Vector:
+    for share in t:
+        corners = (1 - share) * corners[0] + share * corners[1]
+    return corners
+
+
+_slopes = jax.jacfwd(_at)
+
+
+@jax.custom_jvp
+@jax.jit
+def _places(x: Positions, corners: Control) -> Positions:
+    tolerance = 1e3 * jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(corners))
+
+    def one(position: Vector) -> Vector:
+        def step(_, t):
+            change = jnp.linalg.solve(_slopes(t, corners), position - _at(t, corners))
+            return jnp.clip(t + jnp.clip(change, -1, 1), -1, 2)
+
+        t = jax.lax.fori_loop(0, STEPS, step, jnp.full_like(position, 0.5))
+        return jnp.where(jnp.max(jnp.abs(_at(t, corners) - position)) <= tolerance, t, OUTSIDE)
+
+    return jax.vmap(one)(x)
+
+
+@_places.defjvp
+def _places_jvp(primals, tangents):
+    # the place is defined by at(t, corners) = x; the rule contains the place itself, so that
+    # derivatives of all orders follow
+    (x, corners), (x_dot, corners_dot) = primals, tangents
+    t = _places(x, corners)
+
+    def one(t, x_dot):
+        is_inside = jnp.all(t < OUTSIDE)
+        slopes = jnp.where(is_inside, _slopes(jnp.where(is_inside, t, 0.5), corners), jnp.eye(len(t), dtype=t.dtype))
+        return jnp.where(is_inside, jnp.linalg.solve(slopes, x_dot - _at(t, corners_dot)), 0)
+
+    return t, jax.vmap(one)(t, x_dot)

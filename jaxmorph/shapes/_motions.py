@@ -1,21 +1,37 @@
 """Motions of all positions; at the neutral parameter x comes back bit for bit."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmorph.extend import checked, finite_array, is_known
 
-from ._arguments import Number, Numbers, axis_for, cast, clipped, direction, number, positions, positive, vector
+from ._arguments import (
+    Number,
+    Numbers,
+    Positions,
+    Vector,
+    Weights,
+    arms,
+    axis_for,
+    cast,
+    clipped,
+    direction,
+    number,
+    piecewise,
+    positions,
+    positive,
+    vector,
+)
 from ._shape import AbstractShape
 
 
 @checked
-def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None) -> Float[Array, "m d"]:
+def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None) -> Positions:
     """Rotates positions about a point in 2-D, about an axis through a point in 3-D.
 
     **Arguments:**
@@ -30,11 +46,11 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
     x = positions(x)
     angle = jnp.asarray(angle, x.dtype)
     angle = angle[:, None] if angle.shape == x.shape[:1] else number("angle", angle, x)
-    return x + _turn(x - vector("about", about, x)[None, :], angle, axis_for(axis, x))
+    return x + _turn(arms(x, about), angle, axis_for(axis, x))
 
 
 @checked
-def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
+def translate(x: Numbers, by: Numbers) -> Positions:
     """Translates positions (m, d) by a vector (d,), in their units; 0 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
@@ -44,7 +60,7 @@ def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
 
 
 @checked
-def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array, "m d"]:
+def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Positions:
     """Scales positions (m, d) about a point (d,) that stays, by one factor or (d,); 1 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
@@ -53,11 +69,11 @@ def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array,
     factors = jnp.asarray(factors, x.dtype)
     if factors.ndim == 0:
         factors = jnp.broadcast_to(factors, x.shape[1:])
-    return x + (vector("factors", factors, x) - 1)[None, :] * (x - vector("about", about, x)[None, :])
+    return x + (vector("factors", factors, x) - 1)[None, :] * (arms(x, about))
 
 
 @checked
-def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Float[Array, "m 3"]:
+def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Positions:
     """Twists positions about an axis, in proportion to the distance along it. Positions before
     `about` stay, positions beyond `length` turn by the whole angle.
 
@@ -73,7 +89,7 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
     x = positions(x)
     if x.shape[1] == 2:
         raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
-    arm, along = x - vector("about", about, x)[None, :], direction("axis", axis, x)
+    arm, along = arms(x, about), direction("axis", axis, x)
     span = positive("length", length, x)
     share = clipped(arm @ along, 0, span) / span
     return x + _turn(arm, number("angle", angle, x) * share[:, None], along)
@@ -82,7 +98,7 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 @checked
 def bend(
     x: Numbers, angle: Number, about: Numbers, along: Numbers, length: Number, axis: Numbers | None = None
-) -> Float[Array, "m d"]:
+) -> Positions:
     """Bends a straight line, with all that is around it, into an arc of equal length.
 
     Sections stay plane and at right angles to the line. Positions before `about` stay, positions
@@ -100,11 +116,11 @@ def bend(
     right angles to the line.
     """
     x = positions(x)
-    arm, along = x - vector("about", about, x)[None, :], direction("along", along, x)
+    arm, along = arms(x, about), direction("along", along, x)
     span, normal = positive("length", length, x), axis_for(axis, x)
-    if normal is not None and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
+    if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
         raise ValueError(f"`axis` and `along` must be at right angles; their cosine is {float(normal @ along):.3g}.")
-    up = jnp.stack([-along[1], along[0]]) if normal is None else jnp.cross(normal, along)
+    up = jnp.cross(normal, jnp.pad(along, (0, 3 - len(along))))[: len(along)]
     curvature = number("angle", angle, x) / span
     reach, height = arm @ along, arm @ up
     s = clipped(reach, 0, span)
@@ -116,13 +132,12 @@ def bend(
     return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
 
 
-def _turn(arm: Float[Array, "m d"], angle: Array, axis: Float[Array, " 3"] | None) -> Float[Array, "m d"]:
-    versine = 2 * jnp.sin(angle / 2) ** 2
-    if axis is None:
-        return jnp.sin(angle) * jnp.stack([-arm[:, 1], arm[:, 0]], axis=1) - versine * arm
+def _turn(arm: Positions, angle: Array, axis: Float[Array, " 3"]) -> Positions:
+    d = arm.shape[1]
+    arm = jnp.pad(arm, ((0, 0), (0, 3 - d)))
     axis = jnp.broadcast_to(axis, arm.shape)
     across = jnp.cross(axis, arm)
-    return jnp.sin(angle) * across + versine * jnp.cross(axis, across)
+    return (jnp.sin(angle) * across + 2 * jnp.sin(angle / 2) ** 2 * jnp.cross(axis, across))[:, :d]
 
 
 NEUTRAL = {"twist": 0.0, "chord": 1.0, "sweep": 0.0, "dihedral": 0.0, "span": 0.0}
@@ -151,9 +166,9 @@ class ReferenceAxis(AbstractShape):
     """
 
     points: Float[Array, "k 3"]
-    chordwise: Float[Array, " 3"]
-    spanwise: Float[Array, " 3"]
-    cubic: bool = eqx.field(static=True)
+    chordwise: Vector
+    spanwise: Vector
+    coefficients: tuple[Float[Array, "j k"], ...]  # of the weights of stations, by power of the distance from one
 
     @checked
     def __init__(
@@ -177,12 +192,20 @@ class ReferenceAxis(AbstractShape):
         if not (steps > 0).all():
             raise ValueError(f"station {int(np.argmin(steps)) + 1} is not farther along the span than the one before.")
         self.points, self.chordwise, self.spanwise = jnp.asarray(known), jnp.asarray(along), jnp.asarray(across)
-        self.cubic = cubic
+        from scipy.interpolate import CubicSpline, make_interp_spline  # not before they are needed
 
-    def neutral(self) -> dict[str, Float[Array, " k"]]:
+        stations, values = known @ across, np.eye(len(known))
+        is_cubic = cubic and len(known) > 2
+        spline = (
+            CubicSpline(stations, values, bc_type="natural") if is_cubic else make_interp_spline(stations, values, 1)
+        )
+        terms = [spline(stations[:-1], p) / math.factorial(p) for p in range(4 if is_cubic else 2)]
+        self.coefficients = tuple(map(jnp.asarray, terms))
+
+    def neutral(self) -> dict[str, Vector]:
         return {name: jnp.full(len(self.points), value) for name, value in NEUTRAL.items()}
 
-    def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m 3"]:
+    def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Positions:
         x, needed = positions(x), self.points.shape[:1]
         shapes = {name: np.shape(values) for name, values in parameters.items() if np.shape(values) != needed}
         if x.shape[1] != 3 or shapes or not set(parameters) <= set(NEUTRAL):
@@ -201,25 +224,8 @@ class ReferenceAxis(AbstractShape):
         added = added + _turn(arm + added, twist, own.spanwise)
         return x + (added + sweep * chordwise + dihedral * jnp.cross(chordwise, spanwise) + span * spanwise)
 
-    def weights(self, x: Float[Array, "m 3"]) -> Float[Array, "m k"]:
+    def weights(self, x: Positions) -> Weights:
         """Computes the weight of each station at each position, by its place along the span."""
         stations = (self.points @ self.spanwise).astype(x.dtype)
         y = clipped(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
-        steps, identity = jnp.diff(stations), jnp.eye(len(stations), dtype=x.dtype)
-        left = jnp.clip(jnp.searchsorted(stations, y, side="right") - 1, 0, len(steps) - 1)
-        share, size = ((y - stations[left]) / steps[left])[:, None], steps[left, None]
-        weights = (1 - share) * identity[left] + share * identity[left + 1]
-        if not self.cubic or len(stations) < 3:
-            return weights
-        curvature = _second_derivatives(steps)
-        begin, end = ((1 - share) ** 3 - (1 - share)) * size**2 / 6, (share**3 - share) * size**2 / 6
-        return weights + begin * curvature[left] + end * curvature[left + 1]
-
-
-def _second_derivatives(steps: Float[Array, " j"]) -> Float[Array, "k k"]:
-    """The matrix from values at stations to second derivatives of a natural spline."""
-    before, after = steps[:-1], steps[1:]
-    slopes = jnp.diff(jnp.eye(len(steps) + 1, dtype=steps.dtype), axis=0) / steps[:, None]
-    middle = jnp.pad(2 * (before + after), 1, constant_values=1)
-    beside = jnp.diag(jnp.pad(before, (0, 1)), -1) + jnp.diag(jnp.pad(after, (1, 0)), 1)
-    return jnp.linalg.solve(jnp.diag(middle) + beside, jnp.pad(6 * jnp.diff(slopes, axis=0), ((1, 1), (0, 0))))
+        return piecewise(y, stations, self.coefficients)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from scipy import sparse
 from scipy.linalg import null_space
 from scipy.sparse.linalg import splu
@@ -17,9 +17,11 @@ from scipy.spatial.transform import Rotation
 from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
 
-from ._arguments import Numbers, positions
-from ._features import SAME, Clip, Rail, clipped, guides_of, height_of
+from ._arguments import Column, Numbers, Positions, positions, shown_place
+from ._features import SAME, Borders, Clip, Rail, borders_of, clipped, guides_of, height_of
 from ._smooth import stiffness_of
+
+Motion = tuple[np.ndarray, np.ndarray]
 
 FIRST, LAST, STEPS, SETTLED = 0.5, 0.01, 8, 4
 """First and last length over the wall's extent; steps from one to the other, and at the last."""
@@ -62,7 +64,7 @@ class Onto(Module):
     function: Callable | None = eqx.field(static=True)
     clips: tuple[Clip, ...]
     guides: tuple[Rail, ...]
-    borders: tuple[tuple[Plane, Int[np.ndarray | Array, " b"]], ...]
+    borders: Borders
     turn: Float[Array | np.ndarray, "d d"]
     shift: Float[Array | np.ndarray, " d"]
     lengths: Float[Array | np.ndarray, " s"]
@@ -79,37 +81,33 @@ class Onto(Module):
         length: float = 0.0,
     ):
         between("length", length, 0, ends="[)")
-        planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
-        x, rim = np.asarray(wall.points, float), np.unique(wall.rim)
-        extent, d = np.ptp(x, axis=0).max(), x.shape[1]
-        _check_dimensions(d, target, planes)
+        self.borders = borders_of(wall, symmetry)
+        x, planes = np.asarray(wall.points, float), [plane for plane, _ in self.borders]
+        extent, last = np.ptp(x, axis=0).max(), length or LAST * np.ptp(x, axis=0).max()
+        if isinstance(target, Facets) and target.points.shape[1] != x.shape[1]:
+            raise ValueError(f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D.")
         self.wall, self.is_exact, self.function, self.target = wall, length == 0, None, None
-        self.turn, self.shift = _rigid(wall, target, planes)
-        self.borders = tuple((plane, rim[np.abs(plane.height(x[rim])) <= SAME * extent]) for plane in planes)
+        closest = target.closest if isinstance(target, Facets) else target
+        self.turn, self.shift = _rigid(wall, target, closest, planes)
         self.clips, self.guides = (), ()
+        start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
-            start = wall.at(x @ self.turn.T + self.shift)
             for plane in planes:
                 clip, target = clipped(target, plane, np.sign(np.median(plane.height(x))), SAME * extent)
                 self.clips += (clip,)
-            self.target = _turned(target, start)
+            self.target = _turned(target, wall.at(start))
             if self.is_exact or features:  # edges of noise are none
-                self.guides = guides_of(start, self.target, planes, features)
+                self.guides = guides_of(wall.at(start), self.target, planes, features)
+            closest = target.closest
         else:
             self.function = target
-        last = length or LAST * extent
-        start = x @ self.turn.T + self.shift
-        far = np.linalg.norm(
-            np.asarray(target.closest(start) if isinstance(target, Facets) else target(start)) - start, axis=1
-        ).max()
+        far = np.linalg.norm(np.asarray(closest(start)) - start, axis=1).max()
         steps = STEPS * (3 if far > FAR * extent else 1)
         self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last))
 
-    def __call__(self, x: Numbers, points: Numbers | None = None) -> Float[Array, "m d"]:
+    def __call__(self, x: Numbers, points: Numbers | None = None) -> Positions:
         """Takes nodes (m, d) to places; `points` (n, d) are the target's, by default as given."""
-        x, target = positions(x), self.target
-        if x.shape != self.wall.points.shape:
-            raise ValueError(f"`x` has shape {x.shape}; this wall has {self.wall.points.shape}.")
+        x, target = positions(x, like=self.wall.points.shape), self.target
         if target is not None and points is not None:
             points = positions(points, "points")
             for clip in self.clips:
@@ -117,9 +115,7 @@ class Onto(Module):
             target = target.at(points)
         return _moved(self, x, target)
 
-    def _places(
-        self, y: Float[Array, "m d"], facing: Float[Array, "m d"], target: Facets | None
-    ) -> Float[Array, "m d"]:
+    def _places(self, y: Positions, facing: Positions, target: Facets | None) -> Positions:
         if target is None:
             assert self.function is not None
             places = jnp.asarray(self.function(y), y.dtype)
@@ -131,14 +127,12 @@ class Onto(Module):
             places = places.at[guide.rows].set(guide.places(y, facing, jnp.asarray(target.points)))
         return self._in_planes(places)
 
-    def _in_planes(self, y: Float[Array, "m d"]) -> Float[Array, "m d"]:
+    def _in_planes(self, y: Positions) -> Positions:
         for plane, rows in self.borders:
             y = y.at[rows].add(-height_of(y[rows], plane)[:, None] * jnp.asarray(plane.normal, y.dtype)[None])
         return y
 
-    def _weights(
-        self, y: Float[Array, "m d"], facing: Float[Array, "m d"], mass: Float[Array, " m"], hard: Float[Array, " m"]
-    ):
+    def _weights(self, y: Positions, facing: Positions, mass: Column, hard: Column):
         """Weights (m, d, d) of distances from places: across the wall, across curves, or whole."""
         one = jnp.eye(y.shape[1], dtype=y.dtype)
         weights = mass[:, None, None] * facing[:, :, None] * facing[:, None]
@@ -152,7 +146,7 @@ class Onto(Module):
             weights = weights.at[rows].add(hard[rows, None, None] * jnp.outer(normal, normal)[None])
         return weights
 
-    def _nearer(self, y: Float[Array, "m d"], step: Any, start: Float[Array, "m d"], target: Facets | None) -> Any:
+    def _nearer(self, y: Positions, step: Any, start: Positions, target: Facets | None) -> Any:
         # Each face keeps its shape, at last turned as the wall is now: K y = K R x_0. Each node is
         # drawn to the tangent plane at its closest place c: N y = N c. The length of K falls: the
         # wall first goes as a whole, at the end its faces only resist sliding.
@@ -165,8 +159,9 @@ class Onto(Module):
         facing = self.wall.at(y).normals()
         weights = self._weights(y, facing, mass, mass + HARD * stiff)
         off = _times(weights, self._places(y, facing, target) - y)
-        turned = _rotated(start[faces], area_vectors(start[faces]), area_vectors(y[faces])) if self.is_exact else None
-        shape = start[faces] if turned is None else jnp.where(is_last, turned, start[faces])
+        shape = start[faces]
+        if self.is_exact:
+            shape = jnp.where(is_last, _rotated(shape, area_vectors(shape), area_vectors(y[faces])), shape)
         off = off.at[faces].add(_times(local, shape - y[faces]))
         weights = weights + STILL * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
 
@@ -180,7 +175,7 @@ class Onto(Module):
 
 
 @eqx.filter_jit
-def _moved(onto: Onto, x: Float[Array, "m d"], target: Facets | None) -> Float[Array, "m d"]:
+def _moved(onto: Onto, x: Positions, target: Facets | None) -> Positions:
     start = (
         jnp.matmul(x, jnp.asarray(onto.turn, x.dtype).T, precision="highest") + jnp.asarray(onto.shift, x.dtype)[None]
     )
@@ -197,14 +192,13 @@ def _times(matrices: Float[Array, "k i j"], vectors: Any) -> Any:
 
 def _rotated(corners: Float[Array, "k c d"], old: Float[Array, "k d"], new: Float[Array, "k d"]) -> Any:
     """Turns faces by the shortest way, as their area vectors turned."""
-    old, new = (each / jnp.where(norm(each) > 0, norm(each), 1)[:, None] for each in (old, new))
+    d = corners.shape[2]
+    old, new, corners = (jnp.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, 3 - d)]) for rows in (old, new, corners))
+    old, new = (rows / jnp.where(norm(rows) > 0, norm(rows), 1)[:, None] for rows in (old, new))
     cosine = jnp.sum(old * new, axis=1)[:, None, None]
-    if corners.shape[2] == 2:
-        sine = (old[:, 0] * new[:, 1] - old[:, 1] * new[:, 0])[:, None, None]
-        return cosine * corners + sine * jnp.stack([-corners[..., 1], corners[..., 0]], axis=-1)
     axis = jnp.broadcast_to(jnp.cross(old, new)[:, None], corners.shape)
     across = jnp.cross(axis, corners)
-    return corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01)
+    return (corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01))[..., :d]
 
 
 def _solved(faces: np.ndarray, local: np.ndarray, weights: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -227,19 +221,11 @@ def _turned(target: Facets, start: Facets) -> Facets:
     return Facets(target.points, faces, smooth=target.smooth, angle=target.angle)
 
 
-def _check_dimensions(d: int, target: Facets | Callable, planes: Sequence[Plane]) -> None:
-    others = {len(plane.normal) for plane in planes}
-    if isinstance(target, Facets):
-        others.add(target.points.shape[1])
-    if others - {d}:
-        raise ValueError(f"the wall is in {d}-D, its target or a plane in {max(others - {d})}-D.")
-
-
 FITS, SAMPLE, NEAR, WHOLE = 20, 300, 0.05, 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
 
-def _rigid(wall: Facets, target: Facets | Callable, planes: Sequence[Plane]) -> tuple[np.ndarray, np.ndarray]:
+def _rigid(wall: Facets, target: Facets | Callable, closest: Callable, planes: Sequence[Plane]) -> Motion:
     """Finds a turn (d, d) and a shift (d,) that halve the distance, from here and from the axes.
 
     Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
@@ -247,12 +233,11 @@ def _rigid(wall: Facets, target: Facets | Callable, planes: Sequence[Plane]) -> 
     """
     x, normals, d = np.asarray(wall.points, float), np.asarray(wall.normals(), float), wall.points.shape[1]
     some, starts = np.random.default_rng(0).permutation(len(x))[:SAMPLE], _starts(x, target, planes)
-    function = target.closest if isinstance(target, Facets) else target
     motions = _free_motions(planes, d)
 
     def off(turn, shift):
         y = x[some] @ turn.T + shift
-        return y, np.asarray(function(y), float) - y
+        return y, np.asarray(closest(y), float) - y
 
     best, least = starts[0], np.sqrt(np.mean(off(*starts[0])[1] ** 2))
     for turn, shift in starts:
@@ -265,7 +250,7 @@ def _rigid(wall: Facets, target: Facets | Callable, planes: Sequence[Plane]) -> 
     return best
 
 
-def _starts(x: np.ndarray, target: Facets | Callable, planes: Sequence[Plane]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _starts(x: np.ndarray, target: Facets | Callable, planes: Sequence[Plane]) -> list[Motion]:
     """From where the wall is, and with its axes laid on the target's, the smallest turn first."""
     d = x.shape[1]
     starts = [(np.eye(d), np.zeros(d))]
@@ -329,25 +314,22 @@ COLLAPSED = 0.01
 
 def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
     faces, before, after = np.asarray(made.wall.faces), made.wall.at(x), made.wall.at(moved)
-    ahead = [
+    first, last = (
         np.sum(np.asarray(wall.areas()) * np.asarray(wall.normals())[faces].mean(axis=1), axis=1)
         for wall in (before, after)
-    ]
-    left = ahead[1] / np.where(ahead[0] > 0, ahead[0], np.inf)
-    bad, what = faces[(left < COLLAPSED * np.median(left)) & (ahead[0] > 0)], "fold over or collapse"
+    )
+    left = last / np.where(first > 0, first, np.inf)
+    bad, what = faces[(left < COLLAPSED * np.median(left)) & (first > 0)], "fold over or collapse"
     inner = np.setdiff1d(faces, made.wall.rim)
-    if made.target is not None and made.is_exact and not len(bad) and len(inner):
-        rim, points = np.asarray(made.target.rim), made.target.points
-        off = np.full(len(inner), np.inf)
-        if len(rim):
-            border = Facets(points, np.broadcast_to(rim, (len(rim), 2)), sides=np.zeros((len(rim), x.shape[1])))
-            off = np.asarray(border.distance(moved[inner]))
+    rim = np.zeros((0, 2), int) if made.target is None else np.asarray(made.target.rim)
+    if made.is_exact and min(len(rim), len(inner)) and not len(bad):
+        ends, none = np.broadcast_to(rim, (len(rim), 2)), np.zeros((len(rim), x.shape[1]))
+        off = np.asarray(Facets(made.target.points, ends, sides=none).distance(moved[inner]))
         bad, what = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None], "end on the border of the target"
     if len(bad):
         many = f"{len(bad)} of {len(faces)} faces" if bad.shape[1] > 1 else f"{len(bad)} inner nodes"
-        place = ", ".join(f"{each:.6g}" for each in x[bad[0, 0]])
         raise MeshError(
-            f"{many} of the wall {what}, at node {{node}} near ({place}): the way onto the target is not one to "
+            f"{many} of the wall {what}, at node {{node}} near {shown_place(x[bad[0, 0]])}: the way onto the target is not one to "
             "one there. Extend or repair the target, name pairs of curves in `features`, or give a `length` to stay near it.",
             np.unique(bad),
         )

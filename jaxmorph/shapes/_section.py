@@ -4,15 +4,18 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from jaxmorph.extend import Module, checked, finite_array
 
-from ._arguments import Numbers, known_positions, rows_of
+from ._arguments import Column, Numbers, Positions, Scalar, Vector, known_positions, rows_of
 from ._walls import simplices_of
+
+Mask = Bool[np.ndarray, " k"]
+Places = Float[np.ndarray, "k 2"]
 
 SAME = 1e-9  # distance in chords within which two nodes stand at one place
 TIE = 1e-12  # difference in chords within which two tours are equally long
@@ -31,9 +34,9 @@ class Chord(Module):
     **Raises:** `ValueError` for a chord without length, and for no `up` in 3-D.
     """
 
-    nose: Float[Array, " d"]
-    tail: Float[Array, " d"]
-    up: Float[Array, " d"]
+    nose: Vector
+    tail: Vector
+    up: Vector
 
     @checked
     def __init__(self, nose: Numbers = (0.0, 0.0), tail: Numbers = (1.0, 0.0), up: Numbers | None = None):
@@ -51,10 +54,10 @@ class Chord(Module):
         self.up = jnp.asarray(across / np.linalg.norm(across), float)
 
     @property
-    def length(self) -> Float[Array, ""]:
+    def length(self) -> Scalar:
         return jnp.linalg.norm(self.tail - self.nose)
 
-    def coordinates(self, x: Float[Array, "m d"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    def coordinates(self, x: Positions) -> tuple[Column, Column]:
         """Computes the place along the chord (0 to 1) and the height across it (in units of x)."""
         chord = (self.tail - self.nose).astype(x.dtype)
         if chord.shape != x.shape[1:]:
@@ -78,7 +81,7 @@ class Chord(Module):
 
 
 @checked
-def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None) -> Bool[np.ndarray, " m"]:
+def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None) -> Mask:
     """Marks the nodes on the upper side of an airfoil.
 
     The wall is cut at nose and tail. A single node there is on the upper side; a blunt tail has a
@@ -128,9 +131,7 @@ def _ids_of(wall: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
     return ids
 
 
-def _by_faces(
-    x: Float[np.ndarray, "m 3"], triangles: Int[np.ndarray, "k 3"], up: Float[np.ndarray, " 3"]
-) -> Bool[np.ndarray, " m"]:
+def _by_faces(x: np.ndarray, triangles: Int[np.ndarray, "t 3"], up: np.ndarray) -> Mask:
     """The normals of a node's faces are summed with the faces' angles at the node; a tie is upper.
     Inward faces, as those of a mesh's cells around the body, enclose a negative volume.
     """
@@ -145,7 +146,7 @@ def _by_faces(
     return normals @ up >= -SAME * np.linalg.norm(normals, axis=1)
 
 
-def _by_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
+def _by_loop(places: Places) -> Mask:
     """Marks the nodes on the upper side of a loop in either sense; a line has none. Of several
     nodes at the nose or the tail each side has one half. `places` are along and across the chord,
     in chords.
@@ -172,7 +173,7 @@ def _by_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
     return np.roll((np.arange(count) - begin) % count <= (end - begin) % count, start)
 
 
-def _by_tour(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
+def _by_tour(places: Places) -> Mask:
     near = KDTree(places).query_pairs(SAME, output_type="ndarray")
     pairs = coo_array((np.ones(len(near), bool), near.T), (len(places), len(places)))
     spot = connected_components(pairs, directed=False)[1]
@@ -184,7 +185,7 @@ def _by_tour(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
     return upper[spot]
 
 
-def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
+def _cut(corners: Places, place: float) -> tuple[int, int]:
     """Finds the corners, first to before last, nearest to a place on the chord; none in an edge."""
     edges, arms = np.roll(corners, -1, axis=0) - corners, np.array([[place, 0.0]]) - corners
     share = np.clip(np.sum(arms * edges, axis=1) / np.sum(edges**2, axis=1), 0, 1)
@@ -195,7 +196,7 @@ def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
     return corner, corner + 1
 
 
-def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[int, int]:
+def _blunt(corners: Places, first: int, last: int) -> tuple[int, int]:
     edges, count = np.roll(corners, -1, axis=0) - corners, len(corners)
     lengths, before = np.linalg.norm(edges, axis=1), np.roll(edges, 1, axis=0)
     turn = np.sum(edges * before, axis=1) / (lengths * np.linalg.norm(before, axis=1))
@@ -214,7 +215,7 @@ def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[in
     return (min(first, other), max(first, other) + 1) if length <= BLUNT else (first, last)
 
 
-def _tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
+def _tour(places: Places) -> Int[np.ndarray, " m"]:
     along = np.argsort(places[:, 0], kind="stable")
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)
     order = along[np.lexsort((places[along, 1], column))]

@@ -14,14 +14,14 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from jaxmorph.extend import Module, checked, is_known
 
-from ._arguments import Numbers, check_finite, positions, rows_of
+from ._arguments import Numbers, Positions, Vector, check_finite, positions, rows_of
 
 
 class AbstractShape(Module):
     """Moves positions by parameters: `shape(x, parameters)`; a plain function serves as well."""
 
     @abc.abstractmethod
-    def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
+    def __call__(self, x: Numbers, parameters: PyTree) -> Positions:
         """Moves positions (m, d)."""
 
     @abc.abstractmethod
@@ -29,7 +29,7 @@ class AbstractShape(Module):
         """Makes the parameters that move nothing."""
 
 
-Move = Callable[[Any], Float[Array, "m d"]]  # takes parameters to displacements of given positions
+Move = Callable[[Any], Positions]  # takes parameters to displacements of given positions
 
 
 class AbstractLinearShape(AbstractShape):
@@ -43,7 +43,7 @@ class AbstractLinearShape(AbstractShape):
         `jax.vjp` gives the transpose.
         """
 
-    def __call__(self, x: Numbers, parameters: Any) -> Float[Array, "m d"]:
+    def __call__(self, x: Numbers, parameters: Any) -> Positions:
         x = positions(x)
         return x + self.at(x)(parameters)
 
@@ -70,7 +70,7 @@ class Function(AbstractShape):
     def neutral(self) -> PyTree:
         return self.rest
 
-    def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
+    def __call__(self, x: Numbers, parameters: PyTree) -> Positions:
         return self.function(positions(x), parameters)
 
 
@@ -97,7 +97,7 @@ class Chain(AbstractShape):
     def neutral(self) -> dict[str, PyTree]:
         return {name: shape.neutral() for name, shape in zip(self.names, self.shapes, strict=True)}
 
-    def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Float[Array, "m d"]:
+    def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Positions:
         x, unknown = positions(x), [name for name in parameters if name not in self.names]
         if unknown:
             raise ValueError(f"no shape is called {', '.join(unknown)}; this chain has {', '.join(self.names)}.")
@@ -127,7 +127,7 @@ class OnRows(AbstractShape):
     def neutral(self) -> PyTree:
         return self.shape.neutral()
 
-    def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
+    def __call__(self, x: Numbers, parameters: PyTree) -> Positions:
         x = positions(x)
         if is_known(self.rows) and (np.asarray(self.rows) >= len(x)).any():
             raise ValueError(f"`rows` has {len(self.rows)} rows up to {self.rows.max()}; `x` has {len(x)}.")
@@ -156,7 +156,7 @@ class Linked(AbstractLinearShape):
                 f"`matrix` has shape {self.matrix.shape}; a shape with {count} parameters needs ({count}, q)."
             )
 
-    def neutral(self) -> Float[Array, " q"]:
+    def neutral(self) -> Vector:
         return jnp.zeros(self.matrix.shape[1], self.matrix.dtype)
 
     def at(self, x: Numbers) -> Move:
@@ -185,7 +185,7 @@ class Together(AbstractLinearShape):
     def at(self, x: Numbers) -> Move:
         moves = [shape.at(x) for shape in self.shapes]
 
-        def added(parameters: Sequence[Any]) -> Float[Array, "m d"]:
+        def added(parameters: Sequence[Any]) -> Positions:
             if len(parameters) != len(moves):
                 raise ValueError(f"{len(parameters)} sets of parameters for {len(moves)} shapes.")
             return functools.reduce(jnp.add, [move(own) for move, own in zip(moves, parameters, strict=True)])

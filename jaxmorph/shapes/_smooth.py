@@ -1,22 +1,29 @@
-"""Smoothing along a wall: Sobolev gradients, vertex morphing."""
+"""Shapes along a wall: smoothing (Sobolev gradients, vertex morphing), and growth and erosion along
+its normals, as far as its sides leave room.
+"""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
 
-from jaxmorph import Mesh
-from jaxmorph.extend import between, checked, host_call, norm, rows_of
+from jaxmorph import Facets, Mesh, Plane
+from jaxmorph.extend import between, checked, finite_array, host_call, norm, rows_of
 
-from ._arguments import Numbers, known_positions, positions
-from ._shape import AbstractLinearShape, Move
+from ._arguments import Column, Numbers, Positions, known_positions, positions
+from ._features import Borders, borders_of
+from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._walls import faces_of, wall_faces
+
+ROUNDS, FAR = 40, 1e30
+"""Most balls that are tried at a node, the last ones hardly differ; radius without a ball."""
 
 
 class Smoother(AbstractLinearShape):
@@ -38,11 +45,11 @@ class Smoother(AbstractLinearShape):
     nodes of no face.
     """
 
-    masses: Float[Array, " m"]
+    masses: Column
     rows: Int[Array, " e"]
     columns: Int[Array, " e"]
     values: Float[Array, " e"]
-    free: Float[Array, " m"]
+    free: Column
     dimension: int = eqx.field(static=True)
     solve: Callable[[np.ndarray], np.ndarray] = eqx.field(static=True)
 
@@ -75,27 +82,26 @@ class Smoother(AbstractLinearShape):
         own_rows = [np.searchsorted(nodes, ids) for ids in wall_faces(mesh, patch).values()]
         return Smoother(np.asarray(mesh.points)[nodes], own_rows, length, held=held)
 
-    def neutral(self) -> Float[Array, "m d"]:
+    def neutral(self) -> Positions:
         return jnp.zeros((len(self.masses), self.dimension))
 
     def at(self, x: Numbers) -> Move:
-        if positions(x).shape != self.neutral().shape:
-            raise ValueError(f"`x` has shape {positions(x).shape}; this wall has {self.neutral().shape}.")
+        positions(x, like=(len(self.masses), self.dimension))
         return self.apply
 
-    def apply(self, u: Numbers) -> Float[Array, "m d"]:
+    def apply(self, u: Numbers) -> Positions:
         """Filters displacements (m, d)."""
         u = positions(u, "u")
         free = self.free.astype(u.dtype)[:, None]
         return free * self._solved(self.masses.astype(u.dtype)[:, None] * free * u)
 
-    def sensitivities(self, gradient: Numbers) -> Float[Array, "m d"]:
+    def sensitivities(self, gradient: Numbers) -> Positions:
         """Filters sensitivities dJ/d(position) of the nodes: the transpose."""
         gradient = positions(gradient, "gradient")
         free = self.free.astype(gradient.dtype)[:, None]
         return free * self.masses.astype(gradient.dtype)[:, None] * self._solved(free * gradient)
 
-    def _solved(self, right: Float[Array, "m d"]) -> Float[Array, "m d"]:
+    def _solved(self, right: Positions) -> Positions:
         def product(v):
             return jnp.zeros_like(v).at[self.rows].add(self.values.astype(v.dtype)[:, None] * v[self.columns])
 
@@ -142,3 +148,101 @@ def stiffness_of(corners: Any) -> tuple[Any, Any]:
         size = 0.5 * norm(xp.cross(sides[:, 0], sides[:, 1]))
         local, scale = xp.einsum("kia,kja->kij", sides, sides), 4 * xp.where(size > 0, size, 1)
     return size, local / scale[:, None, None]
+
+
+class Offset(AbstractShape):
+    """Moves a wall along its normals: growth of ice, erosion, change of thickness.
+
+    Sides that would meet stop before. A node goes no farther than a `share` of its distance from
+    the medial axis: the radius of the largest ball that touches the wall there, and holds no node.
+    Up to half of that it goes all the way, beyond smoothly less.
+
+    **Arguments:**
+
+    - `wall`: such as `Facets.of(mesh, "wing")`; its normals look into the mesh.
+    - `field`: heights (m,) that a single parameter scales; negative ones erode. Default None: the
+      parameters are the heights (m,) of all nodes.
+    - `length`: heights are smoothed as by a `Smoother` of this length. Default 0: as they are.
+    - `symmetry`: planes in which the border of the wall stays. Default: none.
+    - `share`: from 0 to 1. Default 0.9.
+
+    **Raises:** `ValueError` for a field of another shape, and as `Smoother` does.
+
+    Source: Ma, Bae and Choi, 3D medial axis point approximation using nearest neighbors and the
+    normal field, The Visual Computer 28, 2012.
+    """
+
+    wall: Facets
+    field: Column | None
+    smoother: Smoother | None
+    borders: Borders
+    touching: Int[np.ndarray | Array, "2 m"]  # of growth, then of erosion; the node itself: none
+    share: float
+
+    @checked
+    def __init__(
+        self,
+        wall: Facets,
+        field: Numbers | None = None,
+        *,
+        length: float = 0.0,
+        symmetry: Plane | Sequence[Plane] = (),
+        share: float = 0.9,
+    ):
+        between("share", share, 0, 1, ends="(]")
+        between("length", length, 0, ends="[)")
+        x = np.asarray(wall.points, float)
+        self.wall, self.share, self.borders = wall, share, borders_of(wall, symmetry)
+        self.field = None if field is None else jnp.asarray(finite_array("field", field, (len(x),)), wall.points.dtype)
+        self.smoother = Smoother(x, np.asarray(wall.faces), length) if length else None
+        normals = np.asarray(self._normals(jnp.asarray(x)), float)
+        self.touching = np.stack([_touching(x, sign * normals) for sign in (1, -1)])
+
+    def neutral(self) -> Float[Array, "..."]:
+        return jnp.zeros(len(self.wall.points) if self.field is None else (), self.wall.points.dtype)
+
+    def __call__(self, x: Numbers, parameters: PyTree) -> Positions:
+        x = positions(x, like=self.wall.points.shape)
+        heights, needed = jnp.asarray(parameters, x.dtype), self.neutral().shape
+        if heights.shape != needed:
+            raise ValueError(f"`parameters` have shape {heights.shape}; this shape needs {needed}.")
+        heights = heights if self.field is None else heights * self.field.astype(x.dtype)
+        if self.smoother is not None:
+            heights = self.smoother.apply(jnp.stack([heights, heights], axis=1))[:, 0]
+        normals = self._normals(x)
+        room = self.share * jnp.where(
+            heights > 0, *(self._radius(x, sign * normals, k) for k, sign in enumerate((1, -1)))
+        )
+        ratio = jnp.abs(heights) / room
+        # equal in value, slope and curvature at one half
+        limited = jnp.where(ratio > 0.5, room * (0.5 + 0.5 * jnp.tanh(2 * ratio - 1)), jnp.abs(heights))
+        return x + (jnp.where(heights < 0, -1, 1) * limited)[:, None] * normals
+
+    def _normals(self, x: Positions) -> Positions:
+        normals = self.wall.at(x).normals()
+        for plane, rows in self.borders:
+            normal, own = jnp.asarray(plane.normal, x.dtype), normals[rows]
+            own = own - jnp.matmul(own, normal, precision="highest")[:, None] * normal[None]
+            normals = normals.at[rows].set(own / jnp.linalg.norm(own, axis=1)[:, None])
+        return normals
+
+    def _radius(self, x: Positions, ahead: Positions, side: int) -> Column:
+        arm = x[self.touching[side]] - x
+        above = jnp.sum(arm * ahead, axis=1)
+        return jnp.where(above > 0, jnp.sum(arm**2, axis=1) / jnp.where(above > 0, 2 * above, 1), FAR)
+
+
+def _touching(x: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """Finds the node that the largest ball at each node touches; the node itself without one."""
+    # A ball shrinks onto the node that is nearest to its centre, until none is inside.
+    tree, found, radius = KDTree(x), np.arange(len(x)), np.full(len(x), 10 * np.ptp(x, axis=0).max())
+    for _ in range(ROUNDS):
+        distance, other = map(np.asarray, tree.query(x + radius[:, None] * ahead))
+        arm = x[other] - x
+        above = np.sum(arm * ahead, axis=1)
+        is_inside = (distance < radius * (1 - 1e-9)) & (above > 0)
+        if not is_inside.any():
+            break
+        radius = np.where(is_inside, np.sum(arm**2, axis=1) / np.where(is_inside, 2 * above, 1), radius)
+        found = np.where(is_inside, other, found)
+    return found

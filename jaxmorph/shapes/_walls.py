@@ -10,11 +10,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import depth_first_order
 
 from jaxmorph import Mesh, boundary_faces
-from jaxmorph.extend import Module, checked, is_known
+from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known, norm
 
-from ._arguments import Numbers, cast, check_finite, known_positions, positions, rows_of, slack, vector
+from ._arguments import (
+    Numbers,
+    Positions,
+    Scalar,
+    Vector,
+    cast,
+    known_positions,
+    positions,
+    rows_of,
+    slack,
+    vector,
+)
 
 
 @checked
@@ -24,20 +37,15 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
     **Raises:** `ValueError` for a patch that is not one closed loop.
     """
     segments = wall_faces(mesh, patch).get("line", np.zeros((0, 2), int))
-    ends, degree = np.unique(segments, return_counts=True)
+    ends, number, degree = np.unique(segments, return_inverse=True, return_counts=True)
     bad = ends[degree != 2]
     if len(bad) or not len(ends):
         raise ValueError(f"patch {patch!r} is no closed loop: {len(bad)} ends or branches, first nodes {bad[:1]}.")
-    beside: dict[int, list[int]] = {int(node): [] for node in ends}
-    for a, b in segments.tolist():
-        beside[a].append(b)
-        beside[b].append(a)
-    loop = [int(ends[0]), beside[int(ends[0])][0]]
-    while (following := next(n for n in beside[loop[-1]] if n != loop[-2])) != loop[0]:
-        loop.append(following)
+    links = coo_array((np.ones(len(segments)), number.reshape(-1, 2).T), (len(ends), len(ends)))
+    loop = depth_first_order(links, 0, directed=False, return_predecessors=False)
     if len(loop) != len(ends):
         raise ValueError(f"patch {patch!r} is several loops: {len(loop)} of its {len(ends)} nodes hang together.")
-    ids = np.array(loop)
+    ids = ends[loop]
     x, y = np.asarray(mesh.points)[ids].T
     return ids if x @ np.roll(y, -1) > y @ np.roll(x, -1) else ids[::-1].copy()
 
@@ -93,7 +101,7 @@ def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
 
 
 @checked
-def area(x: Numbers, loop: Any) -> Float[Array, ""]:
+def area(x: Numbers, loop: Any) -> Scalar:
     """Computes the area within a loop (2-D), positive where the loop runs counter-clockwise.
 
     `x` are positions (n, 2), `loop` the ids (k,) that `wall_loop` returns.
@@ -105,7 +113,7 @@ def area(x: Numbers, loop: Any) -> Float[Array, ""]:
 
 
 @checked
-def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
+def centroid(x: Numbers, loop: Any) -> Vector:
     """Computes the centre (2,) of the area within a loop; arguments and errors as `area`."""
     x = positions(x)
     a, b = _segments(x, loop)
@@ -116,7 +124,7 @@ def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
 
 
 @checked
-def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array, ""]:
+def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Scalar:
     """Computes the volume within faces (3-D), positive where they are outward.
 
     **Arguments:**
@@ -138,7 +146,7 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
 
 
 @checked
-def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
+def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
     """Computes the distance from nose to tail of an airfoil, nodes of positions `x` (n, d).
 
     Of several nodes, as of a blunt tail, the mean counts.
@@ -151,7 +159,7 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
 
 
 @checked
-def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
+def curvature(x: Numbers, loop: Any) -> Vector:
     """Computes the curvature at each node of a loop (2-D), positive where convex: that of the
     circle through the node and its neighbours. Arguments and errors as `area`.
     """
@@ -159,12 +167,11 @@ def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
     here, after = _segments(x, loop)
     before = jnp.roll(here, 1, axis=0)
     a, b, c = here - before, after - here, after - before
-    lengths = jnp.sqrt(jnp.sum(a**2, axis=1) * jnp.sum(b**2, axis=1) * jnp.sum(c**2, axis=1))
-    return 2 * _cross(a, b) / lengths
+    return 2 * _cross(a, b) / (norm(a) * norm(b) * norm(c))
 
 
 @checked
-def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
+def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Scalar:
     """Computes the radius of the nose of an airfoil (2-D).
 
     The circle is fitted to the node farthest from the tail and `around` nodes on each side, 1 or
@@ -183,16 +190,16 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
     order = (farthest + jnp.arange(-around, around + 1)) % len(loop)
     near = x[jnp.asarray(loop)[order]]
     arms = near - near[around][None, :]
-    size = jax.lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(arms**2, axis=1))))  # the result does not depend on it
+    size = jax.lax.stop_gradient(jnp.max(norm(arms)))  # the result does not depend on it
     arms = arms / size
     # |p|^2 = 2 p . c + e: linear least squares for the centre c
-    system = jnp.concatenate([2 * arms, jnp.ones((len(arms), 1), arms.dtype)], axis=1)
-    solution = jnp.linalg.solve(system.T @ system, system.T @ jnp.sum(arms**2, axis=1))
-    return size * jnp.sqrt(solution[0] ** 2 + solution[1] ** 2 + solution[2])
+    system = jnp.pad(2 * arms, ((0, 0), (0, 1)), constant_values=1)
+    *centre, rest = jnp.linalg.solve(system.T @ system, system.T @ jnp.sum(arms**2, axis=1))
+    return size * jnp.sqrt(centre[0] ** 2 + centre[1] ** 2 + rest)
 
 
 @checked
-def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
+def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Scalar:
     """Computes the angle between the two sides at the trailing edge: radians, 0 or more.
 
     `x` are positions (n, 2), `upper` and `lower` two nodes (ahead, at the edge) of each side.
@@ -211,7 +218,7 @@ def _cross(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, "k 2"]]:
+def _segments(x: Numbers, loop: Any) -> tuple[Positions, Positions]:
     x, loop = _loop_in(x, loop)
     return x[loop], x[np.roll(loop, -1)]
 
@@ -226,8 +233,8 @@ def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray
     return x, loop
 
 
-def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+def _check_closed(x: Positions, triangles: Int[np.ndarray, "k 3"], plane: Vector | None) -> None:
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     border = unique[count == 1]
     if len(border) and plane is None:
@@ -252,8 +259,8 @@ class Stations(Module):
     - `faces` (s, 2, d): node ids of each line's two faces.
     """
 
-    points: Float[Array, "s d"]
-    directions: Float[Array, "s d"]
+    points: Positions
+    directions: Positions
     faces: Int[Array, "s 2 d"]
 
     @staticmethod
@@ -267,12 +274,9 @@ class Stations(Module):
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """
         x, points = known_positions(x).astype(float), known_positions(points, "points").astype(float)
-        check_finite(direction=direction)
-        known = np.asarray(direction, float)
-        if x.shape[1] != points.shape[1] or known.shape not in (points.shape, points.shape[1:]):
-            raise ValueError(
-                f"`x` has shape {x.shape}, `points` {points.shape}, `direction` {known.shape}; expected (n, d), (s, d), (d,)."
-            )
+        if x.shape[1] != points.shape[1]:
+            raise ValueError(f"`x` has shape {x.shape}, `points` {points.shape}; expected (n, d) and (s, d).")
+        known = finite_array("direction", direction, points.shape, points.shape[1:])
         lengths = np.linalg.norm(known, axis=-1, keepdims=True)
         if not lengths.all():
             raise ValueError("`direction` has length 0; it must be a direction.")
@@ -288,7 +292,7 @@ class Stations(Module):
 
 
 @checked
-def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
+def thickness(x: Numbers, stations: Stations) -> Vector:
     """Computes the distance between the two faces on each line, with positions (n, d). The faces
     count as planes, beyond their corners too.
 
@@ -300,11 +304,8 @@ def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
     if is_known(stations.faces):
         rows_of("stations.faces", stations.faces, len(x))
     own, corners = cast(stations, x), x[stations.faces]
-    first, edges = corners[:, :, 0], corners[:, :, 1:] - corners[:, :, :1]
-    if x.shape[1] == 2:
-        normal = jnp.stack([edges[:, :, 0, 1], -edges[:, :, 0, 0]], axis=-1)
-    else:
-        normal = jnp.cross(edges[:, :, 0], edges[:, :, 1])
+    first = corners[:, :, 0]
+    normal = area_vectors(corners.reshape(-1, *corners.shape[2:])).reshape(first.shape)
     line, arm = jnp.broadcast_to(own.directions[:, None], first.shape), first - own.points[:, None, :]
     place = jnp.sum(normal * arm, axis=-1) / jnp.sum(normal * line, axis=-1)
     return place[:, 1] - place[:, 0]
@@ -312,16 +313,14 @@ def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
 
 def _first_and_last(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray, same: float) -> list[int]:
     # point + s line = first corner + weights times edges
-    first, d = x[ids[:, 0]], x.shape[1]
-    columns = [np.broadcast_to(line, first.shape)] + [first - x[ids[:, k]] for k in range(1, d)]
-    system = np.stack(columns, axis=2)
-    regular = np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14
-    solution = np.full((len(ids), d), np.nan)
-    solution[regular] = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[:, :, 0]
-    place, weights = solution[:, 0], solution[:, 1:]
-    hits = np.flatnonzero(regular & (weights >= -1e-9).all(axis=1) & (weights.sum(axis=1) <= 1 + 1e-9))
-    if len(hits) < 2 or np.ptp(place[hits]) <= same:
+    first = x[ids[:, 0]]
+    system = np.stack([np.broadcast_to(line, first.shape), *(first - x[other] for other in ids.T[1:])], axis=2)
+    regular = np.flatnonzero(np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14)
+    place, *weights = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[:, :, 0].T
+    is_hit = (np.min(weights, axis=0) >= -1e-9) & (np.sum(weights, axis=0) <= 1 + 1e-9)
+    place, hits = place[is_hit], regular[is_hit]
+    if len(hits) < 2 or np.ptp(place) <= same:
         return []
     # of faces that are met at one place, such as around a node, the first counts
-    ends = place[hits] <= place[hits].min() + same, place[hits] >= place[hits].max() - same
+    ends = place <= place.min() + same, place >= place.max() - same
     return [int(hits[end.argmax()]) for end in ends]

@@ -18,7 +18,7 @@ import vtk_files
 from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split, strip
 from formats import write
-from meshes import bricks
+from meshes import bricks, gmsh_session
 from mfem_meshes import SOLID2, straight
 from plot3d import box
 from plot3d import write as write_plot3d
@@ -67,43 +67,28 @@ def vtk(folder: pathlib.Path) -> list[Seed]:
     return [single(file) for file in files]
 
 
-NAMES = '3\n1 7 "low"\n1 9 "both"\n2 1 "fluid"\n'
-ENTITIES = "0 2 1 0\n4 0 0 0 2 0 0 2 7 9 0 \n5 0 1.5 0 2 1.5 0 1 9 0 \n1 0 0 0 2 1.5 0 1 1 2 4 -5 \n"
-MSH = (
-    (
-        "e",
-        "4.1 0 8\n",
-        ENTITIES,
-        "2 6 1 12\n1 4 1 3\n1\n2\n3\n0.25 0 0 0.125\n1 0 0 0.5\n2 0 0.5 1\n"
-        "2 1 0 3\n10\n11\n12\n0.25 1.5 0\n1 1.25 0\n2 1.5 0.25\n",
-        "3 8 1 8\n1 4 1 2\n1 1 2\n2 2 3\n1 5 1 2\n3 10 11\n4 11 12\n"
-        "2 1 2 4\n5 1 2 10\n6 2 11 10\n7 2 3 11\n8 3 12 11\n",
-    ),
-    (
-        "f",
-        "4 0 8\n",
-        ENTITIES,
-        "2 6\n4 1 1 3\n1 0.25 0 0 0.125\n2 1 0 0 0.5\n3 2 0 0.5 1\n1 2 0 3\n10 0.25 1.5 0\n11 1 1.25 0\n12 2 1.5 0.25\n",
-        "3 8\n4 1 1 2\n1 1 2\n2 2 3\n5 1 1 2\n3 10 11\n4 11 12\n1 2 2 4\n5 1 2 10\n6 2 11 10\n7 2 3 11\n8 3 12 11\n",
-    ),
-)
-"""Texts as gmsh writes them: format, entities, nodes, of which those of a curve have parameters, and elements."""
+FORMS_OF_GMSH = ((1, 0, 0), (4, 0, 0), (4, 0, 1), *itertools.product((2.2, 4.1), (0, 1), (0, 1)))
+"""Versions, text or binary, without or with the parameters of nodes."""
 
 
 def gmsh(folder: pathlib.Path) -> list[Seed]:
+    """By gmsh in every version, with parameters of nodes and named groups, and by this package."""
     io.write(folder / "a.msh", mesh_3d())
-    mesh = meshio.gmsh.read(str(folder / "a.msh"))
-    meshio.gmsh.write(str(folder / "b.msh"), mesh, fmt_version="2.2", binary=False)
-    box = bricks(2)
-    mesh = meshio.Mesh(np.asarray(box.points), [("hexahedron", np.asarray(box.cells["hexahedron"]))])
-    for name, binary in (("c.msh", True), ("d.msh", False)):
-        meshio.gmsh.write(str(folder / name), mesh, fmt_version="4.1", binary=binary)
-    for name, head, *parts in MSH:
-        keys = ("MeshFormat", "PhysicalNames", "Entities", "Nodes", "Elements")
-        sections = zip(keys, (head, NAMES, *parts), strict=True)
-        text = "".join(f"${key}\n{content}$End{key}\n" for key, content in sections)
-        (folder / f"{name}.msh").write_text(text)
-    return [single(folder / f"{name}.msh") for name in "abcdef"]
+    files = [folder / "a.msh"]
+    with gmsh_session() as gmsh:
+        gmsh.model.occ.addBox(0, 0, 0, 1, 1.5, 2)
+        gmsh.model.occ.synchronize()
+        for tags, dimension, name in (([1, 2], 2, "low"), ([2], 2, "both"), ([1], 3, "fluid")):
+            gmsh.model.addPhysicalGroup(dimension, tags, name=name)
+        for key in ("MeshSizeMin", "MeshSizeMax"):
+            gmsh.option.setNumber(f"Mesh.{key}", 1)
+        gmsh.model.mesh.generate(3)
+        for version, binary, parametric in FORMS_OF_GMSH:
+            for key, value in (("MshFileVersion", version), ("Binary", binary), ("SaveParametric", parametric)):
+                gmsh.option.setNumber(f"Mesh.{key}", value)
+            files.append(folder / f"{len(files)}.msh")
+            gmsh.write(str(files[-1]))
+    return [single(file) for file in files]
 
 
 def cgns_files(folder: pathlib.Path) -> list[Seed]:

@@ -4,9 +4,12 @@ One process imports the library and forks one for each attack, so that fifty kil
 and a last one for each format how many kills fell inside the writing.
 """
 
+import contextlib
 import dataclasses
+import functools
 import gc
 import json
+import multiprocessing
 import os
 import pathlib
 import resource
@@ -15,10 +18,10 @@ import signal
 import sys
 import tempfile
 import time
-import traceback
 import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent import futures
 
 import jax
 import numpy as np
@@ -28,6 +31,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 import cgns
 import foam
 import meshio
+from matplotlib.figure import Figure
 from meshes import bricks
 from mfem_meshes import straight
 from plot3d import box
@@ -138,7 +142,7 @@ def png(folder: pathlib.Path) -> Output:
     mesh = jm.Mesh([[0.0, 0], [1, 0], [0, 1]], {"triangle": [[0, 1, 2]]})
 
     def write(path: pathlib.Path, k: int) -> None:
-        vars(sys.modules["jaxmorph.plot._files"])["_in_2d"] = lambda *_: drawn[k]
+        Figure.savefig = lambda self, file, **_: pathlib.Path(file).write_bytes(drawn[k])
         plot.picture(path, mesh, np.asarray(mesh.points), moving=np.arange(3))
 
     return Output("a.png", write)
@@ -186,53 +190,54 @@ def leftovers(folder: pathlib.Path) -> list[str]:
     return [str(each.relative_to(folder)) for each in folder.rglob("*") if ".partial" in each.name]
 
 
-def forked(work: Callable[[int], object]) -> tuple[int, int]:
-    """Starts a process that does the work with the end of a pipe to write to; returns its number and the other end."""
-    there, here = os.pipe()
-    number = os.fork()
-    if number == 0:
-        os.close(there)
+FORK = multiprocessing.get_context("fork")
+
+
+def forked(work: Callable[[], object]) -> tuple[int | None, str, str]:
+    """What some work in another process ends by: its exit code, the class and the words of its error; empty without one."""
+    here, there = FORK.Pipe(duplex=False)
+
+    def run() -> None:
         gc.disable()  # it would copy the pages that the two share
+        kind, words = "", ""
         try:
-            work(here)
-        except BaseException:
-            traceback.print_exc()
-            os._exit(9)
-        os._exit(0)
-    os.close(here)
-    return number, there
+            work()
+        except BaseException as error:
+            kind = next(each.__name__ for each in type(error).__mro__ if each.__module__ == "builtins")
+            kind, words = "OSError" if isinstance(error, OSError) else kind, str(error)
+        there.send((kind, words))
+
+    process = FORK.Process(target=run)
+    process.start()
+    there.close()
+    try:
+        kind, words = here.recv()
+    except EOFError:
+        kind, words = "died", ""
+    process.join()
+    return process.exitcode, kind, words
 
 
-def marked(pipe: int) -> None:
-    """Tells when the temporary file is there, in this process alone."""
+@contextlib.contextmanager
+def hooked(hook: Callable[[pathlib.Path], object]) -> Iterator[None]:
+    """Calls a function with each temporary file that is made."""
     make = files._new
 
-    def new(*arguments):
+    def new(*arguments) -> pathlib.Path:
         made = make(*arguments)
-        os.write(pipe, f"{time.perf_counter()}\n".encode())
-        files._new = make
+        hook(made)
         return made
 
     files._new = new
+    try:
+        yield
+    finally:
+        files._new = make
 
 
-def answer(work: Callable[[], None]) -> tuple[str, str]:
-    """The class and the words of the error that some work in another process ends by; empty without one."""
-
-    def tell(pipe: int) -> None:
-        try:
-            work()
-            found = ["", ""]
-        except BaseException as error:
-            found = [next(each.__name__ for each in type(error).__mro__ if each.__module__ == "builtins"), str(error)]
-            found[0] = "OSError" if isinstance(error, OSError) else found[0]
-        os.write(pipe, json.dumps(found).encode()[:60000])
-
-    number, pipe = forked(tell)
-    with os.fdopen(pipe, "rb") as stream:
-        text = stream.read()
-    _, status = os.waitpid(number, 0)
-    return tuple(json.loads(text)) if text else ("died", str(status))
+def to_full_device(partial: pathlib.Path) -> None:
+    partial.unlink()
+    partial.symlink_to("/dev/full")
 
 
 class Attack:
@@ -243,8 +248,11 @@ class Attack:
         self.target = folder / output.name
         self.rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
         self.states: dict[int, dict[str, bytes]] = {}
-        for k in (0, 1):
-            self.good(k)
+        begun = []
+        for k in (1, 0):
+            with hooked(lambda _: begun.append(time.perf_counter())):
+                self.good(k)
+            self.duration = time.perf_counter() - begun[-1]
             self.states[k] = self.found()
 
     def expect(self, is_right: bool, how: str, what: str) -> None:
@@ -269,50 +277,31 @@ class Attack:
 
     def kills(self, count: int) -> None:
         """Ends writers at random moments: the target stays whole, and the next good write leaves nothing more."""
-        duration, inside, tries, halves = self.duration(), 0, 0, 0
-        self.good(0)
+        inside, tries, halves = 0, 0, 0
         while inside < count and tries < 20 * count:
-            old, k, tries = self.states[tries % 2], (tries + 1) % 2, tries + 1
-            if self.output.is_new:
-                shutil.rmtree(self.target)
-                old = {}
-            moment = self.rng.uniform(0, duration)
-            number, pipe = forked(lambda pipe, k=k: (marked(pipe), self.output.write(self.target, k)))
-            with os.fdopen(pipe, "rb", buffering=0) as stream:
-                begun = float(stream.readline() or 0)
-                while time.perf_counter() < begun + moment:
-                    pass
-                os.kill(number, signal.SIGKILL)
-            inside += os.WIFSIGNALED(os.waitpid(number, 0)[1])
+            old, k, moment = self.old(tries % 2), (tries + 1) % 2, self.rng.uniform(0, self.duration)
+            tries += 1
+
+            def work(k: int = k, moment: float = moment) -> None:
+                with hooked(lambda _: signal.setitimer(signal.ITIMER_REAL, moment)):  # its signal ends the process
+                    self.output.write(self.target, k)
+
+            inside += (forked(work)[0] or 0) < 0
             left = [self.folder / name for name in leftovers(self.folder)]
             halves += bool(left)
             for each in left:
                 shutil.rmtree(each) if each.is_dir() else each.unlink(missing_ok=True)
-            is_right = self.found() in (old, self.states[k])
-            self.expect(is_right, "kill", f"kill {tries} after {moment:.4f} of {duration:.4f} s: neither old nor new")
+            when = f"kill {tries} after {moment:.4f} of {self.duration:.4f} s"
+            self.expect(self.found() in (old, self.states[k]), "kill", f"{when}: neither old nor new")
             self.good(k)
-            self.expect(not leftovers(self.folder), "kill", f"kill {tries}: left {leftovers(self.folder)}")
-            self.expect(self.found() == self.states[k], "kill", f"kill {tries}: the next write is not whole")
-        row = {"format": self.name, "kills": inside, "halves": halves, "tries": tries, "seconds": duration}
-        print(json.dumps(row), flush=True)
+            self.expect(not leftovers(self.folder), "kill", f"{when}: left {leftovers(self.folder)}")
+            self.expect(self.found() == self.states[k], "kill", f"{when}: the next write is not whole")
+        print(json.dumps({"format": self.name, "kills": inside, "halves": halves, "tries": tries}), flush=True)
 
-    def duration(self) -> float:
-        """Measures the writing: from the temporary file on, in a process such as those that are killed."""
-        times = []
-        for _ in range(3):
-            self.old(0)
-            end = lambda pipe: os.write(pipe, f"{time.perf_counter()}".encode())  # noqa: E731
-            number, pipe = forked(lambda pipe, end=end: (marked(pipe), self.output.write(self.target, 1), end(pipe)))
-            with os.fdopen(pipe) as stream:
-                begun, ended = map(float, stream.read().split())
-            os.waitpid(number, 0)
-            times.append(ended - begun)
-        return float(np.median(times))
-
-    def refused(self, how: str, work: Callable[[], None], *kinds: str, target: pathlib.Path | None = None) -> None:
+    def refused(self, how: str, work: Callable[[], object], *kinds: str, target: pathlib.Path | None = None) -> None:
         """Expects an error that names the target, what was there before, and nothing else."""
         before = tree(self.folder)
-        kind, words = answer(work)
+        _, kind, words = forked(work)
         self.expect(kind in (kinds or ("OSError",)), how, f"{kind or 'no error'}: {words}")
         name = str(target or self.target)
         self.expect(name in words and ".partial" not in words, how, f"target not named: {words}")
@@ -323,28 +312,14 @@ class Attack:
     def full(self) -> None:
         """Files that may not grow beyond a limit, and a full device."""
         self.old(0)
-        sizes = sorted(len(content) for content in self.states[1].values())
-        for limit in (0, sizes[-1] // 2, sizes[-1] - 1):
-            if self.output.is_new or limit < sizes[-1]:
-                self.refused(f"limit of {limit} bytes", lambda limit=limit: self._limited(limit))
+        largest = max(len(content) for content in self.states[1].values())
+        write = functools.partial(self.output.write, self.target, 1)
+        for limit in (0, largest // 2, largest - 1):
+            grow = functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (limit, limit))
+            self.refused(f"limit of {limit} bytes", lambda grow=grow: (grow(), write()))
         if not self.output.is_folder:
-            self.refused("full device", self._on_full_device)
-
-    def _limited(self, limit: int) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-        self.output.write(self.target, 1)
-
-    def _on_full_device(self) -> None:
-        make = files._new
-
-        def new(target: pathlib.Path, folder: bool) -> pathlib.Path:
-            partial = make(target, folder)
-            partial.unlink()
-            partial.symlink_to("/dev/full")
-            return partial
-
-        files._new = new
-        self.output.write(self.target, 1)
+            with hooked(to_full_device):
+                self.refused("full device", write)
 
     def forbidden(self) -> None:
         """A folder that this user may not write to."""
@@ -371,28 +346,19 @@ class Attack:
             self.good(k)
             states[k] = self.found()
         self.old(0)
-        start, ready = os.pipe()
+        start = FORK.Barrier(4)
 
-        def work(pipe: int, k: int) -> None:
-            os.close(ready)
-            os.read(start, 1)
+        def work(k: int) -> None:
+            start.wait()
             for _ in range(1 if self.output.is_new else 3):
-                try:
-                    self.output.write(self.target, k)
-                except (OSError, ValueError) as error:
-                    named = str(self.target) in str(error) and ".partial" not in str(error)
-                    os.write(pipe, b"refused" if named and self.output.is_new else repr(error).encode())
+                self.output.write(self.target, k)
 
-        running = [forked(lambda pipe, k=k: work(pipe, k)) for k in range(4)]
-        os.close(start)
-        os.close(ready)
-        said = []
-        for number, pipe in running:
-            with os.fdopen(pipe) as stream:
-                said.append(stream.read())
-            self.expect(os.waitpid(number, 0)[1] == 0, "four writers", "a writer failed")
-        wrong = [each for each in said if each not in ("", "refused")]
-        self.expect(not wrong and "" in said, "four writers", f"{said}")
+        with futures.ThreadPoolExecutor(4) as pool:
+            ends = list(pool.map(lambda k: forked(lambda: work(k)), range(4)))
+        told = [words for _, kind, words in ends if kind]
+        are_named = all(str(self.target) in words and ".partial" not in words for words in told)
+        is_right = (self.output.is_new and are_named and len(told) < 4) or not told
+        self.expect(is_right, "four writers", f"{ends}")
         self.expect(self.found() in states.values(), "four writers", "the target is no writer's")
         self.expect(not leftovers(self.folder), "four writers", f"left {leftovers(self.folder)}")
 

@@ -2,16 +2,16 @@
 
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.sparse import coo_array
 
 from ..package.cores import by_blocks, in_order
-from .topology import FACES
+from .topology import FACES, ByType, Pair
 
 
-def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def neighbours(cells: ByType) -> Pair:
     """Finds the cell behind every face of `cells`, corner ids (k, corners) by type.
 
     Returns two arrays with one entry a face, by cell, faces in the order of `FACES`. The first has
@@ -22,34 +22,33 @@ def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
     # sorts all rows: equal faces are neighbours. Two cells of one handedness run round their common
     # face in opposite senses.
-    columns, turns, owners, first = [], [], [], 0
+    columns, turns, owners, slots, first, slot = [], [], [], [], 0, 0
     width = max((len(face) for kind in cells for face in FACES[kind]), default=2)
     for kind, corners in cells.items():
-        nodes = columns_of(corners)
-        for face in FACES[kind]:
+        nodes, faces = columns_of(corners), FACES[kind]
+        for number, face in enumerate(faces):
             side = [nodes[corner] for corner in face]
             columns.append(sorted_columns(side, width))
             turns.append(_turns(side, columns[-1]))
             owners.append(np.arange(first, first + len(corners), dtype=np.int32))
-        first += len(corners)
-    if not columns:
-        return np.zeros(0, dtype=np.int32), np.zeros(0, dtype=bool)
-    turn, owner = np.concatenate(turns), np.concatenate(owners)
-    rows = [np.concatenate(parts) for parts in zip(*columns, strict=True)]
-    twin = np.where(_has_extent(rows), twins(rows), -1)
-    neighbour, flipped = np.where(twin < 0, -1, owner[twin]), (twin >= 0) & (turn == turn[twin])
-    return _by_cell(neighbour, cells), _by_cell(flipped, cells)
+            slots.append(np.arange(slot + number, slot + len(faces) * len(corners), len(faces)))
+        first, slot = first + len(corners), slot + len(faces) * len(corners)
+    neighbour, flipped = np.empty(slot, dtype=np.int32), np.empty(slot, dtype=bool)
+    if slot:
+        turn, owner, place = (np.concatenate(parts) for parts in (turns, owners, slots))
+        rows = [np.concatenate(parts) for parts in zip(*columns, strict=True)]
+        twin = np.where(_has_extent(rows), twins(rows), -1)
+        neighbour[place], flipped[place] = np.where(twin < 0, -1, owner[twin]), (twin >= 0) & (turn == turn[twin])
+    return neighbour, flipped
 
 
 def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.ndarray:
     if len(nodes) == 2:
         return nodes[0] < nodes[1]
-    turns = np.zeros(len(nodes[0]), dtype=bool)
-    for corner, node in enumerate(nodes):
-        after, before = nodes[(corner + 1) % len(nodes)], nodes[corner - 1]
-        before = np.where(before == node, nodes[corner - 2], before)  # the lowest node may be repeated
-        turns |= (node == ordered[0]) & (after != node) & (after < before)
-    return turns
+    here = np.stack(nodes)
+    after, before, opposite = (np.roll(here, shift, axis=0) for shift in (-1, 1, 2))
+    before = np.where(before == here, opposite, before)  # the lowest node may be repeated
+    return ((here == ordered[0]) & (after != here) & (after < before)).any(axis=0)
 
 
 def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
@@ -58,18 +57,7 @@ def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
     return np.sum(steps, axis=0, dtype=np.int8) >= np.where(rows[2] < 0, 1, 2) if len(rows) > 2 else steps[0]
 
 
-def _by_cell(values: np.ndarray, cells: Mapping[str, np.ndarray]) -> np.ndarray:
-    parts, first = [], 0
-    for kind, corners in cells.items():
-        last = first + len(FACES[kind]) * len(corners)
-        parts.append(values[first:last].reshape(len(FACES[kind]), len(corners)).T.reshape(-1))
-        first = last
-    return np.concatenate(parts)
-
-
-def handedness(
-    cells: Mapping[str, np.ndarray], neighbour: np.ndarray, flipped: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def handedness(cells: ByType, neighbour: np.ndarray, flipped: np.ndarray) -> Pair:
     """Returns each cell's orientation sign, 1 or -1, and the id of its connected part, from
     `neighbour` and `flipped` of `neighbours`: ids alone decide, no coordinates. A part that cannot
     be oriented (a Moebius strip) has sign 1 throughout.
@@ -160,7 +148,7 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
     random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
     left, firsts = np.zeros(n, np.uint64), []
 
-    def numbered(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def numbered(columns: Sequence[np.ndarray]) -> Pair:
         number = functools.reduce(np.add, (random[column] for column in columns))
         return functools.reduce(np.minimum, columns), number * (number | np.uint64(1))
 
@@ -173,9 +161,9 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
 def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Marks (f,) the faces (f, c) that equal one of the `others` (k, e), which are distinct."""
     width = max(faces.shape[1], others.shape[1])
-    both = np.full((len(faces) + len(others), width), -1, np.int64)
-    both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others
-    return twins(sorted_columns(columns_of(both), width))[: len(faces)] >= len(faces)
+    first, second = (sorted_columns(columns_of(table), width) for table in (faces, others))
+    twin = twins([np.concatenate(both) for both in zip(first, second, strict=True)])
+    return twin[: len(faces)] >= len(faces)
 
 
 def repeated_cells(corners: np.ndarray) -> np.ndarray:

@@ -1,15 +1,13 @@
 """First grid lines off a wall, from the cells' own polynomials; linear cells are of order 1."""
 
 import functools
-import operator
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .lagrange import PLACES, Lagrange, derivatives_at_nodes, lagrange_types
+from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
 from .pieces import owned_sides
-from .topology import CORNERS, DIMENSION, FACES, SHAPES
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType
 
 
 class WallSides(NamedTuple):
@@ -46,11 +44,9 @@ class Lines(NamedTuple):
 
 def _node_areas(x: Any, slopes: Any) -> Any:
     """Area vectors (f, s, d) of sides x (f, s, d) at their own nodes."""
-    nodes = range(slopes.shape[1])
-    a, *others = (
-        functools.reduce(operator.add, (slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes))
-        for axis in range(slopes.shape[2])
-    )
+    nodes, axes = (range(size) for size in slopes.shape[1:])
+    along: list[Any] = [sum(slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes) for axis in axes]
+    a, *others = along
     if not others:
         return a[..., ::-1] * np.array([[[-1.0, 1.0]]], dtype=x.dtype)
     (b,), after, before = others, np.array([1, 2, 0]), np.array([2, 0, 1])
@@ -63,7 +59,7 @@ def _slopes(kind: str) -> np.ndarray:
     return slopes if lagrange_types()[kind].order > 1 else np.broadcast_to(slopes.mean(axis=0), slopes.shape)
 
 
-def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
+def first_lines(cells: ByType, points: np.ndarray, wall: np.ndarray) -> Lines:
     """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
     From a node inside of an edge or a side, a line goes to the node opposite. Raises `ValueError`
     if no boundary side of a cell has all nodes among the wall nodes.
@@ -79,8 +75,7 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
     normal, beside = np.zeros(points.shape), np.full(len(points), -1)
     for kind, side in sides.items():
         np.add.at(normal, side.ids, side.areas(points))
-        for node in range(side.ids.shape[1]):
-            beside[side.ids[:, node]] = side.ids[:, _neighbour(kind, node)]
+        beside[side.ids.T] = side.ids.T[_neighbours(kind)]
     start, end, cell_nodes, weights = _candidates(cells, on_wall & (beside >= 0), on_wall)
     along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
     size = np.linalg.norm(along, axis=1)
@@ -94,17 +89,16 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
     return Lines(nodes, end[chosen], cell_nodes[chosen], weights[chosen], beside[nodes], every)
 
 
-def _neighbour(kind: str, node: int) -> int:
-    """A node beside a side's node: the corner before, or the nearest on the lattice."""
+def _neighbours(kind: str) -> np.ndarray:
+    """A node beside each of a side's nodes: the corner before, or the nearest on the lattice."""
     cell = lagrange_types()[kind]
     if cell.order == 1:
-        return node - 1
-    distance = np.sum((cell.lattice - cell.lattice[node]) ** 2, axis=1).astype(float)
-    distance[node] = np.inf
-    return int(distance.argmin())
+        return np.arange(cell.corners) - 1
+    squared = np.sum((cell.lattice[:, None] - cell.lattice) ** 2, axis=2)
+    return np.where(squared > 0, squared, squared.max() + 1).argmin(axis=1)
 
 
-def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> dict[str, WallSides]:
+def _sides(cells: ByType, points: np.ndarray, wall: np.ndarray) -> dict[str, WallSides]:
     """Sides of single cells with all nodes on the wall, by type; rows are ids here."""
     corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
     centre, result = np.concatenate(corners or [points[:0]]), {}
@@ -118,7 +112,7 @@ def _sides(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray
 
 
 def _candidates(
-    cells: Mapping[str, np.ndarray], starts: np.ndarray, on_wall: np.ndarray
+    cells: ByType, starts: np.ndarray, on_wall: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
     width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
@@ -143,25 +137,19 @@ def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
     for edge in cell.edges:
         first, last = edge[:2].tolist()
         lines += [(first, last, edge, ends[0]), (last, first, edge, -ends[1])]
-    place, slopes = cell.place, derivatives_at_nodes(kind)
-    for side, (_, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
-        for node in nodes[nodes >= cell.corners].tolist():
-            last = place[tuple(_opposite(cell, side, cell.lattice[node]))]
+    slopes, corners = derivatives_at_nodes(kind), np.array(PLACES[cell.shape])
+    for face, (side, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
+        beyond = corners[[_beyond(cell.shape, face, corner) for corner in face]]
+        ends = np.rint(cell.order * values(SHAPES[side], lagrange_types()[side].reference) @ beyond).astype(int)
+        inner = nodes >= cell.corners
+        for node, last in zip(nodes[inner].tolist(), cell.nodes_at(ends[inner]).tolist(), strict=True):
             weights = slopes[node] @ (cell.reference[last] - cell.reference[node])
             near = np.flatnonzero(np.abs(weights) > 1e-12 * np.abs(weights).max())
             lines.append((node, last, near, weights[near]))
     return tuple(lines)
 
 
-def _opposite(cell: Lagrange, side: tuple[int, ...], at: np.ndarray) -> list[int]:
-    corners, p = np.array(PLACES[cell.shape]), cell.order
-    others = [k for k in range(cell.corners) if k not in side]
-    if len(others) == 1:  # the apex of a simplex, or of a pyramid
-        return (p * corners[others[0]]).tolist()
-    if cell.shape == "wedge" and len(side) == 4:  # the other edge, at the height of the place
-        return [*(p * corners[others[0]][:2]).tolist(), int(at[2])]
-    is_pyramid = cell.shape == "pyramid"  # the triangle opposite, at the height of the place
-    axis = int(np.flatnonzero(np.ptp(corners[list(side[: 2 if is_pyramid else 4])], axis=0) == 0)[0])
-    end = at.copy()
-    end[axis] = p - at[axis] - (at[2] if is_pyramid else 0)
-    return end.tolist()
+def _beyond(shape: str, face: tuple[int, ...], corner: int) -> int:
+    """The corner opposite a face's corner: its only neighbour off the face, else itself."""
+    others = [end for edge in EDGES[shape] if corner in edge for end in edge if end not in face]
+    return others[0] if len(others) == 1 else corner

@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, numbers
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, numbers
 
 ORDERS = (1, 2, 3, 4)
+STEP = 1e-30  # imaginary step of a derivative
 
 PLACES = {
     "line": numbers("0 1"),
@@ -69,9 +70,11 @@ class Lagrange:
         """The place (k, d) of each node in the reference cell."""
         return self.lattice / self.order
 
-    @property
-    def place(self) -> dict[tuple[int, ...], int]:
-        return {tuple(at): node for node, at in enumerate(self.lattice.tolist())}
+    def nodes_at(self, places: np.ndarray) -> np.ndarray:
+        """The nodes at places (..., d) of the lattice; -1 for none."""
+        table = np.full((self.order + 1,) * self.dimension, -1)
+        table[tuple(self.lattice.T)] = np.arange(len(self.lattice))
+        return table[tuple(np.moveaxis(places, -1, 0))]
 
     @property
     def edges(self) -> np.ndarray:
@@ -83,26 +86,22 @@ class Lagrange:
     @property
     def sides(self) -> list[tuple[str, np.ndarray]]:
         """Type of each face of `FACES` (2-D: edge), and its nodes in that type's own order."""
-        place, corners, sides = self.place, np.array(PLACES[self.shape]), []
+        corners, sides = np.array(PLACES[self.shape]), []
         for face in FACES[self.shape]:
             side = of_order(SIDE_TYPES[len(face)], self.order, self.is_complete)
             along = corners[[face[1], face[-1]][: side.dimension]] - corners[face[0]]
             at = self.order * corners[face[0]] + side.lattice @ along
-            sides.append((side.name, np.array([place[tuple(position)] for position in at.tolist()])))
+            sides.append((side.name, self.nodes_at(at)))
         return sides
 
     def completion(self) -> tuple[str, np.ndarray]:
         """The type with all lattice nodes, and the matrix (nodes, k) that makes them. The cell
         keeps its curved shape: a missing node is where the serendipity functions put it.
         """
-        complete, place, missing = of_order(self.shape, self.order), self.place, []
+        complete = of_order(self.shape, self.order)
         matrix = np.zeros((len(complete.lattice), len(self.lattice)))
-        for row, at in enumerate(complete.lattice.tolist()):
-            if tuple(at) in place:
-                matrix[row, place[tuple(at)]] = 1
-            else:
-                missing.append(row)
-        middles = iter(missing)
+        matrix[complete.nodes_at(self.lattice), np.arange(len(self.lattice))] = 1
+        middles = iter(np.flatnonzero(~matrix.any(axis=1)))
         for side, nodes in self.sides if self.dimension == 3 else [(self.name, np.arange(len(self.lattice)))]:
             if side == "quad8":  # in its middle functions of corners are -1/4, functions of edges 1/2
                 matrix[next(middles), nodes] = np.repeat([-0.25, 0.5], 4)
@@ -163,7 +162,7 @@ def derivatives_at_nodes(kind: str) -> np.ndarray:
 
 
 @functools.cache
-def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
+def jacobian_samples(kind: str) -> Pair:
     """Shape function derivatives (s, nodes, d) where det J is measured, and weights (s,). Places
     are a lattice of half the step, of weight 0, and Gauss points of the exact volume.
     """
@@ -172,12 +171,16 @@ def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
     grid = np.indices((fine + 1,) * d).reshape(d, -1).T
     if cell.shape != "pyramid":  # a pyramid has a lattice in its own coordinates
         grid = grid[depth(cell.shape, fine, grid) >= 0]
-    nodes, weights = np.polynomial.legendre.leggauss(-(-d * cell.order // 2))
-    cube = np.array(list(itertools.product((nodes + 1) / 2, repeat=d)))
+    nodes, weights = legendre.leggauss(-(-d * cell.order // 2))
+    places = np.array(list(itertools.product((nodes + 1) / 2, repeat=d)))
     weight = np.array(list(itertools.product(weights / 2, repeat=d))).prod(axis=1)
-    places, factor = _of_cube(cell.shape, cube)
-    every = np.concatenate([grid / fine, places])
-    return derivatives(kind, every), np.concatenate([np.zeros(len(grid)), weight * factor])
+    # Of a square or cube, coordinates shrink towards an edge, a corner or an apex.
+    for axis in range(1, {"triangle": 2, "wedge": 2, "tetra": 3}.get(cell.shape, 1)):
+        places[:, :axis] *= 1 - places[:, axis, None]
+        weight *= (1 - places[:, axis]) ** axis
+    if cell.shape == "pyramid":
+        weight *= (1 - places[:, 2]) ** 2
+    return derivatives(kind, np.concatenate([grid / fine, places])), np.concatenate([np.zeros(len(grid)), weight])
 
 
 def derivatives(kind: str, places: np.ndarray) -> np.ndarray:
@@ -191,40 +194,27 @@ def values(kind: str, places: np.ndarray) -> np.ndarray:
     return at_places @ inverse @ completion
 
 
-def _expanded(kind: str, places: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+def _expanded(kind: str, places: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     at_nodes, _ = _basis(complete, collapsed(name, complete.reference))
     return _basis(complete, places), np.linalg.inv(at_nodes), completion
 
 
-def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    p, powers = cell.order, cell.lattice
-    one = legendre.legvander(2 * places - 1, p)  # (s, d, p + 1)
-    slope = np.stack([legendre.legval(2 * places - 1, legendre.legder(row) * 2) for row in np.eye(p + 1)], axis=2)
-    if cell.shape == "pyramid":
-        return _pyramid(one, slope, places, powers)
-    picked = [one[:, axis, powers[:, axis]] for axis in range(cell.dimension)]
-    slopes = [
-        np.prod([*picked[:axis], slope[:, axis, powers[:, axis]], *picked[axis + 1 :]], axis=0)
-        for axis in range(cell.dimension)
-    ]
-    return np.prod(picked, axis=0), np.stack(slopes, axis=2)
-
-
-def _pyramid(
-    one: np.ndarray, slope: np.ndarray, places: np.ndarray, powers: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """A pyramid's basis f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n at least their
-    degrees.
-    """
-    f, g = one[:, 0, powers[:, 0]], one[:, 1, powers[:, 1]]
-    df, dg = slope[:, 0, powers[:, 0]], slope[:, 1, powers[:, 1]]
-    n = powers[:, :2].max(axis=1) + powers[:, 2]
-    a, b, c = places[:, :1], places[:, 1:2], 1 - places[:, 2:]
-    less = c ** np.maximum(n - 1, 0)
-    slopes = np.stack([df * g * less, f * dg * less, (a * df * g + b * f * dg - n * f * g) * less], axis=2)
-    return f * g * c**n, slopes
+def _basis(cell: Lagrange, places: np.ndarray) -> Pair:
+    """The basis (s, k) at places, and its derivatives (s, k, d)."""
+    # Products of polynomials. An imaginary step of a coordinate has the derivative by it, exactly.
+    d, powers = cell.dimension, cell.lattice
+    one = legendre.legvander(2 * (places + 1j * STEP * np.eye(d)[:, None]) - 1, cell.order)  # (d, s, d, p + 1)
+    is_pyramid = cell.shape == "pyramid"
+    product = np.prod([one[:, :, axis, powers[:, axis]] for axis in range(2 if is_pyramid else d)], axis=0)
+    basis, slopes = product[0].real, np.moveaxis(product.imag / STEP, 0, 2)
+    if not is_pyramid:
+        return basis, slopes
+    # f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n at least their degrees
+    n, c = powers[:, :2].max(axis=1) + powers[:, 2], 1 - places[:, 2:]
+    slopes[:, :, 2] = (slopes[:, :, :2] * places[:, None, :2]).sum(axis=2) - n * basis
+    return basis * c**n, slopes * (c ** np.maximum(n - 1, 0))[:, :, None]
 
 
 def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
@@ -235,35 +225,13 @@ def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
     return np.concatenate([np.where(c > 0, places[:, :2] / np.where(c > 0, c, 1), 0.5), places[:, 2:]], axis=1)
 
 
-def _of_cube(shape: str, cube: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Maps places of a square or cube to a shape: places (s, d), and the volume's factor (s,)."""
-    if shape in ("line", "quad", "hexahedron"):
-        return cube, np.ones(len(cube))
-    u, v = cube[:, 0], cube[:, 1]
-    if shape == "pyramid":
-        return cube, (1 - cube[:, 2]) ** 2
-    if shape == "tetra":
-        w = cube[:, 2]
-        return np.stack([u * (1 - v) * (1 - w), v * (1 - w), w], axis=1), (1 - v) * (1 - w) ** 2
-    return np.column_stack([u * (1 - v), v, cube[:, 2:]]), 1 - v
-
-
 def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
     """Ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
-    weights = _weights(cell)
-    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
-    order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")
-    weights = np.take_along_axis(np.broadcast_to(weights, (len(ids), *weights.shape)), order, axis=2)
-    corners = np.where(
-        weights > 0, np.take_along_axis(np.repeat(ids[:, None], weights.shape[1], axis=1), order, axis=2), 0
-    )
-    keys = np.zeros((*weights.shape[:2], 16), np.int64)
-    width = 2 * weights.shape[2]
-    keys[:, :, 16 - width :] = np.stack([corners, weights], axis=3).reshape(*weights.shape[:2], width)
-    return keys
-
-
-def _weights(cell: Lagrange) -> np.ndarray:
-    """Integer weights (new, corners) of corners at new nodes: 12^3 linear shape functions."""
     places = collapsed(cell.shape, cell.reference[cell.corners :])
-    return np.rint(12**3 * values(cell.shape, places)).astype(np.int64)
+    weights = np.rint(12**3 * values(cell.shape, places)).astype(np.int64)  # of corners, linear
+    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
+    corners = np.where(weights > 0, ids[:, None], -1)
+    order = np.argsort(corners, axis=2, kind="stable")
+    both = np.stack([np.maximum(corners, 0), np.broadcast_to(weights, corners.shape)], axis=3)
+    pairs = np.take_along_axis(both, order[:, :, :, None], axis=2).reshape(*corners.shape[:2], -1)
+    return np.pad(pairs, ((0, 0), (0, 0), (16 - pairs.shape[2], 0)))

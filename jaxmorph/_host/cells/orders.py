@@ -29,8 +29,7 @@ class NodeOrder:
         """The place (k,) in the format's list of each node of the canonical order."""
         cell = lagrange_types()[kind]
         listed = self.lattice(cell.shape, cell.order, is_complete=cell.is_complete)
-        place = cell.place
-        return np.argsort([place[tuple(at)] for at in listed.tolist()])
+        return np.argsort(cell.nodes_at(listed))
 
 
 def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder | None) -> Any:

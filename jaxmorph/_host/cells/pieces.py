@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from .adjacency import columns_of, is_single, sorted_columns, unpaired
-from .lagrange import Lagrange, collapsed, depth, lagrange_types, of_order, values
-from .topology import CORNERS, NODES, SHAPES, numbers
+from .lagrange import collapsed, depth, lagrange_types, of_order, values
+from .topology import CORNERS, NODES, SHAPES, ByType, Pair, numbers
 
 
 def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[str, Any]:
@@ -26,17 +26,18 @@ def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[s
 
 def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
-    ids = np.cumsum([0, *map(len, cells.values())])
-    numbered = {kind: np.arange(first, first + len(cells[kind])) for kind, first in zip(cells, ids, strict=False)}
-    nodes = {kind: np.repeat(ids[:, None], NODES[kind], axis=1) for kind, ids in numbered.items()}
+    nodes, first = {}, 0
+    for kind, ids in cells.items():
+        nodes[kind] = np.repeat(np.arange(first, first + len(ids))[:, None], NODES[kind], axis=1)
+        first += len(ids)
     return {shape: corners[:, 0] for shape, corners in linear_cells(nodes).items()}
 
 
-def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def boundary_faces(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
     return linear_cells(boundary_sides(cells, n, among))
 
 
-def boundary_sides(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def boundary_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Finds faces (f, nodes) that belong to one cell only (2-D: edges), by type, with all of their
     nodes, counterclockwise as seen from outside. `cells` are node ids (k, nodes) by type, below
     `n`; all nodes of a face are `among` these ids.
@@ -44,47 +45,42 @@ def boundary_sides(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
     return {side: ids for side, (ids, _) in owned_sides(cells, n, among).items()}
 
 
-def owned_sides(
-    cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def owned_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[str, Pair]:
     """Finds the `boundary_sides`, and the cell (f,) of each; cells are numbered as in `cells`."""
-    is_candidate = None
-    if among is not None:
-        is_candidate = np.zeros(n, bool)
-        is_candidate[among] = True
-    found: dict[str, list[tuple[list[np.ndarray], int, np.ndarray | None]]] = {}
+    is_candidate = np.zeros(n, bool)
+    is_candidate[[] if among is None else among] = True
+    found: dict[str, list[tuple[list[np.ndarray], np.ndarray]]] = {}
     first = 0
     for kind, ids in cells.items():
-        nodes = columns_of(ids)
+        nodes, every = columns_of(ids), np.arange(first, first + len(ids))
         for side, rows in lagrange_types()[kind].sides:
-            columns, here = [nodes[row] for row in rows], None
-            if is_candidate is not None:
+            columns, owner = [nodes[row] for row in rows], every
+            if among is not None:
                 # both copies of an inner face pass or fail together
                 here = np.flatnonzero(np.logical_and.reduce([is_candidate[column] for column in columns]))
-                columns = [column[here] for column in columns]
-            found.setdefault(side, []).append((columns, first, here))
+                columns, owner = [column[here] for column in columns], every[here]
+            found.setdefault(side, []).append((columns, owner))
         first += len(ids)
-    return {
-        side: _single(found[side], n) for side in sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
-    }
+    sides = sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
+    return {side: _single(found[side], n) for side in sides}
 
 
-def _single(parts: list[tuple[list[np.ndarray], int, np.ndarray | None]], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Finds unique faces and their cells. A part: faces by column, first cell, its rows or None."""
-    columns, owner = [], []
-    for (part, first, here), rows in zip(parts, unpaired([part for part, *_ in parts], n), strict=True):
-        columns.append([column[rows] for column in part])
-        owner.append(first + (rows if here is None else here[rows]))
+def _single(parts: list[tuple[list[np.ndarray], np.ndarray]], n: int) -> Pair:
+    """Finds unique faces and their cells, from faces by column, and their cells."""
+    rows = unpaired([columns for columns, _ in parts], n)
+    columns = [[column[left] for column in part] for (part, _), left in zip(parts, rows, strict=True)]
+    owner = np.concatenate([cells[left] for (_, cells), left in zip(parts, rows, strict=True)])
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     single = is_single(sorted_columns(joined, len(joined)))
-    return np.stack([column[single] for column in joined], axis=1).astype(np.int64), np.concatenate(owner)[single]
+    return np.stack([column[single] for column in joined], axis=1).astype(np.int64), owner[single]
 
 
 @functools.cache
 def pieces_of(kind: str) -> dict[str, np.ndarray]:
     """The pieces of a type: their nodes, as rows of the cell's nodes, by their own type."""
-    pieces = ON_EDGES[kind] if kind in ON_EDGES else _of_lattice(lagrange_types()[kind])
-    return {shape: np.array(rows) for shape, rows in pieces.items() if len(rows)}
+    if kind in ON_EDGES:
+        return {shape: np.array(rows) for shape, rows in ON_EDGES[kind].items()}
+    return steps_of(SHAPES[kind], lagrange_types()[kind].order)
 
 
 @functools.cache
@@ -96,7 +92,17 @@ def places_of(kind: str, m: int) -> np.ndarray:
 @functools.cache
 def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
     """The linear pieces of a lattice of m steps, as rows of it, by type."""
-    return {piece: np.array(rows) for piece, rows in _of_lattice(of_order(shape, m)).items() if len(rows)}
+    cell, pieces = of_order(shape, m), {}
+    starts = np.indices((m + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
+    if shape in ("triangle", "tetra"):  # by sums of the last coordinates
+        starts = starts[:, ::-1].copy()
+        starts[:, :-1] -= starts[:, 1:]
+    for piece, units in UNITS[shape].items():
+        every = np.concatenate([starts[:, None] + numbers(unit) for unit in units])
+        is_inside = (depth(shape, m, every.reshape(-1, cell.dimension)) >= 0).reshape(every.shape[:2]).all(axis=1)
+        if is_inside.any():
+            pieces[piece] = cell.nodes_at(every[is_inside])
+    return pieces
 
 
 ON_EDGES = {
@@ -137,17 +143,3 @@ UNITS = {
     "hexahedron": {"hexahedron": ("000 100 110 010 001 101 111 011",)},
 }
 """Corners of the pieces that begin at a place of the lattice, by shape and type of piece."""
-
-
-def _of_lattice(cell: Lagrange) -> dict[str, list]:
-    starts = np.indices((cell.order + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
-    if cell.shape in ("triangle", "tetra"):  # by sums of the last coordinates
-        starts = starts[:, ::-1].copy()
-        starts[:, :-1] -= starts[:, 1:]
-    place, pieces = cell.place, {}
-    for piece, units in UNITS[cell.shape].items():
-        every = np.concatenate([starts[:, None] + numbers(unit) for unit in units])
-        is_inside = depth(cell.shape, cell.order, every.reshape(-1, cell.dimension)) >= 0
-        every = every[is_inside.reshape(every.shape[:2]).all(axis=1)]
-        pieces[piece] = [[place[tuple(at)] for at in corners] for corners in every.tolist()]
-    return pieces

@@ -3,6 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+Pair = tuple[np.ndarray, np.ndarray]
+ByType = Mapping[str, np.ndarray]
+"""Cells or faces (k, nodes) by their type."""
+
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 """Number of corners by type; names are meshio's."""
 

@@ -37,22 +37,11 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
 
 
 def smallest_height(corners: np.ndarray) -> np.ndarray:
-    """Least heights (k,) of simplices (k, c, d), independent of the first corner."""
-    count = corners.shape[1]
-    sides = [_content([corners[:, i] for i in range(count) if i != corner]) for corner in range(count)]
-    largest = np.max(sides, axis=0)
-    return _content([corners[:, i] for i in range(count)]) / np.where(largest > 0, largest, 1)
-
-
-def _content(corners: list[np.ndarray]) -> np.ndarray:
-    """Lengths, twice areas or six times volumes from corners (k, d); 1 for points."""
-    edges = [corner - corners[0] for corner in corners[1:]]
-    if not edges:
-        return np.ones(len(corners[0]))
-    if len(edges) == edges[0].shape[1]:
-        return np.abs(np.einsum("kd,kd->k", cofactor_rows(edges)[0], edges[0]))
-    normal = edges[0] if len(edges) == 1 else cross_rows(*edges)
-    return np.sqrt(np.einsum("kd,kd->k", normal, normal))
+    """Least heights (k,) of simplices (k, d + 1, d)."""
+    edges = list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
+    rows = cofactor_rows(edges)  # area vectors of all sides but the first, whose area vector is minus their sum
+    largest = np.max([np.linalg.norm(side, axis=1) for side in (*rows, sum(rows))], axis=0)
+    return np.abs(np.einsum("kd,kd->k", rows[0], edges[0])) / np.where(largest > 0, largest, 1)
 
 
 def normals(corners: np.ndarray) -> np.ndarray:
@@ -72,8 +61,8 @@ def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def unit_rows(vectors: np.ndarray) -> np.ndarray:
-    """Divides vectors (k, d) by their lengths; zero stays zero."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    """Divides vectors (..., d) by their lengths; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0, length, 1)
 
 

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse import linalg
 
+Operator = Callable[[np.ndarray], np.ndarray]
+
 DIRECT = 12_000  # unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse
 
 
@@ -112,7 +114,7 @@ class Multigrid:
     """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996), and its `last` solver."""
 
     levels: Sequence[Level]
-    last: Callable[[np.ndarray], np.ndarray]
+    last: Operator
 
     def __call__(self, right: np.ndarray, depth: int = 0) -> np.ndarray:
         if depth == len(self.levels):
@@ -134,28 +136,12 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Multigrid:
     levels = pyamg.smoothed_aggregation_solver(matrix, B=mode[:, None], **options).levels
     while len(levels) > 1 and levels[-1].A.shape[0] < 2:  # no unknowns were joined: an empty level
         levels.pop()
-    *fine, last = levels
-    return Multigrid([_level(level) for level in fine], _last(last.A))
-
-
-def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
-    if matrix.shape[0] <= COARSEST:
-        return np.linalg.pinv(matrix.toarray(), hermitian=True).__matmul__
-    return Factors(matrix)
-
-
-def _level(level: Any) -> Level:
-    matrix, prolongation = level.A.tocsr(), level.P.tocsr()
-    inverse = 1 / matrix.diagonal()
-    top = float((inverse * np.ravel(abs(matrix).sum(axis=1))).max())
-    return Level(matrix, prolongation, prolongation.T.tocsr(), inverse, top)
-
-
-def by_component(cycles: Sequence[Multigrid]) -> Callable[[np.ndarray], np.ndarray]:
-    """Joins the cycles of all components; unknowns (k d,) run over nodes, then components."""
-
-    def cycle(right):
-        columns = np.ascontiguousarray(right.reshape(-1, len(cycles)).T)
-        return np.stack([one(column) for one, column in zip(cycles, columns, strict=True)], axis=1).ravel()
-
-    return cycle
+    *fine, last = [level.A.tocsr() for level in levels]
+    made = []
+    for matrix, prolongation in zip(fine, [level.P.tocsr() for level in levels[:-1]], strict=True):
+        inverse = 1 / matrix.diagonal()
+        top = float((inverse * np.ravel(abs(matrix).sum(axis=1))).max())
+        made.append(Level(matrix, prolongation, prolongation.T.tocsr(), inverse, top))
+    if last.shape[0] > COARSEST:
+        return Multigrid(made, Factors(last))
+    return Multigrid(made, np.linalg.pinv(last.toarray(), hermitian=True).__matmul__)

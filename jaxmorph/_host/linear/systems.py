@@ -11,7 +11,7 @@ from scipy.sparse import linalg
 
 from ..cells.adjacency import parts_of
 from ..package.rounding import distinct
-from .solves import Factors, by_component, conjugate_gradients, hierarchy, inner_product, is_factored
+from .solves import Factors, Operator, conjugate_gradients, hierarchy, inner_product, is_factored
 
 ACCURACY = 1e-9  # residual relative to the right side, and error relative to the solution, that end CG
 LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
@@ -55,103 +55,78 @@ def check_solver(unknowns: int, dimension: int) -> None:
         )
 
 
-def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
+def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator:
+    # Of blocks there is one system; of numbers one for all columns with the same free unknowns.
     n, d = free.shape
-    if values.ndim == 3:
-        rows, used = np.flatnonzero(free.any(axis=1)), free[free.any(axis=1)]
-        one = _of_matrix(_blocks(pairs, values, diagonal, rows, used), d, multigrid)
-
-        def apply_blocks(right):
-            x = np.zeros((n, d))
-            x[rows] = one((right[rows] * used).ravel()).reshape(-1, d)
-            return x
-
-        return apply_blocks
-    matrix = _scalar(pairs, values, diagonal, n)
-    kinds, column_kind = np.unique(free, axis=1, return_inverse=True)
-    column_kind = np.ravel(column_kind)
-    rows = [np.flatnonzero(kind) for kind in kinds.T]
-    if masses.size:
-        root = sparse.diags(masses**-0.5) @ matrix
-        solvers = [_of_square(root[:, row]) for row in rows]
-    else:
-        solvers = [_of_matrix(matrix[row][:, row], d, multigrid) for row in rows]
+    kinds, kind = free.any(axis=1)[:, None], np.zeros(d, dtype=int)
+    if values.ndim == 1:
+        kinds, kind = np.unique(free, axis=1, return_inverse=True)
+    parts = []
+    for number, is_free in enumerate(kinds.T):
+        rows, columns = np.flatnonzero(is_free), np.flatnonzero(np.ravel(kind) == number)
+        if masses.size:
+            root = sparse.diags(masses**-0.5) @ _matrix(pairs, values, diagonal, np.arange(n))
+            parts.append((rows, columns, _of_square(root[:, rows])))
+        elif len(rows):
+            used = free[rows].ravel() if values.ndim == 3 else np.ones(len(rows), dtype=bool)
+            parts.append((rows, columns, _of_matrix(_matrix(pairs, values, diagonal, rows), used, d, multigrid)))
 
     def apply(right):
         x = np.zeros((n, d))
-        for kind, (row, one) in enumerate(zip(rows, solvers, strict=True)):
-            columns = np.flatnonzero(column_kind == kind)
-            x[np.ix_(row, columns)] = one(right[np.ix_(row, columns)])
+        for rows, columns, solver in parts:
+            x[np.ix_(rows, columns)] = solver(right[np.ix_(rows, columns)])
         return x
 
     return apply
 
 
-def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
-    i, j = pairs.T
-    node = np.arange(n)
-    rows, columns = np.concatenate([i, j, node]), np.concatenate([j, i, node])
-    return sparse.csr_matrix((np.concatenate([values, values, diagonal]), (rows, columns)), shape=(n, n))
+def _matrix(pairs, values, diagonal, rows) -> Any:
+    """The matrix of the nodes `rows`, ascending: numbers in CSR, or blocks in BSR."""
+    # SciPy sorts and selects the numbers of the entries, from 1 on.
+    i, j, node = *pairs.T, np.arange(len(diagonal))
+    turned = values.transpose(0, *range(values.ndim - 1, 0, -1))
+    entries = np.concatenate([values, turned, diagonal])
+    places = np.concatenate([i, j, node]), np.concatenate([j, i, node])
+    chosen = sparse.csr_matrix((np.arange(1, 1 + len(entries)), places))[rows][:, rows]
+    kind = sparse.csr_matrix if values.ndim == 1 else sparse.bsr_matrix
+    return kind((entries[chosen.data - 1], chosen.indices, chosen.indptr))
 
 
-def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
-    """The matrix of the nodes `rows` by blocks; the diagonal of others is one."""
-    # The blocks of pairs, of their transposes and of the diagonal are listed in turn, and sorted by
-    # row and column. Rows and columns of unused unknowns are cleared.
-    d = used.shape[1]
-    number = np.full(len(diagonal), -1)
-    number[rows] = np.arange(len(rows))
-    both = (number[pairs] >= 0).all(axis=1)
-    i, j = number[pairs[both]].T
-    node = np.arange(len(rows))
-    owner, columns = np.concatenate([i, j, node]), np.concatenate([j, i, node])
-    order = np.lexsort((columns, owner))
-    owner, columns = owner[order], columns[order]
-    data = np.concatenate([values[both], values[both].transpose(0, 2, 1), diagonal[rows]])[order]
-    data *= used[owner][:, :, None] & used[columns][:, None]
-    data[owner == columns] += ~used[:, :, None] * np.eye(d)
-    starts = np.searchsorted(owner, np.arange(len(rows) + 1))
-    return sparse.bsr_matrix((data, columns, starts), shape=(len(rows) * d,) * 2)
-
-
-def _of_matrix(matrix: Any, d: int, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
-    if matrix.shape[0] == 0:
-        return lambda right: right
-    if not (matrix.diagonal() > 0).all():
+def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operator:
+    """The solver of the `used` unknowns for right sides; other unknowns are zero."""
+    diagonal = np.where(used, matrix.diagonal(), 1)
+    if not (diagonal > 0).all():
         return lambda right: np.full_like(right, np.nan)
-    scale = 1 / np.sqrt(matrix.diagonal())
-    scaled = _scaled(matrix, scale)
-    if is_factored(matrix.shape[0], d):
-        return _factored(scaled, scale)
-    return _iterative(scaled, scale, _cycle(scaled, scale) if multigrid else None)
-
-
-def _iterative(scaled: Any, scale: np.ndarray, cycle: Callable | None) -> Callable[[np.ndarray], np.ndarray]:
-    factors: list[Callable[[np.ndarray], np.ndarray]] = []
+    scale = used / np.sqrt(diagonal)
+    _scale(matrix, scale)
+    factors = functools.cache(lambda: Factors(matrix))
+    multigrid &= not (is_direct := is_factored(len(scale), d))
+    cycle = _cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid else None
+    may_factor = is_direct or (multigrid and len(scale) <= RESORT)
 
     def apply(right):
-        if not np.isfinite(right).all():
-            return np.full_like(right, np.nan)
-        if not factors:
-            columns = right.reshape(len(scale), -1).T
-            parts = [iterated(scaled, column * scale, cycle, scale) * scale for column in columns]
-            x = np.stack(parts, axis=1).reshape(right.shape)
-            if np.isfinite(x).all() or len(scale) > RESORT or cycle is None:
-                return x
-            factors.append(_factored(scaled, scale))
-        return factors[0](right)
+        columns = right.reshape(len(scale), -1) * scale[:, None]
+        x = np.full_like(columns, np.nan)
+        if not (is_direct or factors.cache_info().currsize):
+            x = np.apply_along_axis(lambda column: iterated(matrix, column, cycle, scale), 0, columns)
+        if may_factor and np.isfinite(right).all() and not np.isfinite(x).all():
+            x = factors()(columns)
+        return (x * scale[:, None]).reshape(right.shape)
 
     return apply
 
 
-def _factored(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    factors = Factors(scaled)
-    return lambda right: (factors((right.T * scale).T).T * scale).T
+def _scale(matrix: Any, scale: np.ndarray) -> None:
+    """Multiplies rows and columns by `scale`, in place; where it is 0, the diagonal becomes 1."""
+    factor = scale.reshape(len(matrix.indptr) - 1, -1)
+    data = matrix.data.reshape(-1, factor.shape[1], factor.shape[1])
+    owner = np.repeat(np.arange(len(factor)), np.diff(matrix.indptr))
+    data *= factor[owner][:, :, None]
+    data *= factor[matrix.indices][:, None]
+    data[owner == matrix.indices] += (factor == 0)[:, :, None] * np.eye(factor.shape[1])
 
 
-def iterated(
-    matrix: Any, right: np.ndarray, cycle: Callable[[np.ndarray], np.ndarray] | None, scale: np.ndarray
-) -> np.ndarray:
+def iterated(matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.ndarray) -> np.ndarray:
     """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
     wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
     error: a residual that is small beside stiff cells moves soft cells far.
@@ -160,7 +135,9 @@ def iterated(
 
     def is_enough(x, residual, steep):
         is_small = inner_product(residual, residual) <= enough
-        return is_small and (cycle is None or _largest(scale * steep) <= ACCURACY * _largest(scale * x))
+        return is_small and (
+            cycle is None or np.abs(scale * steep).max(initial=0) <= ACCURACY * np.abs(scale * x).max(initial=0)
+        )
 
     # Without a cycle, twice as many steps are allowed.
     inverse, limit = (cycle, LIMIT) if cycle else (lambda residual: residual, 2 * LIMIT)
@@ -168,23 +145,22 @@ def iterated(
     return x if is_solved else np.full_like(right, np.nan)
 
 
-def _largest(x: np.ndarray) -> float:
-    return max(float(x.max(initial=0)), -float(x.min(initial=0)))
-
-
-def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def _cycle(matrix: Any, mode: np.ndarray) -> Operator:
     """A matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
-    if scaled.format != "bsr":
-        return hierarchy(scaled, 1 / scale)
-    d, cycles = scaled.blocksize[0], []
-    for k in range(d):
-        part = sparse.csr_matrix((scaled.data[:, k, k], scaled.indices, scaled.indptr), copy=True)
+    d, cycles = len(mode) // (len(matrix.indptr) - 1), []
+    for k, data in enumerate(matrix.data.reshape(-1, d, d).diagonal(axis1=1, axis2=2).T):
+        part = sparse.csr_matrix((data, matrix.indices, matrix.indptr), copy=True)
         part.eliminate_zeros()
-        cycles.append(hierarchy(part, 1 / scale[k::d]))
-    return by_component(cycles)
+        cycles.append(hierarchy(part, mode[k::d]))
+
+    def cycle(right):
+        columns = np.ascontiguousarray(right.reshape(-1, d).T)
+        return np.stack([one(column) for one, column in zip(cycles, columns, strict=True)], axis=1).ravel()
+
+    return cycle
 
 
-def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
+def _of_square(root: Any) -> Operator:
     """The solver of B^T B x = right for a sparse B (n, k), without squaring its condition."""
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
@@ -202,17 +178,6 @@ def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
         return (x[n:].T * scale).T
 
     return apply
-
-
-def _scaled(matrix: Any, scale: np.ndarray) -> Any:
-    """Multiplies rows and columns of a matrix by `scale`; blocks stay blocks, changed in place."""
-    if matrix.format != "bsr":
-        return (sparse.diags(scale) @ matrix @ sparse.diags(scale)).tocsr()
-    scale = scale.reshape(-1, matrix.blocksize[0])
-    owner = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
-    matrix.data *= scale[owner][:, :, None]
-    matrix.data *= scale[matrix.indices][:, None]
-    return matrix
 
 
 def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:

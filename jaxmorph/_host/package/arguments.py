@@ -34,7 +34,7 @@ def checked(function: Function) -> Function:
         arguments = tuple(map(native, arguments))
         keywords = {name: native(value) for name, value in keywords.items()}
         names = itertools.chain(parameters, itertools.cycle(rest))
-        for name, value in itertools.chain(zip(names, arguments, strict=False), keywords.items()):
+        for name, value in (*zip(names, arguments, strict=False), *keywords.items()):
             if name in parameters:
                 check(name, value, parameters[name].annotation, call)
         return function(*arguments, **keywords)
@@ -84,20 +84,12 @@ def whole(name: str, value: Any, least: int = 1) -> int:
 
 def between(name: str, value: Any, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> None:
     """Raises `ValueError` unless a value is a real number in an interval, `ends` such as `"[)"`."""
-    above = _is_real(value) and (value > low or (ends[0] == "[" and value == low))
-    if not (above and (value < high or (ends[1] == "]" and value == high))):
-        raise ValueError(f"`{name}` must be a real number{_range(low, high, ends)}, not {shown(value)}.")
-
-
-def _range(low: float | int, high: float | int, ends: str) -> str:
-    words = []
-    if low > -np.inf:
-        words.append(f"of {low:g} or more" if ends[0] == "[" else f"above {low:g}")
-    if high < np.inf:
-        words.append(f"{'up to' if ends[1] == ']' else 'below'} {high:g}")
-    elif ends[1] == ")":
-        words.append("finite" if words else "that is finite")
-    return " " + " and ".join(words) if words else ""
+    allowed = [end for end, sign in zip((low, high), ends, strict=True) if sign in "[]"]
+    if _is_real(value) and (low < value < high or value in allowed):
+        return
+    least = {"[": f"of {low:g} or more and", "(": f"above {low:g} and"}[ends[0]] if low > -np.inf else "that is"
+    most = {"]": f"up to {high:g}", ")": f"below {high:g}"}[ends[1]] if high < np.inf else "finite"
+    raise ValueError(f"`{name}` must be a real number {least} {most}, not {shown(value)}.")
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
@@ -111,7 +103,7 @@ def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
     """Returns ids (k,), such as a caller's list of nodes. Raises `ValueError` for what is no list
     of whole numbers, with a hint for a mask, and for ids that are not in 0 to `count` - 1.
     """
-    array = as_array(name, ids) if isinstance(ids, list | tuple | range) or has_type(ids) else NOTHING
+    array = _array(ids)
     if array.size == 0:
         return np.zeros(0, dtype=np.int64)
     if array.dtype.kind not in "iu" or array.ndim != 1:
@@ -133,20 +125,22 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
     """Returns floats, in their precision, of one of the shapes, in which None is any length. Raises
     `ValueError` for other shapes, and for what are no real numbers.
     """
-    array = NOTHING
-    if (isinstance(values, list | tuple) or has_type(values)) and not np.ma.is_masked(values):
-        with contextlib.suppress(ValueError):  # rows of several lengths
-            array = np.asarray(values)
+    array = _array(values)
     words = " or ".join(str(shape).replace("None", "any") for shape in shapes)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")
-    if not any(_matches(array.shape, shape) for shape in shapes):
+    fitting = [shape for shape in shapes if len(shape) == array.ndim]
+    if not any(all(n in (None, m) for n, m in zip(shape, array.shape, strict=True)) for shape in fitting):
         raise ValueError(f"`{name}` has shape {array.shape}; expected {words}.")
     return array if array.dtype.kind == "f" else array.astype(float)
 
 
-def _matches(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
-    return len(shape) == len(expected) and all(n in (None, m) for n, m in zip(expected, shape, strict=True))
+def _array(values: Any) -> np.ndarray:
+    """An array or a list as an array; `NOTHING` for other values, masks, rows of many lengths."""
+    with contextlib.suppress(ValueError):
+        if (isinstance(values, list | tuple | range) or has_type(values)) and not np.ma.is_masked(values):
+            return np.asarray(values)
+    return NOTHING
 
 
 def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
@@ -182,19 +176,13 @@ def _is_whole(value: Any) -> bool:
 
 
 REAL, WHOLE = Rule("a real number", _is_real), Rule("a whole number", _is_whole)
-SIMPLE = {
-    bool: Rule("True or False", lambda value: isinstance(value, bool | np.bool_)),
-    int: WHOLE,
-    np.integer: WHOLE,
-    float: REAL,
-    np.number: REAL,
-    str: Rule("a word", lambda value: isinstance(value, str)),
-    os.PathLike: Rule("a path", lambda value: isinstance(value, os.PathLike)),
-    None: Rule("None", lambda value: value is None),
-    types.NoneType: Rule("None", lambda value: value is None),
-    type: Rule("a class", lambda value: isinstance(value, type)),
-    Callable: Rule("a function", lambda value: callable(value) and not isinstance(value, type)),
-}
+FUNCTION = Rule("a function", lambda value: callable(value) and not isinstance(value, type))
+TRUTH = Rule("True or False", lambda value: isinstance(value, bool | np.bool_))
+SIMPLE = {bool: TRUTH, int: WHOLE, np.integer: WHOLE, float: REAL, np.number: REAL, Callable: FUNCTION}
+
+WORDS = {str: "a word", os.PathLike: "a path", types.NoneType: "None", type: "a class"}
+"""What a value of a class is called, if not after the class."""
+
 KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
 """NumPy's letters for the numbers of an annotated array. V is bfloat16 and similar types."""
 
@@ -216,61 +204,46 @@ LISTS_OF_NUMBERS = ((Any,), (int,), (list[float],))
 
 @functools.cache
 def _rule(annotation: Any) -> Rule:
-    arguments = typing.get_args(annotation)
-    cls = typing.get_origin(annotation) or annotation
+    members, cls = typing.get_args(annotation), typing.get_origin(annotation) or annotation
     if cls in (typing.Union, types.UnionType):
-        return _of_union(arguments)
+        return _of_union(members)
     if hasattr(annotation, "dim_str"):
         return _of_array(annotation)
     if cls in SIMPLE:
         return SIMPLE[cls]
     if not isinstance(cls, type) or cls.__name__ in SILENT:
         return Rule("", lambda value: True)
-    return _of_members(cls, arguments) if arguments else Rule(f"a {cls.__name__}", lambda value: isinstance(value, cls))
-
-
-def _of_members(cls: type, arguments: tuple[Any, ...]) -> Rule:
-    if cls is tuple and arguments[1:] != (...,):
-        return _of_tuple(arguments)
     for kind in MANY:
-        if issubclass(cls, kind):
-            return _of_many(kind, arguments[kind is Mapping])
-    return _rule(cls)
+        if members and issubclass(cls, kind):
+            return _of_members(kind, members)
+    return Rule(WORDS.get(cls, f"a {cls.__name__}"), lambda value: isinstance(value, cls))
 
 
 def _of_union(members: tuple[Any, ...]) -> Rule:
-    members = _arrays_first(members)
-    rules = list(map(_rule, members))
-    words = dict.fromkeys(rule.words for rule in rules)
-    if REAL.words in words:
-        words.pop(WHOLE.words, None)
+    arrays = [member for member in members if hasattr(member, "dim_str")]
+    lists = LISTS_OF_NUMBERS if arrays else ()
+    others = [member for member in members if member not in arrays and typing.get_args(member) not in lists]
+    rules = list(map(_rule, (*arrays[:1], *others)))
+    words, _ = zip(*rules, strict=True)
 
     def fits(value):
-        possible = rules[:1] if hasattr(members[0], "dim_str") and has_type(value) else rules
+        possible = rules[:1] if arrays and has_type(value) else rules
         return any(rule.fits(value) for rule in possible)
 
-    return Rule(" or ".join(words), fits)
-
-
-def _arrays_first(members: tuple[Any, ...]) -> tuple[Any, ...]:
-    arrays = tuple(member for member in members if hasattr(member, "dim_str"))
-    others = tuple(member for member in members if member not in arrays)
-    return arrays[:1] + tuple(o for o in others if not arrays or typing.get_args(o) not in LISTS_OF_NUMBERS)
+    return Rule(" or ".join(dict.fromkeys(words)).replace(f"{REAL.words} or {WHOLE.words}", REAL.words), fits)
 
 
 def _of_array(annotation: Any) -> Rule:
     kinds = KINDS.get(annotation.__name__.partition("[")[0], "f")
     what = {"i": "whole numbers", "b": "True and False"}.get(kinds[0], "real numbers")
-    dims = annotation.dim_str.replace("...", "any").split()
-    shape = f" ({', '.join(dims)}{',' * (len(dims) == 1)})" if dims and "any" not in dims else ""
+    dims = annotation.dim_str.split()
+    shape = f" ({', '.join(dims)}{',' * (len(dims) == 1)})" if dims and "..." not in annotation.dim_str else ""
 
     def fits(value):
         if has_type(value):
             return getattr(value.dtype, "kind", "") in kinds and not np.ma.is_masked(value)
-        if not isinstance(value, list | tuple):
-            return False
         try:
-            array = np.asarray(value)
+            array = np.asarray(value) if isinstance(value, list | tuple) else NOTHING
         except ValueError:
             return False  # rows of several lengths
         except TypeError:
@@ -284,20 +257,21 @@ def _holds_traced(value: Any) -> bool:
     return any(map(_holds_traced, value)) if isinstance(value, list | tuple) else hasattr(value, "aval")
 
 
-def _of_tuple(members: tuple[Any, ...]) -> Rule:
-    rules = list(map(_rule, members))
+def _of_members(kind: type, members: tuple[Any, ...]) -> Rule:
+    """Of a tuple of as many members; else of any number of one member, of a dict its values."""
+    is_row, (words, is_kind) = kind is tuple and ... not in members, MANY[kind]
+    rules = [_rule(member) for member in members if member is not ...]
 
     def fits(value):
-        is_tuple = MANY[tuple][1](value) and len(value) == len(rules)
-        return is_tuple and all(rule.fits(member) for rule, member in zip(rules, value, strict=True))
+        if not is_kind(value):
+            return False
+        entries = list(value.values() if kind is Mapping else value)
+        return _fit(rules if is_row else rules[-1:] * len(entries), entries)
 
-    return Rule(f"({', '.join(rule.words for rule in rules)})", fits)
+    if is_row:
+        return Rule(f"({', '.join(rule.words for rule in rules)})", fits)
+    return Rule(f"{words} {rules[-1].words}" if rules[-1].words else words.partition(",")[0], fits)
 
 
-def _of_many(kind: type, annotation: Any) -> Rule:
-    (words, is_kind), member = MANY[kind], _rule(annotation)
-
-    def fits(value):
-        return is_kind(value) and all(map(member.fits, value.values() if kind is Mapping else value))
-
-    return Rule(f"{words} {member.words}" if member.words else words.partition(",")[0], fits)
+def _fit(rules: list[Rule], entries: list[Any]) -> bool:
+    return len(rules) == len(entries) and all(rule.fits(entry) for rule, entry in zip(rules, entries, strict=True))

@@ -1,7 +1,6 @@
 """Files and folders that appear when they are complete."""
 
 import contextlib
-import contextvars
 import gzip
 import os
 import pathlib
@@ -12,7 +11,7 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -27,14 +26,6 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
     return path
 
 
-def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns a path to write. Raises `ValueError` for a folder or a null byte."""
-    name = os.fspath(path)
-    if name.endswith((os.sep, os.altsep or os.sep)):
-        raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
-    return _without_null(path)
-
-
 def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
     if "\0" in os.fspath(path):
         raise ValueError(f"{os.fspath(path)!r}: a name of a file holds no null byte.")
@@ -46,7 +37,10 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
     a name without one of the `endings`, if there are any, without a parent folder, and for a
     folder, a device or a pipe.
     """
-    path = _without_null(path) if folder else file_path(path)
+    name = os.fspath(path)
+    if not folder and name.endswith((os.sep, os.altsep or os.sep)):
+        raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
+    path = _without_null(path)
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
     if not path.parent.is_dir():
@@ -67,19 +61,17 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
     with path.open("rb") as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                return {name.removesuffix(".npy"): _member(archive, name) for name in archive.namelist()}
+                arrays = {}
+                for name in archive.namelist():
+                    # To the end, where `zipfile` compares the checksum: a damaged type hides a part
+                    with archive.open(name) as member:
+                        arrays[name.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
+                        if member.read(1):
+                            raise ValueError(f"{name} holds more than its array")
+                return arrays
         except Exception as error:  # zipfile, zlib and NumPy raise a dozen classes for damage
             detail = " ".join(str(error).split())[:120]
             raise ValueError(f"{path}: not {what}, or a damaged one ({type(error).__name__}: {detail}).") from error
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    # read to the end, where `zipfile` compares the checksum: a damaged type hides a part
-    with archive.open(name) as member:
-        array = np.lib.format.read_array(member, allow_pickle=False)
-        if member.read(1):
-            raise ValueError(f"{name} holds more than its array")
-    return array
 
 
 def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -125,23 +117,6 @@ def packed(path: pathlib.Path, name: str) -> Iterator[pathlib.Path]:
             shutil.copyfileobj(file, target)
 
 
-class UnwantedError(Exception):
-    """Ends the writing of a file that is complete, but not wanted."""
-
-
-_is_wanted: contextvars.ContextVar[Callable[[], bool] | None] = contextvars.ContextVar("_is_wanted", default=None)
-
-
-@contextlib.contextmanager
-def appearing_if(is_wanted: Callable[[], bool]) -> Iterator[None]:
-    """Lets a `complete` file appear only if `is_wanted()`, else raises `UnwantedError`."""
-    token = _is_wanted.set(is_wanted)
-    try:
-        yield
-    finally:
-        _is_wanted.reset(token)
-
-
 @contextlib.contextmanager
 def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
@@ -160,9 +135,6 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
     try:
         with named(path) if name_errors else contextlib.nullcontext():
             yield partial
-        is_wanted = _is_wanted.get()
-        if is_wanted is not None and not is_wanted():
-            raise UnwantedError
         with named(path):
             partial.replace(target)
     finally:

@@ -80,17 +80,11 @@ class Agreement:
         # their keepers, which add new ids and answer with their values.
         rows = [np.flatnonzero(ids % self.ranks.size == rank) for rank in range(self.ranks.size)]
         received = self.ranks.alltoall([(ids[row], values[row]) for row in rows])
-        for names, places in received:
-            self._keep(names, places)
+        ids_sent, values_sent = zip((self.ids, self.values.reshape(-1, values.shape[1])), *received, strict=True)
+        self.ids, first = np.unique(np.concatenate(ids_sent), return_index=True)
+        self.values = np.concatenate(values_sent)[first]
         answers = self.ranks.alltoall([self.values[np.searchsorted(self.ids, names)] for names, _ in received])
         common = values.copy()
         for row, answer in zip(rows, answers, strict=True):
             common[row] = answer if len(row) else common[row]
         return common
-
-    def _keep(self, ids: np.ndarray, values: np.ndarray) -> None:
-        new = np.flatnonzero(~np.isin(ids, self.ids))
-        if len(new):
-            order = np.argsort(np.concatenate([self.ids, ids[new]]), kind="stable")
-            self.values = np.concatenate([self.values.reshape(-1, values.shape[1]), values[new]])[order]
-            self.ids = np.concatenate([self.ids, ids[new]])[order]

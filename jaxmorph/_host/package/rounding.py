@@ -1,14 +1,17 @@
 """Decisions free of round-off, by which many lengths of a regular mesh differ; orders of points."""
 
+import itertools
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..cells.topology import Pair
 from .cores import cores
 
 SAME = 1e-9  # relative difference up to which two numbers count as equal
 TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
+
 FEW = 4096  # points of a search up to which threads cost more than they gain
 
 
@@ -17,6 +20,12 @@ class Tree(KDTree):
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return super().query(x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords)
+
+    def within(self, x: np.ndarray, radius: np.ndarray) -> Pair:
+        """Pairs of a row of `x` (k, d) and a point within its radius (k,), by row, then point."""
+        around = self.query_ball_point(x, radius, return_sorted=True)
+        rows = np.repeat(np.arange(len(x)), [len(ids) for ids in around])
+        return rows, np.fromiter(itertools.chain.from_iterable(around), np.int64, len(rows))
 
 
 def roundoff(points: np.ndarray) -> float:
@@ -36,7 +45,7 @@ def ranked(values: np.ndarray, slack: float) -> np.ndarray:
     return rank
 
 
-def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def distinct(points: np.ndarray) -> Pair:
     """Each place's first point (k,), and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)
@@ -62,21 +71,25 @@ def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarra
 
 def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarray:
     """`nearest_few` in a tree of the places; equal distances differ by a `slack` at most."""
-    # A distance within the slack of the one before has its rank. The sort is by rank, then by
-    # number. If the last rank reaches the end of the search, more places are searched.
+    # If all distances from the last wanted one on are equal, more places are searched.
     nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
     looked = min(count - 1 + TIES, tree.n)
     while left.size:
-        found = tree.query(points[left], k=looked)
-        distance, places = (np.asarray(table).reshape(len(left), looked) for table in found)
+        distance, places = tree.query(points[left], k=range(1, looked + 1))
         is_more = np.diff(distance, axis=1) > SAME * distance[:, :-1] + slack
-        rank = np.cumsum(is_more, axis=1)
-        rank = np.concatenate([np.zeros((len(left), 1), dtype=np.int64), rank], axis=1)
-        order = np.argsort(rank * tree.n + places, axis=1)[:, :count]
-        nearest[left] = np.take_along_axis(places, order, axis=1)
-        left = left[rank[:, -1] == rank[:, count - 1]] if looked < tree.n else left[:0]
+        nearest[left] = lowest_of_equals(places, is_more)[:, :count]
+        left = left[~is_more[:, count - 1 :].any(axis=1)] if looked < tree.n else left[:0]
         looked = min(4 * looked, tree.n)
     return nearest
+
+
+def lowest_of_equals(places: np.ndarray, is_more: np.ndarray) -> np.ndarray:
+    """Sorts rows of places (k, c), nearest first, by number where a distance is not `is_more` than
+    the one before it (k, c - 1).
+    """
+    # Rank and number are one key, rank in the upper bits.
+    rank = np.cumsum(np.pad(is_more, ((0, 0), (1, 0))), axis=1)
+    return np.take_along_axis(places, np.argsort((rank << 32) + places, axis=1), axis=1)
 
 
 BETWEEN = 0.618  # place of the borders of Morton's cells, relative to their size: off structured grids
@@ -97,20 +110,15 @@ def rows_in(ids: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 def morton_order(points: np.ndarray) -> np.ndarray:
     """Sorts points along Morton's curve, so that successive points are close to each other."""
     # A point has an integer coordinate on every axis. The key interleaves their bits: bit 0 of x, y
-    # and z, then bit 1 of x, y and z. Points with equal upper bits lie in one box.
+    # and z, then bit 1 of x, y and z. Points with equal upper bits lie in one box. A table moves
+    # bit k of ten bits to place k times the dimension, as the digits of another base.
     dimension = points.shape[1]
-    bits = 62 // dimension
+    table = np.array([int(f"{i:b}", 2**dimension) for i in range(1024)], dtype=np.uint64)
+    words = 6 // dimension  # of ten bits, for each axis
     low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
     key = np.zeros(len(points), dtype=np.uint64)
     for axis in range(dimension):
-        grid = ((points[:, axis] - low[axis]) / extent * (2**bits - 2) + BETWEEN).astype(np.uint64)
-        key |= _spread(grid, dimension) << np.uint64(axis)
+        grid = ((points[:, axis] - low[axis]) / extent * (1024**words - 2) + BETWEEN).astype(np.int64)
+        for word in range(words):
+            key |= table[grid >> 10 * word & 1023] << np.uint64(10 * dimension * word + axis)
     return np.argsort(key, kind="stable")
-
-
-def _spread(grid: np.ndarray, dimension: int) -> np.ndarray:
-    """Moves bit k of all numbers to place k times `dimension`, by halving blocks of bits."""
-    for half in (16, 8, 4, 2, 1):
-        bits = sum((2**half - 1) << place for place in range(0, 64, half * dimension)) % 2**64
-        grid = (grid | grid << np.uint64(half * (dimension - 1))) & np.uint64(bits)
-    return grid

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, whole
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, spacing
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
@@ -184,7 +185,7 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.maximum(distance, nearest_of(points, others, spacing(others)))
 
 
-def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
     """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
 
     Returns ids (n,), and places in their order (n - first, count): the point's own place, then
@@ -199,13 +200,14 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray,
     start = first
     while start < n:
         end = min(n, start + start // 4 + 1)  # a tree for a quarter more points
-        rows, wanted = slice(start - first, end - first), points[start:end]
-        before = Tree(points[:start]).query(wanted, k=range(1, min(start, count - 1) + 1))
-        beside = Tree(wanted).query(wanted, k=range(1, min(len(wanted), count) + 1))
-        nearest = np.concatenate([before[1], start + beside[1]], axis=1)
-        distance = np.where(nearest < place[rows], np.concatenate([before[0], beside[0]], axis=1), np.inf)
-        closest = np.argsort(distance, axis=1, kind="stable")[:, : count - 1]
-        found, nearest = (np.take_along_axis(table, closest, axis=1) for table in (distance, nearest))
-        earlier[rows, 1 : 1 + closest.shape[1]] = np.where(found < np.inf, nearest, place[rows])
+        own, distances, numbers = place[start - first : end - first], [], []
+        for low, high in ((0, start), (start, end)):
+            distance, row = Tree(points[low:high]).query(points[start:end], k=range(1, min(high - low, count) + 1))
+            distances.append(np.where(low + row < own, distance, np.inf))
+            numbers.append(np.where(low + row < own, low + row, own))
+        nearest = np.argsort(np.hstack(distances), axis=1, kind="stable")[:, : count - 1]
+        earlier[start - first : end - first, 1 : 1 + nearest.shape[1]] = np.take_along_axis(
+            np.hstack(numbers), nearest, axis=1
+        )
         start = end
     return order, earlier

@@ -3,6 +3,8 @@
 import dataclasses
 
 import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.special import xlogy
 
 from ..package.arguments import between, finite_array, whole
 from ..package.rounding import SAME, first_largest
@@ -102,5 +104,5 @@ def _missed(kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np
 
 
 def _kernel(points: np.ndarray, sources: np.ndarray) -> np.ndarray:
-    squared = sum(np.subtract.outer(points[:, k], sources[:, k]) ** 2 for k in range(points.shape[1]))
-    return 0.5 * squared * np.log(np.where(squared > 0, squared, 1))
+    squared = cdist(points, sources, "sqeuclidean")
+    return 0.5 * xlogy(squared, squared)

@@ -3,8 +3,10 @@
 import dataclasses
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial.distance import cdist
 
+from ..cells.topology import Pair
 from ..package.arguments import between
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, ranked, roundoff
 from .farthest import FarthestPoints
@@ -14,7 +16,7 @@ BATCH = 256  # candidates for the next nodes in a batch
 WIDTH = 8  # entries in a row of a sweep's table
 
 
-def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> Pair:
     """Orders nodes so that the next is always the farthest from its predecessors.
 
     Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
@@ -26,27 +28,36 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     # A batch holds the nodes with the largest distances. Independent ones are picked together. Only
     # nodes within the distance of a picked node can come nearer to it.
     rank = canonical_order(points)
-    place = np.argsort(rank)
-    ordered = points[rank].astype(float)
-    distance, nearest = _own_images(ordered, images[rank])
+    place, ordered, of_image = np.argsort(rank), points[rank].astype(float), images[rank]
+    distance, nearest, radius = np.full(len(points), np.inf), np.arange(len(points)), np.zeros(len(points))
+
+    def approach(near: np.ndarray, node: np.ndarray) -> None:
+        """Updates distances and nearest nodes of nodes `near` that are nearer to `node`."""
+        gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
+        np.minimum.at(distance, near[closer], gap[closer])
+        closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
+        closer = closer[np.argsort(-node[closer], kind="stable")]  # the first of equals is written last
+        nearest[near[closer]] = node[closer]
+
+    approach(*_pairs_of_equals(of_image))
     start = place[earlier]
     if not len(earlier):
-        start = _first(ordered, distance, nearest)
-    others = np.setdiff1d(np.arange(len(points)), start)
-    _approach(distance, nearest, others, *_nearest_of(ordered, start, others))
-    radius = np.zeros(len(points))
-    if not len(earlier):
+        start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])
+        away = np.linalg.norm(ordered - ordered[start], axis=1)
+        if nearest[start] == start:
+            distance[start], nearest[start] = away.max(), first_largest(away)
         radius[start] = distance[start]
+    others = np.setdiff1d(np.arange(len(points)), start)
+    approach(others, nearest_of(ordered[others], ordered[start], start))
     distance[start] = 0
     tree, least = Tree(ordered), roundoff(points)
     while (batch := _farthest(distance, least)).size:
-        picked = _certain(ordered, distance, batch)
+        gaps = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(ordered[batch], ordered[batch]), np.inf)
+        picked = batch[gaps.min(axis=1) >= distance[batch] * (1 - SAME)]  # no earlier node of the batch comes nearer
         radius[picked], distance[picked] = distance[picked], 0
-        around = tree.query_ball_point(ordered[picked], radius[picked])
-        near, node = _joined(around), np.repeat(picked, [len(ids) for ids in around])
-        gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
-        inside = gap < radius[node] * (1 - SAME)
-        _approach(distance, nearest, near[inside], node[inside], gap[inside])
+        node, near = tree.within(ordered[picked], (1 - SAME) * radius[picked])
+        approach(near, picked[node])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
     order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
     return rank[order], rank[nearest[place]]
@@ -66,85 +77,47 @@ class Share(AbstractReduction):
         return FarthestPoints(count)(points) if count else np.zeros(0, dtype=np.int64)
 
 
-def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
-    # Sorted by number, the images of a node are neighbours. Rows `shift` places apart are compared
-    # where their numbers are equal, for all shifts up to the largest group.
-    order = np.argsort(images, kind="stable")
-    for shift in range(1, int(np.bincount(np.unique(images, return_inverse=True)[1]).max())):
-        for here, there in ((order[shift:], order[:-shift]), (order[:-shift], order[shift:])):
-            same = images[here] == images[there]
-            here, there = here[same], there[same]
-            gap = np.linalg.norm(points[here] - points[there], axis=1)
-            closer = gap < (1 - SAME) * distance[here]
-            distance[here[closer]], nearest[here[closer]] = gap[closer], there[closer]
-    return distance, nearest
-
-
-def _first(points: np.ndarray, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-    first = first_largest(np.linalg.norm(points - points.mean(axis=0), axis=1))
-    if nearest[first] == first:
-        away = np.linalg.norm(points - points[first], axis=1)
-        distance[first], nearest[first] = away.max(), first_largest(away)
-    return np.array([first])
-
-
-def _nearest_of(points: np.ndarray, chosen: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    nearest = nearest_of(points[others], points[chosen], chosen)
-    return nearest, np.linalg.norm(points[others] - points[nearest], axis=1)
+def _pairs_of_equals(numbers: np.ndarray) -> Pair:
+    """All pairs of two different rows (k,) with equal numbers, both ways."""
+    groups = np.unique(numbers, return_inverse=True)[1]
+    member = sparse.csr_array((np.ones(len(numbers), bool), (np.arange(len(numbers)), groups)))
+    first, second = (member @ member.T).nonzero()
+    return first[first != second], second[first != second]
 
 
 def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
     """Nodes with the largest distances above `least`, largest first; ties by first node."""
-    last = np.partition(distance, -min(BATCH, len(distance)))[-min(BATCH, len(distance))]
-    above, below = np.flatnonzero(distance > (1 + SAME) * last), (1 - SAME) * last
-    equal = np.flatnonzero((distance >= below) & (distance <= (1 + SAME) * last))
-    batch = np.concatenate([above, equal[: BATCH - len(above)]])
-    batch = batch[distance[batch] > least]
-    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))]
+    count = min(BATCH, len(distance))
+    last = np.partition(distance, -count)[-count]
+    batch = np.flatnonzero((distance >= (1 - SAME) * last) & (distance > least))
+    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:BATCH]]
 
 
-def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
-    """The nodes of a batch whose distance does not change by earlier nodes of the batch."""
-    gap = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
-    return batch[gap.min(axis=1) >= distance[batch] * (1 - SAME)]
-
-
-def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, gap: np.ndarray) -> None:
-    """Updates distances and nearest nodes in place: `near[k]` is at `gap[k]` from `node[k]`."""
-    closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
-    np.minimum.at(distance, near[closer], gap[closer])
-    closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
-    closer = closer[np.argsort(-node[closer], kind="stable")]  # the first of equals is written last
-    nearest[near[closer]] = node[closer]
-
-
-def _joined(lists) -> np.ndarray:
-    return np.concatenate([np.zeros(0, dtype=np.int64), *(np.asarray(ids, dtype=np.int64) for ids in lists)])
-
-
-def overlaps(
-    points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def overlaps(points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray) -> Pair:
     """Pairs (target, centre) within the centre's radius (b,), by target, then centre."""
     tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
-    around = tree.query_ball_point(points[centres], radius[centres], return_sorted=False)
-    target, rank = _joined(around), np.repeat(np.arange(len(centres)), [len(ids) for ids in around])
+    rank, target = tree.within(points[centres], radius[centres])
     order = np.lexsort((rank, target))
     return target[order], centres[rank[order]]
 
 
-def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _places_in_runs(*keys: np.ndarray) -> np.ndarray:
+    """The place of each entry (e,) in its run of entries with equal keys."""
+    row = np.arange(len(keys[0]))
+    begins = np.logical_or.reduce([np.diff(key, prepend=-1) != 0 for key in keys])
+    return row - np.maximum.accumulate(np.where(begins, row, 0))
+
+
+def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
     """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs."""
-    sizes = np.bincount(target, minlength=count)
-    column = np.arange(len(target)) - (np.cumsum(sizes) - sizes)[target]
-    rows = np.zeros((count, max(1, sizes.max(initial=0))), dtype=np.int32)
+    column = _places_in_runs(target)
+    rows = np.zeros((count, 1 + column.max(initial=0)), dtype=np.int32)
     used = np.zeros(rows.shape, dtype=bool)
     rows[target, column], used[target, column] = centre, True
     return rows, used
 
 
-Sweep = tuple[np.ndarray, np.ndarray]
+Sweep = Pair
 """The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH`
 entries of its owner: positions (s, r, WIDTH), -1 for padding, and owners (s, r).
 """
@@ -174,18 +147,17 @@ def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
         return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))
     level, owner = level[order], owner[order]
-    first = np.r_[True, (owner[1:] != owner[:-1]) | (level[1:] != level[:-1])]
-    start = np.flatnonzero(first)[np.cumsum(first) - 1]
-    within = np.arange(len(owner)) - start
+    within = _places_in_runs(level, owner)
     begins = within % WIDTH == 0
-    row = np.cumsum(begins) - 1  # of a table without padding
-    rows_of_level = np.bincount(level[begins])
-    rows = -(-int(rows_of_level.sum()) // (4 * len(rows_of_level)))
-    steps_of_level = -(-rows_of_level // rows)
-    first_row = np.cumsum(rows_of_level) - rows_of_level
-    first_slot = rows * (np.cumsum(steps_of_level) - steps_of_level)
-    slot = first_slot[level] + row - first_row[level]
-    steps = int(steps_of_level.sum())
-    entries, owners = np.full((steps * rows, WIDTH), -1, dtype=np.int32), np.zeros(steps * rows, dtype=np.int32)
+    level_of_row = level[begins]
+    rows_of_level = np.bincount(level_of_row)
+    rows = -(-len(level_of_row) // (4 * len(rows_of_level)))
+    last_step = np.cumsum(-(-rows_of_level // rows))
+    first_slot = rows * np.append(0, last_step)[level_of_row]
+    slot = (first_slot + _places_in_runs(level_of_row))[np.cumsum(begins) - 1]
+    entries, owners = (
+        np.full((last_step[-1] * rows, WIDTH), -1, dtype=np.int32),
+        np.zeros(last_step[-1] * rows, np.int32),
+    )
     entries[slot, within % WIDTH], owners[slot] = order, owner
-    return entries.reshape(steps, rows, WIDTH), owners.reshape(steps, rows)
+    return entries.reshape(-1, rows, WIDTH), owners.reshape(-1, rows)

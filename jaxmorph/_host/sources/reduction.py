@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, finite_array, whole
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, roundoff
 
@@ -189,31 +190,23 @@ class KDTree(AbstractSeparated):
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
         """Builds the tree of points (n, d); returns lower and upper corners of leaves (k, 2, d)."""
-        counter = itertools.count()  # breaks ties: the leaf found first is split first
-
-        def entry(members):
-            box = points[members]
-            return -len(members), next(counter), members, np.array([box.min(axis=0), box.max(axis=0)])
-
-        heap, done = [entry(np.arange(len(points)))], []
+        counter, done = itertools.count(), []  # the number breaks ties: the leaf found first is split first
+        heap = [(-len(points), next(counter), np.arange(len(points)))]
         while heap:
-            count, _, members, box = leaf = heapq.heappop(heap)
-            sides = np.ptp(box, axis=0)
-            if len(members) < 2 or sides.max() <= self.smallest_box * (1 + SAME):
-                done.append(leaf)
-            elif sides.max() > self.largest_box * (1 + SAME) or self._too_few(-count, 1 + len(heap) + len(done)):
+            *_, members = heapq.heappop(heap)
+            sides, leaves = np.ptp(points[members], axis=0), 1 + len(heap) + len(done)
+            is_wanted = self.leaves is not None and leaves < self.leaves
+            is_wanted |= self.points_per_leaf is not None and len(members) > self.points_per_leaf
+            is_wanted |= sides.max() > self.largest_box * (1 + SAME)
+            if len(members) > 1 and sides.max() > self.smallest_box * (1 + SAME) and is_wanted:
                 for half in _halves(points, members, first_largest(sides)):
-                    heapq.heappush(heap, entry(half))
+                    heapq.heappush(heap, (-len(half), next(counter), half))
             else:
-                done.append(leaf)
-        return np.stack([box for *_, box in done])
-
-    def _too_few(self, count: int, leaves: int) -> bool:
-        wanted = self.leaves is not None and leaves < self.leaves
-        return bool(wanted or (self.points_per_leaf is not None and count > self.points_per_leaf))
+                done.append(members)
+        return np.array([[points[members].min(axis=0), points[members].max(axis=0)] for members in done])
 
 
-def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
     """Splits members at the median along an axis; points at one coordinate stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
@@ -232,12 +225,11 @@ def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
     extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
-    for axis in range(points.shape[1]):
-        for sign in (-1, 1):
-            along = sign * points[:, axis]
-            touching = np.flatnonzero(along >= along.max() - slack)
-            others = np.delete(points[touching], axis, axis=1)
-            extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
+    for axis, sign in itertools.product(range(points.shape[1]), (-1, 1)):
+        along = sign * points[:, axis]
+        touching = np.flatnonzero(along >= along.max() - slack)
+        others = np.delete(points[touching], axis, axis=1)
+        extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
     return np.unique(extremes)
 
 

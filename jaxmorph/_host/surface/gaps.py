@@ -1,12 +1,18 @@
-"""Distances of nodes from faces: gaps between walls, and the closest places of a surface."""
+"""Faces of a surface: closest places, gaps between walls, and faces that cross once nodes move."""
+
+import itertools
 
 import numpy as np
-from scipy import spatial
 
-from ..package.rounding import Tree
-from .neighbours import nearest_boxes_first, searched_together
+from ..cells.topology import Pair
+from ..linear.products import cofactor_rows, cross_rows, normals
+from ..package.rounding import Tree, morton_order
 
 CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
+
+BLOCK = 1 << 12  # points of a block
+
+NEAR = 8  # nearest simplices that bound the distance to all others
 
 
 def share_left(
@@ -22,61 +28,30 @@ def share_left(
     return np.where(known, second[0] / np.where(known, narrowest, 1), np.inf)
 
 
-def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> Pair:
     """Each point's distance (b,) from other walls, else infinite, and the face (b, d) there. `wall`
     (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles (f, 3). A
     face between two walls does not count.
     """
-    labels = wall[faces]
-    whole = (labels == labels[:, :1]).all(axis=1)
-    faces, labels = faces[whole], labels[whole, 0]
+    faces = faces[(wall[faces] == wall[faces[:, :1]]).all(axis=1)]
     distance, nearest = np.full(len(points), np.inf), np.zeros((len(points), faces.shape[1]), dtype=np.int64)
-    middles = points[faces].mean(axis=1)
-    trees = [(rows, Tree(middles[rows])) for rows in searched_together(labels, np.arange(len(faces)))]
     for label in np.unique(wall):
-        here, others = np.flatnonzero(wall == label), np.flatnonzero(labels != label)
+        here, others = np.flatnonzero(wall == label), faces[wall[faces[:, 0]] != label]
         if len(others):
-            of_others = [(rows, tree) for rows, tree in trees if labels[rows[0]] != label] if len(trees) > 1 else []
-            near = _closest(points[here], of_others or [(others, Tree(middles[others]))])
-            distances = np.stack([_places(points[faces[column]], points[here])[1] for column in near.T], axis=1)
-            closest, row = distances.argmin(axis=1), np.arange(len(here))
-            distance[here], nearest[here] = distances[row, closest], faces[near[row, closest]]
+            tree = Tree(points[others].mean(axis=1), leafsize=32, balanced_tree=False, compact_nodes=False)
+            near = others[tree.query(points[here], k=range(1, min(CLOSEST, len(others)) + 1))[1]].swapaxes(0, 1)
+            away = np.stack([_places(points[candidates], points[here])[1] for candidates in near])
+            best = away.argmin(axis=0), np.arange(len(here))
+            distance[here], nearest[here] = away[best], near[best]
     return distance, nearest
-
-
-def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.ndarray:
-    """Faces (k, c) with middles nearest to points (k, d), by trees with their face rows."""
-    count = min(CLOSEST, sum(len(rows) for rows, _ in trees))
-    distance, near = np.full((len(points), count), np.inf), np.zeros((len(points), count), dtype=np.int64)
-    for k, wanted in nearest_boxes_first(points, [tree for _, tree in trees], distance[:, -1]):
-        if not len(wanted):
-            continue
-        rows, tree = trees[k]
-        found, row = tree.query(points[wanted], k=range(1, min(count, len(rows)) + 1))
-        distances = np.concatenate([distance[wanted], found], axis=1)
-        order = np.argsort(distances, axis=1, kind="stable")[:, :count]
-        faces = np.concatenate([near[wanted], rows[row]], axis=1)
-        distance[wanted] = np.take_along_axis(distances, order, axis=1)
-        near[wanted] = np.take_along_axis(faces, order, axis=1)
-    return near
-
-
-def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Distances (k,) of points (k, d) from a segment."""
-    return _places(np.broadcast_to(np.stack([start, end]), (len(x), 2, x.shape[1])), x)[1]
-
-
-BLOCK = 1 << 12
-
-NEAR = 8  # nearest simplices that bound the distance to all others
 
 
 def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Cuts polygons, of `counts` corners in `ids`, into triangles (t, 3) about first corners."""
-    first = np.cumsum(counts) - counts
-    owner = np.repeat(np.arange(len(counts)), counts - 2)
-    turn = 1 + np.arange(len(owner)) - np.repeat(np.cumsum(counts - 2) - counts + 2, counts - 2)
-    return np.stack([ids[first[owner]], ids[first[owner] + turn], ids[first[owner] + turn + 1]], axis=1)
+    last = np.cumsum(counts) - 1
+    first = last - counts + 1
+    inner = np.delete(np.arange(len(ids)), np.concatenate([first, last]))
+    return ids[np.stack([np.repeat(first, counts - 2), inner, inner + 1], axis=1)]
 
 
 def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -87,63 +62,131 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     # closest, and a few long ones do not make candidates of all.
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    level = np.floor(np.log2(np.maximum(radius, max(radius.max() * 1e-9, np.finfo(float).tiny))))
-    groups = [np.flatnonzero(level == value) for value in np.unique(level)]
-    trees = [(group, spatial.KDTree(centre[group]), radius[group].max()) for group in groups]
-    chosen, weights, distance = np.zeros(len(x), int), np.zeros((len(x), corners.shape[1])), np.zeros(len(x))
-    for at in range(0, len(x), BLOCK):
-        block = slice(at, at + BLOCK)
-        rows, simplices = _candidates(trees, corners, x[block])
-        share, away = _places(corners[simplices], x[block][rows])
-        order = np.lexsort((simplices, away, rows))
-        best = order[np.unique(rows[order], return_index=True)[1]]
-        chosen[block], weights[block], distance[block] = simplices[best], share[best], away[best]
+    size = np.frexp(np.maximum(radius, 1e-9 * radius.max()))[1]
+    groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
+    trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
+    blocks = [_closest(trees, corners, x[at : at + BLOCK]) for at in range(0, max(len(x), 1), BLOCK)]
+    chosen, weights, distance = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     return chosen, weights, distance
 
 
-def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    bound = np.full(len(x), np.inf)
+def _closest(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    bound, rows, simplices = np.full(len(x), np.inf), [], []
     for group, tree, _ in trees:
-        count = min(NEAR, len(group))
-        near = group[np.asarray(tree.query(x, k=count)[1]).reshape(len(x), count)]
-        rows = np.repeat(np.arange(len(x)), count)
-        distance = _places(corners[near.ravel()], x[rows])[1].reshape(len(x), count)
-        bound = np.minimum(bound, distance.min(axis=1))
-    rows, simplices = [], []
+        near = group[tree.query(x, k=range(1, min(NEAR, len(group)) + 1))[1]]
+        distance = _places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[1]
+        bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
     for group, tree, radius in trees:
-        balls = tree.query_ball_point(x, (bound + radius) * (1 + 1e-9))
-        rows.append(np.repeat(np.arange(len(x)), [len(ball) for ball in balls]))
-        simplices.append(group[np.concatenate([np.zeros(0, np.int64), *map(np.asarray, balls)]).astype(np.int64)])
-    return np.concatenate(rows), np.concatenate(simplices)
+        row, member = tree.within(x, (bound + radius) * (1 + 1e-9))
+        rows.append(row)
+        simplices.append(group[member])
+    row, simplex = np.concatenate(rows), np.concatenate(simplices)
+    weights, distance = _places(corners[simplex], x[row])
+    order = np.lexsort((simplex, distance, row))
+    best = order[np.unique(row[order], return_index=True)[1]]
+    return simplex[best], weights[best], distance[best]
 
 
-def _places(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _places(corners: np.ndarray, x: np.ndarray) -> Pair:
     """Weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
-    if corners.shape[1] == 2:
-        weights = _on_segment(corners[:, 0], corners[:, 1], x)
-        return weights, np.linalg.norm(np.einsum("mc,mcd->md", weights, corners) - x, axis=1)
-    a, b, c = np.moveaxis(corners, 1, 0)
     choices = []
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        weights = np.zeros((len(x), 3))
-        weights[:, [i, j]] = _on_segment(corners[:, i], corners[:, j], x)
+    for i, j in itertools.combinations(range(corners.shape[1]), 2):
+        along, weights = corners[:, j] - corners[:, i], np.zeros(corners.shape[:2])
+        length = np.einsum("md,md->m", along, along)
+        share = np.einsum("md,md->m", x - corners[:, i], along) / np.where(length > 0, length, 1)
+        weights[:, j] = np.clip(share, 0, 1)
+        weights[:, i] = 1 - weights[:, j]
         choices.append(weights)
-    u, v, w = b - a, c - a, x - a
-    uu, uv, vv, wu, wv = (np.einsum("md,md->m", p, q) for p, q in ((u, u), (u, v), (v, v), (w, u), (w, v)))
-    area = uu * vv - uv**2
-    size = np.where(area > 0, area, 1)
-    s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
-    inside = (area > 0) & (s >= 0) & (t >= 0) & (s + t <= 1)
-    choices.append(np.where(inside[:, None], np.stack([1 - s - t, s, t], axis=1), choices[0]))
-    stacked = np.stack(choices)
-    distance = np.linalg.norm(np.einsum("emc,mcd->emd", stacked, corners) - x, axis=2)
+    if corners.shape[1] == 3:  # the foot of the perpendicular, if it is inside
+        a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        normal, arm = cross_rows(u, v), x - a
+        area = np.einsum("md,md->m", normal, normal)
+        turned = np.stack([cross_rows(arm, v), cross_rows(u, arm)], axis=1)
+        shares = np.einsum("mcd,md->mc", turned, normal) / np.where(area > 0, area, 1)[:, None]
+        weights = np.column_stack([1 - shares.sum(axis=1), shares])
+        inside = (area > 0) & (weights >= 0).all(axis=1)
+        choices.append(np.where(inside[:, None], weights, choices[0]))
+    places = np.einsum("emc,mcd->emd", choices, corners)
+    distance = np.linalg.norm(places - x, axis=2)
     best = distance.argmin(axis=0), np.arange(len(x))
-    return stacked[best], distance[best]
+    return np.stack(choices)[best], distance[best]
 
 
-def _on_segment(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-    along = b - a
-    length = np.einsum("md,md->m", along, along)
-    t = np.einsum("md,md->m", x - a, along) / np.where(length > 0, length, 1)
-    t = np.clip(t, 0, 1)
-    return np.stack([1 - t, t], axis=1)
+AFTER, BEFORE = 1e-9, 1e-6  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
+PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
+TOGETHER = 1 << 17  # pairs of faces in a block
+
+
+def crossing_faces(points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray) -> Pair:
+    """Finds pairs (k, 2) of faces that meet only after the motion, and where (k, d) they meet.
+    `faces` are segments (f, 2) or triangles (f, 3), rows of `points` (b, d), which are `moved`.
+    Faces with a common number of `place` (b,) are neighbours, and do not count.
+    """
+    pairs = overlapping_boxes(moved[faces], (points != moved).any(axis=1)[faces].any(axis=1))
+    found, places = [pairs[:0]], [points[:0]]
+    for start in range(0, len(pairs), TOGETHER):
+        both = pairs[start : start + TOGETHER]
+        first, second = place[faces[both]].swapaxes(0, 1)
+        both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
+        where = _meeting(moved[faces[both]], AFTER)
+        met = np.flatnonzero(np.isfinite(where[:, 0]))
+        new = met[np.isnan(_meeting(points[faces[both[met]]], BEFORE)[:, 0])]
+        found.append(both[new])
+        places.append(where[new])
+    return np.concatenate(found), np.concatenate(places)
+
+
+def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> np.ndarray:
+    """Pairs (p, 2) of faces (f, corners, d), one moving, with overlapping boxes, each pair once."""
+    # A box is a row: its least coordinates, then its largest ones, negative. The box of two boxes
+    # is their minimum, and two boxes overlap if no least coordinate exceeds the other's largest.
+    # One more axis goes from 0 to 1 for moving faces, and from 1 to 0 for others: these are apart.
+    # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
+    slack, is_still = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True), ~is_moving[:, None]
+    boxes = np.hstack([is_still, corners.min(axis=1) - slack, is_still - 1.0, -corners.max(axis=1) - slack])
+    order = morton_order(corners.mean(axis=1))
+    levels = [boxes[order].T]
+    while levels[-1].shape[1] > 1:
+        levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[1], 2), axis=1))
+    pairs, children = np.zeros((1, 2), np.int64), np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+    for level in levels[::-1]:
+        pairs = (2 * pairs[:, None] + children).reshape(-1, 2)
+        pairs = pairs[(pairs[:, 0] <= pairs[:, 1]) & (pairs[:, 1] < level.shape[1])]
+        for least, largest in zip(level, np.roll(level, len(level) // 2, axis=0), strict=True):
+            pairs = pairs[least[pairs[:, 0]] + largest[pairs[:, 1]] <= 0]
+    return order[pairs[pairs[:, 0] != pairs[:, 1]]]
+
+
+def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:
+    """Where pairs (k, 2, c, d) of faces meet (k, d); NaN for none, or in one plane."""
+    where, left = np.full((len(corners), corners.shape[3]), np.nan), np.arange(len(corners))
+    both_ways = corners, corners[:, ::-1]
+    for pairs in both_ways:
+        left = left[~_is_aside(*pairs[left].swapaxes(0, 1), slack)]
+    for pairs in both_ways:
+        edges, others = pairs[left].swapaxes(0, 1)
+        for start, end in zip(edges.swapaxes(0, 1), np.roll(edges, -1, axis=1).swapaxes(0, 1), strict=True):
+            share = _share(start, end - start, others, slack)
+            hits = np.isfinite(share)
+            where[left[hits]] = start[hits] + share[hits, None] * (end - start)[hits]
+    return where
+
+
+def _is_aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
+    """Marks pairs of which the second face lies on one side of the first."""
+    normal, arms = normals(first), second - first[:, :1]
+    height = np.einsum("kcd,kd->kc", arms, normal)
+    scale = slack * np.sqrt(np.einsum("kd,kd->k", normal, normal) * np.einsum("kcd,kcd->kc", arms, arms).max(axis=1))
+    return (height.min(axis=1) > scale) | (height.max(axis=1) < -scale)
+
+
+def _share(start: np.ndarray, along: np.ndarray, corners: np.ndarray, slack: float) -> np.ndarray:
+    """The share (k,) of a segment up to where it meets a simplex (k, d, d); NaN if it does not."""
+    # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
+    rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])
+    volume = np.einsum("kd,kd->k", rows[0], along)
+    is_steep = np.abs(volume) > PARALLEL * np.linalg.norm(along, axis=1) * np.linalg.norm(rows[0], axis=1)
+    share, *places = np.einsum("rkd,kd->rk", rows, corners[:, 0] - start) / np.where(is_steep, volume, 1)
+    places = -np.array(places)
+    inside = np.minimum(share, places.min(axis=0)) >= -slack
+    return np.where(is_steep & inside & (np.maximum(share, places.sum(axis=0)) <= 1 + slack), share, np.nan)

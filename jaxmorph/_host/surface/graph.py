@@ -12,7 +12,8 @@ import functools
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
-from ..linear.products import cofactor_rows, normals, smallest_height
+from ..cells.topology import Pair
+from ..linear.products import cofactor_rows, normals, smallest_height, unit_rows
 from ..package.cores import by_blocks
 from ..package.errors import MeshError, place_of, worst_first
 from ..package.rounding import BETWEEN, canonical_order, morton_order, roundoff, spacing
@@ -46,13 +47,10 @@ class Graph:
 
         def weigh(part: slice) -> None:
             corners = self.nodes[self.delaunay.simplices[simplex[part]]]
-            edges = [corners[:, i] - corners[:, -1] for i in range(points.shape[1])]
-            rows = cofactor_rows(edges)
-            volume = np.einsum("kd,kd->k", rows[0], edges[0])
-            inner = points[part] - corners[:, -1]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                weights = [np.einsum("kd,kd->k", row, inner) / volume for row in rows]
-                least = np.minimum(np.min(weights, axis=0), 1 - np.sum(weights, axis=0))
+            inverse = _inverse(corners)
+            with np.errstate(invalid="ignore"):
+                weights = np.einsum("kij,kj->ki", inverse[:, :-1], points[part] - inverse[:, -1])
+                least = np.minimum(weights.min(axis=1), 1 - weights.sum(axis=1))
             sound = (simplex[part] >= 0) & (smallest_height(corners) > self.flat)
             smallest[part] = np.where(sound, least, -np.inf)
 
@@ -85,24 +83,28 @@ class _Graph(Delaunay):
 
     @functools.cached_property
     def transform(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Inverse of the edges from the last corner, and that corner: (k, d + 1, d)."""
+        """The inverse of the edges from the last corner, and that corner: (k, d + 1, d)."""
         transform = np.empty((len(self.simplices), self.ndim + 1, self.ndim))
 
         def invert(part: slice) -> None:
-            corners = self.points[self.simplices[part]]
-            last = corners[:, -1]
-            edges = [corners[:, i] - last for i in range(self.ndim)]
-            rows = cofactor_rows(edges)
-            volume = np.einsum("kd,kd->k", rows[0], edges[0])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                np.stack([*(row / volume[:, None] for row in rows), last], axis=1, out=transform[part])
+            transform[part] = _inverse(self.points[self.simplices[part]])
 
         by_blocks(invert, len(transform))
         return transform
 
 
+def _inverse(corners: np.ndarray) -> np.ndarray:
+    edges = list((corners[:, :-1] - corners[:, -1:]).swapaxes(0, 1))
+    rows = cofactor_rows(edges)
+    volume = np.einsum("kd,kd->k", rows[0], edges[0])[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([*(row / volume for row in rows), corners[:, -1]], axis=1)
+
+
 def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
-    graph, snapped = None, _snapped(nodes)
+    # Coordinates are rounded to about `SNAP` of the nearest distance: qhull sees no last bits.
+    step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
+    graph, snapped = None, np.floor(nodes / step + BETWEEN) * step
     for phase in range(TRIALS):
         with contextlib.suppress(QhullError):
             graph = _Graph(_jittered(snapped, phase), qhull_options=OPTIONS)
@@ -113,12 +115,6 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
             "spans the mesh. Add the other boundaries (far field, walls) as fixed nodes."
         )
     return graph
-
-
-def _snapped(nodes: np.ndarray) -> np.ndarray:
-    """Rounds coordinates to about `SNAP` of the nearest distance: qhull sees no last bits."""
-    step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
-    return np.floor(nodes / step + BETWEEN) * step
 
 
 def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
@@ -135,16 +131,14 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
 TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
 
 
-def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Finds the ids (w, d + 1) of the surface nodes whose simplex holds each `wanted` point.
 
     Coordinates in single precision count as exact numbers, except for points on the hull.
 
-    `surface` are the surface nodes (b, d), or their graph, `points` (n, d) all points, and `wanted`
-    (w,) the ids of those to locate. Raises `MeshError` for points outside of the surface's convex
-    hull, `ValueError` for a surface without extent in some direction.
+    `points` (n, d) are all points, and `wanted` (w,) the ids of those to locate. Raises `MeshError`
+    for points outside of the surface's convex hull.
     """
-    graph = surface if isinstance(surface, Graph) else graph_of(surface)
     points = points.astype(np.float64, copy=False)
     targets = (points[wanted] - graph.centre) / graph.size
     order = morton_order(targets)
@@ -166,7 +160,7 @@ def locate(surface: np.ndarray | Graph, points: np.ndarray, wanted: np.ndarray) 
     return graph.unique.astype(np.int32)[graph.delaunay.simplices][simplex]
 
 
-def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     # A point moves a little towards the middle, out of the flat simplices along a plane side of the
     # hull, and is searched again. The best simplex has the largest smallest weight.
     simplex = np.maximum(simplex, 0)
@@ -182,7 +176,7 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
     return simplex, best
 
 
-def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
     corners, margin = graph.nodes[graph.delaunay.simplices[sound]], 2 * JITTER + graph.flat
@@ -202,12 +196,11 @@ def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
     A small facet says little about a distant point: jitter and round-off may have turned it.
     """
     corners = graph.nodes[graph.delaunay.convex_hull]
-    height = smallest_height(corners)
-    corners, height = corners[height > graph.flat], height[height > graph.flat]
-    outward, anchors = normals(corners), corners[:, 0]
-    outward /= np.linalg.norm(outward, axis=1)[:, None]
-    outward *= np.sign(np.einsum("fd,fd->f", outward, anchors - graph.nodes.mean(axis=0)))[:, None]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    height = np.linalg.norm(normals(corners), axis=1) / longest ** (graph.delaunay.ndim - 2)
+    corners, longest, height = (values[height > graph.flat] for values in (corners, longest, height))
+    outward, anchors = unit_rows(normals(corners)), corners[:, 0]
+    outward *= np.sign(np.einsum("fd,fd->f", outward, anchors - graph.nodes.mean(axis=0)))[:, None]
     slack = 4 * (JITTER * longest + graph.flat) * np.maximum(1, 1 / height)
     offsets = np.einsum("fd,fd->f", outward, anchors) + slack
     parts = np.array_split(targets, 1 + len(targets) // 512)

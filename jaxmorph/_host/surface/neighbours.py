@@ -1,12 +1,14 @@
 """Nearest nodes: the nodes of a wall that lie nearest to a point."""
 
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from ..cells.topology import Pair
 from ..package.cores import by_blocks
-from ..package.rounding import SAME, Tree, few_by, morton_order, nearest_few, roundoff
+from ..package.rounding import SAME, Tree, few_by, lowest_of_equals, morton_order, nearest_few, roundoff
 
 FEW = 16  # most walls for which every wall has a search tree of its own
 AROUND = 8  # neighbours among whose distances a leap is searched
@@ -26,7 +28,7 @@ def near_walls(
     points: np.ndarray,
     count: int,
     once: Once = lambda key, make: make(),
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """Finds the points near a wall, and the ids (k, count + 1) of the surface nodes near them.
 
     `reach` (b,) is the distance to which a node's wall reaches into the volume. A row holds the
@@ -40,7 +42,7 @@ def near_walls(
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
-    distance, first = _nearest_within(surface, wall, reach, points[order], once)
+    distance, first = _nearest(surface, _by_reach(wall, reach), points[order], once, reach)
     hit = np.flatnonzero(distance < np.inf)
     near, first, distance = order[hit], first[hit], distance[hit]
     around = once(("around", digest(wall), count), lambda: _around(surface, wall, 2 * count))
@@ -66,32 +68,23 @@ def near_walls(
     return near[is_nearest], rows[is_nearest]
 
 
+def _by_reach(wall: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    # nodes of similar reach are searched together: too large a bound costs ten times as much
+    size, bounded = np.frexp(reach)[1], []
+    for members in searched_together(wall, np.flatnonzero(reach > 0)):
+        groups = [members[size[members] == exponent] for exponent in np.unique(size[members])]
+        bounded += [(rows, reach[rows].max()) for rows in groups]
+    return bounded
+
+
 def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
     """Picks each row's `count` nearest nodes (k, c), nearest first; ties by first node."""
-    # Sorted distances of equal rank are a tie: the rank grows where a distance is more than
-    # round-off above the one before it. Rank and node are one key, rank in the upper bits.
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
     is_more = squared[:, 1:] > (1 + 2 * SAME) * squared[:, :-1]
     tied = np.flatnonzero(~is_more[:, :count].all(axis=1))
-    rank = np.zeros((len(tied), nodes.shape[1]), dtype=np.int64)
-    np.cumsum(is_more[tied], axis=1, out=rank[:, 1:])
-    order = np.argsort((rank << 32) + nodes[tied], axis=1)
-    nodes[tied] = np.take_along_axis(nodes[tied], order, axis=1)
+    nodes[tied] = lowest_of_equals(nodes[tied], is_more[tied])
     return nodes[:, :count]
-
-
-def _nearest_within(
-    surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, once: Once
-) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest surface node whose reach has the point, and its distance, else infinite."""
-    # nodes of similar reach are searched together: too large a bound costs ten times as much
-    bounded = []
-    for members in searched_together(wall, np.flatnonzero(reach > 0)):
-        size = np.frexp(reach[members])[1]
-        groups = [members[size == exponent] for exponent in np.unique(size)]
-        bounded += [(rows, reach[rows].max()) for rows in groups]
-    return _nearest(surface, bounded, points, once, reach)
 
 
 def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
@@ -110,7 +103,7 @@ def _nearest(
     points: np.ndarray,
     once: Once,
     reach: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """The nearest node of several lists within their bounds, and its distance, else infinite. With
     `reach` (b,), a node counts only within its own reach. Ties go to the first list.
     """
@@ -120,12 +113,10 @@ def _nearest(
 
     def search(k: int, rows: np.ndarray) -> None:
         members, bound = bounded[k]
-        if not len(rows):
-            return
-        found = trees[k].query(points[rows], k=min(2, len(members)), distance_upper_bound=bound, workers=1)
-        distances, row = (np.asarray(table).reshape(len(rows), -1) for table in found)
-        equal = np.flatnonzero((distances[:, -1] <= (1 + SAME) * distances[:, 0]) & (row[:, -1] < len(members)))
-        least, row = distances[:, 0], np.minimum(row[:, 0], len(members) - 1)
+        several = range(1, min(2, len(members)) + 1)
+        found, row = trees[k].query(points[rows], k=several, distance_upper_bound=bound, workers=1)
+        equal = np.flatnonzero((found[:, -1] <= (1 + SAME) * found[:, 0]) & (row[:, -1] < len(members)))
+        least, row = found[:, 0], np.minimum(row[:, 0], len(members) - 1)
         row[equal] = few_by(trees[k], points[rows[equal]], 1, slack)[:, 0]
         node = members[row]
         closer = (least < distance[rows]) | ((least == distance[rows]) & (k < place[rows]))
@@ -134,38 +125,25 @@ def _nearest(
         distance[better], nearest[better], place[better] = least[closer], node[closer], k
 
     def search_all(part: slice) -> None:
-        bounds = [bound for _, bound in bounded]
-        for k, rows in nearest_boxes_first(points[part], trees, distance[part], bounds):
-            search(k, part.start + rows)
+        # A tree is searched only for points whose answer so far is farther than the tree's box. The
+        # tree with the nearest box comes first: it holds the answer of most points.
+        away = np.stack([_to_box(points[part], tree) for tree in trees])
+        away[away > (1 + SAME) * np.array([[bound] for _, bound in bounded])] = np.inf
+        first = away.argmin(axis=0)
+        for is_first, k in itertools.product((True, False), range(len(trees))):
+            is_near = (away[k] <= (1 + SAME) * distance[part]) & (away[k] < np.inf)
+            rows = np.flatnonzero(((first == k) == is_first) & is_near)
+            if len(rows):
+                search(k, part.start + rows)
 
     by_blocks(search_all, len(points) if bounded else 0)
     return distance, nearest
 
 
-def nearest_boxes_first(
-    points: np.ndarray, trees: list[Tree], farthest: np.ndarray, bounds: list[float] | None = None
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Yields trees, by number, with the rows of points to search in each, up to `bounds`.
-    `farthest` (n,) is the bound of a search; the caller lowers it between two trees.
-    """
-    # A tree is searched only for points whose answer so far is farther than the tree's box. The
-    # tree with the nearest box comes first: it holds the answer of most points.
-    away = np.stack([_to_box(points, tree) for tree in trees])
-    if bounds is not None:
-        away[away > (1 + SAME) * np.array(bounds)[:, None]] = np.inf
-    first = away.argmin(axis=0)
-    for is_first in (True, False):
-        for k, gap in enumerate(away):
-            yield k, np.flatnonzero(((first == k) == is_first) & (gap <= (1 + SAME) * farthest) & (gap < np.inf))
-
-
 def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
     """Distances (n,) of points from the box of a tree's points."""
-    gaps = (
-        np.maximum(np.maximum(low - x, x - high), 0)
-        for x, low, high in zip(points.T, tree.mins, tree.maxes, strict=True)
-    )
-    return np.sqrt(sum(gap * gap for gap in gaps))
+    box = zip(points.T, tree.mins, tree.maxes, strict=True)
+    return np.sqrt(sum(np.maximum(np.maximum(low - x, x - high), 0) ** 2 for x, low, high in box))
 
 
 def _tree(points: np.ndarray) -> Tree:
@@ -184,17 +162,13 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
     return around
 
 
-def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+def nearly_coincident(points: np.ndarray, radius: float, share: float) -> Pair:
     """Points with neighbours far nearer than the next: ids, and nearest ids, closest first. Far
     nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up to
     `AROUND` points may be near each other.
     """
-    if len(points) < 2:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    distance, nearest = map(np.asarray, Tree(points).query(points, k=min(AROUND + 1, len(points))))
-    distance = distance[:, 1:]
-    if distance.shape[1] < AROUND:  # all points are neighbours
-        distance = np.column_stack([distance, np.full(len(points), radius)])
+    distance, nearest = map(np.asarray, Tree(points).query(points, k=AROUND + 1))
+    distance = distance[:, 1:]  # infinite where there are no more neighbours
     jumps = (distance[:, :-1] < share * np.minimum(distance[:, 1:], radius)).any(axis=1)
     first = np.flatnonzero(jumps)[np.argsort(distance[jumps, 0], kind="stable")]
     return first, nearest[first, 1]

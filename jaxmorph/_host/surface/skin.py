@@ -1,11 +1,11 @@
 """The skin of the moving walls: edges between its nodes, the size of bodies, sharp tips in 2-D."""
 
 import dataclasses
-from collections.abc import Mapping
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from ..cells.topology import ByType, Pair
 from ..linear.products import outward
 from ..package.rounding import (
     SAME,
@@ -18,10 +18,11 @@ from ..package.rounding import (
     nearest_of,
     ranked,
     roundoff,
+    spacing,
 )
 from ..sources.farthest import farthest
 
-FacesByType = Mapping[str, np.ndarray] | None
+FacesByType = ByType | None
 
 RINGS, BEYOND = (40, 80), 1.1
 """Radii of rings at which a body's field comes to rest.
@@ -42,38 +43,28 @@ def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndar
 
     Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
-    pairs = _sides(faces, moving)
-    if not len(pairs):
-        pairs = _neighbours(points[:moving])
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    length = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)
-    return pairs[length > roundoff(points)]
-
-
-def _sides(faces: FacesByType, moving: int) -> np.ndarray:
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for corners in (faces or {}).values():
         inside = corners[(corners < moving).all(axis=1)]
-        sides = 1 if corners.shape[1] == 2 else corners.shape[1]
-        pairs += [np.stack([inside[:, k], inside[:, (k + 1) % corners.shape[1]]], axis=1) for k in range(sides)]
-    return np.concatenate(pairs)
+        pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2).reshape(-1, 2))
+    sides = np.concatenate(pairs)
+    sides = np.unique(np.sort(sides if len(sides) else _neighbours(points[:moving]), axis=1), axis=0)
+    length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
+    return sides[length > roundoff(points)]
 
 
 def _neighbours(points: np.ndarray) -> np.ndarray:
     """Pairs a node with its nearest and the nearest behind it (2-D), or its six nearest (3-D)."""
     first = distinct(points)[0]
-    unique = points[first]
-    count = min(6, len(unique) - 1)
-    if count < 1:
+    unique, start = points[first], np.arange(len(first))
+    if len(unique) < 2:
         return np.zeros((0, 2), dtype=np.int64)
-    nearest = nearest_few(unique, unique, count + 1)[:, 1:]
-    start = np.arange(len(unique))
-    if points.shape[1] == 3:
-        return first[np.stack([np.repeat(start, count), nearest.ravel()], axis=1)]
-    arm = unique[nearest] - unique[:, None]
-    behind = np.einsum("kcd,kd->kc", arm, arm[:, 0]) < -SAME * (arm[:, :1] ** 2).sum(axis=2)
-    other = np.where(behind.any(axis=1), nearest[start, behind.argmax(axis=1)], nearest[:, 0])
-    return first[np.concatenate([np.stack([start, end], axis=1) for end in (nearest[:, 0], other)])]
+    nearest = nearest_few(unique, unique, min(7, len(unique)))[:, 1:]
+    if points.shape[1] == 2:
+        arm = unique[nearest] - unique[:, None]
+        behind = np.einsum("kcd,kd->kc", arm, arm[:, 0]) < -SAME * (arm[:, :1] ** 2).sum(axis=2)
+        nearest = np.column_stack([nearest[:, 0], nearest[start, behind.argmax(axis=1)]])
+    return first[np.column_stack([np.repeat(start, nearest.shape[1]), nearest.ravel()])]
 
 
 def thinned(places: np.ndarray, most: int) -> np.ndarray:
@@ -85,21 +76,20 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
 
 
-def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
+def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> Pair:
     """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
 
     It is half of the wall's length, in 3-D of its area over the distance of the two nodes: a wing's
     chord, about the diameter of a sphere.
     """
-    count = int(wall.max(initial=-1)) + 1
-    size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
-    np.add.at(size, wall, _shares(points, faces))
-    order = canonical_order(points)
-    by_wall = order[np.argsort(wall[order], kind="stable")]
-    for label, members in enumerate(np.split(by_wall, np.cumsum(np.bincount(wall, minlength=count))[:-1])):
-        if len(members):
-            first = members[first_largest(((points[members] - points[members].mean(axis=0)) ** 2).sum(axis=1))]
-            ends[label] = first, members[first_largest(((points[members] - points[first]) ** 2).sum(axis=1))]
+    size = np.bincount(wall, _shares(points, faces))
+    ends, order = np.zeros((len(size), 2), dtype=np.int32), canonical_order(points)
+    for label in np.unique(wall):
+        members = order[wall[order] == label]
+        start = points[members].mean(axis=0)
+        for k in range(2):
+            ends[label, k] = members[first_largest(((points[members] - start) ** 2).sum(axis=1))]
+            start = points[ends[label, k]]
     span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
     safe = np.where(span > 0, span, 1)
     return ends, size / (2 * safe ** (points.shape[1] - 1))
@@ -109,8 +99,7 @@ def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
     """Measures the length (2-D) or area (3-D) around every node (b,); an estimate without faces."""
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
-        for column in corners.T:
-            np.add.at(share, column, np.linalg.norm(outward(points[corners]), axis=1) / corners.shape[1])
+        np.add.at(share, corners, np.linalg.norm(outward(points[corners]), axis=1)[:, None] / corners.shape[1])
     left = np.flatnonzero(share == 0)
     count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
     if not left.size or count < 1:
@@ -159,29 +148,23 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
         hull = ConvexHull(surface)
     except QhullError:
         return False
-    size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
     # Facets of one plane have equal rounded equations. Their areas add up to a side's, and only the
-    # largest sides are looked at.
-    plane = np.unique(np.round(hull.equations, 6), axis=0, return_inverse=True)[1].ravel()
-    area = np.bincount(plane, size)
-    largest = np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]
+    # largest sides are looked at, by the equation of their largest facet.
+    size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
+    order = np.argsort(-size, kind="stable")
+    equations, size = hull.equations[order], size[order]
+    first, plane = np.unique(np.round(equations, 6), axis=0, return_index=True, return_inverse=True)[1:]
+    area = np.bincount(plane.ravel(), size)
+    largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]]
     slack, free = 1e-8 * float(np.ptp(surface, axis=0).max()), points[is_free]
-    for label in largest:
-        facets = np.flatnonzero(plane == label)
-        *normal, offset = hull.equations[facets[size[facets].argmax()]]
-        if (free @ np.array(normal) + offset > -slack).sum() > 1:
-            return True
-    return False
+    return any((free @ np.array(normal) + offset > -slack).sum() > 1 for *normal, offset in equations[largest])
 
 
-def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
+def has_free_faces(points: np.ndarray, faces: ByType, is_held: np.ndarray) -> bool:
     """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
-    distance = np.full(len(middles), np.inf)
-    if len(middles) > 1:
-        distance = np.asarray(Tree(middles).query(middles, k=2)[0])[:, 1]
-    return bool((distance > 1e-9 * np.ptp(points, axis=0).max()).any())
+    return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
 
 
 SHARP = np.cos(np.deg2rad(60))
@@ -216,17 +199,18 @@ class Tips:
 
     def sides(self, tip: int, length: float) -> list[int]:
         """Finds the first place at the distance `length` on both sides of a tip."""
-        return [self._walk(tip, start, length) for start in self.beside[tip].tolist()]
-
-    def _walk(self, tip: int, place: int, length: float) -> int:
-        """Follows the wall from a tip to the first place at distance `length`, or to its end."""
-        before = tip
-        while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < length * (1 - SAME):
-            ahead = int(self.beside[place, 0] if self.beside[place, 0] != before else self.beside[place, 1])
-            if ahead == tip:
-                break
-            before, place = place, ahead
-        return place
+        found = []
+        for place in self.beside[tip].tolist():  # follows the wall, or to its end
+            before = tip
+            while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < length * (
+                1 - SAME
+            ):
+                ahead = int(self.beside[place].sum()) - before
+                if ahead == tip:
+                    break
+                before, place = place, ahead
+            found.append(place)
+        return found
 
 
 def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
@@ -235,8 +219,8 @@ def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
     rows, ends = pairs.ravel()[first], same.reshape(-1, 2)  # the two nodes of a closed edge are one place
     place = points[rows]
     directed = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)  # sorted by start
-    count = np.bincount(directed[:, 0], minlength=len(place))
-    beside = directed[:, 1][np.minimum((np.cumsum(count) - count)[:, None] + np.arange(2), len(directed) - 1)]
+    first = np.searchsorted(directed[:, 0], np.arange(len(place) + 1))
+    beside, count = directed[np.minimum(first[:-1, None] + [0, 1], len(directed) - 1), 1], np.diff(first)
     arms = place[beside] - place[:, None]
     is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP * (1 + SAME) * np.linalg.norm(arms, axis=2).prod(axis=1)
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))

@@ -1,10 +1,9 @@
 """Walls of a surface: by faces between its nodes, or by chains of nearest neighbours; its order."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ..cells.adjacency import parts_of
+from ..cells.topology import ByType
 from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked
 from ..sources.farthest import farthest
@@ -21,7 +20,7 @@ AROUND = 512  # nearest nodes among which a node finds its vote; if votes fail, 
 def walls(
     points: np.ndarray,
     moving: int,
-    faces: Mapping[str, np.ndarray] | None = None,
+    faces: ByType | None = None,
     in_planes: np.ndarray | None = None,
 ) -> np.ndarray:
     """Returns each surface node's wall (b,); the first `moving` nodes move.
@@ -57,7 +56,7 @@ def in_order(faces: np.ndarray) -> np.ndarray:
     return faces[np.lexsort(faces.T[::-1])]
 
 
-def ordered_rows(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None) -> np.ndarray:
+def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.ndarray:
     """Sorts nodes (b, d) by place, the first `moving` nodes before all others. Of nodes in one
     place, as on two sides of a slit, the directions of their `faces` decide.
     """
@@ -69,9 +68,9 @@ def ordered_rows(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray
         return order
     about = np.zeros((len(points), 2 * points.shape[1]))
     for corners in faces.values():
-        x = points[corners]
-        for node, place in zip(corners.T, x.swapaxes(0, 1), strict=True):
-            np.add.at(about, node, np.concatenate([unit_rows(outward(x)), unit_rows(x.mean(axis=1) - place)], axis=1))
+        arms = unit_rows(points[corners].mean(axis=1, keepdims=True) - points[corners])
+        normal = np.broadcast_to(unit_rows(outward(points[corners]))[:, None], arms.shape)
+        np.add.at(about, corners, np.concatenate([normal, arms], axis=2))
     columns += [ranked(column, SAME) for column in about.T]
     return np.lexsort([*columns[::-1], is_still])
 
@@ -87,38 +86,39 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
     joined = (fixed[first] == fixed[second]) & ~sharp
     part = parts_of(first[joined], second[joined], len(fixed))
-    label, starts = np.full(len(points), -1), np.cumsum([0, *map(len, groups)])
     # A moving node at the rim may have moving and fixed faces; its moving faces must name its wall,
     # and a fixed node's fixed faces. So these faces write last.
-    for of_own_kind in (False, True):
-        for group, start in zip(groups, starts, strict=False):
-            face = slice(start, start + len(group))
-            for column in group.T:
-                rows = ((column >= moving) == fixed[face]) == of_own_kind
-                label[column[rows]] = part[face][rows]
+    node, face = np.concatenate([group.T.ravel() for group in groups]), owners(groups)
+    order = np.argsort((node >= moving) == fixed[face], kind="stable")
+    label = np.full(len(points), -1)
+    label[node[order]] = part[face[order]]
     return label
+
+
+def owners(groups: list[np.ndarray]) -> np.ndarray:
+    """The face of every corner, group by group (k, c), first corners of all its faces first."""
+    starts = np.cumsum([0, *map(len, groups)])
+    return np.concatenate(
+        [
+            np.tile(np.arange(start, start + len(group)), group.shape[1])
+            for start, group in zip(starts, groups, strict=False)
+        ]
+    )
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of faces that share an edge (2-D: node), and a mask of opposite senses along it."""
-    # Every face lists its edges. Sorted by their nodes, lowest node first, equal edges are
-    # neighbours. The sense of an edge is lost by that, so `turned` keeps it.
-    edges, owners, start = [], [], 0
-    for group in groups:
-        count = group.shape[1]
-        starts = [group[:, [k, k]] for k in range(2)] if count == 2 else []
-        edges += starts or [group[:, [k, (k + 1) % count]] for k in range(count)]
-        owners += [np.arange(start, start + len(group))] * count
-        start += len(group)
-    edge, owner = np.concatenate(edges), np.concatenate(owners)
-    turned = edge[:, 0] < edge[:, 1]
+    # Every face lists its edges; in 2-D its nodes, as an edge from the first and to the last.
+    # Sorted by their nodes, lowest node first, equal edges are neighbours.
+    start = np.concatenate([group.T.ravel() for group in groups])
+    end = np.concatenate([np.roll(group, -1, axis=1).T.ravel() for group in groups])
     if groups[0].shape[1] == 2:
-        turned = np.repeat([False, True], len(edge) // 2)
-    edge = np.sort(edge, axis=1)
-    order = np.lexsort(edge.T)
-    before, after = order[:-1], order[1:]
-    same = (edge[after] == edge[before]).all(axis=1)
-    before, after = before[same], after[same]
+        is_first = np.repeat([True, False], len(start) // 2)
+        start, end = np.where(is_first, start, -1), np.where(is_first, -1, start)
+    owner, edge, turned = owners(groups), np.sort([start, end], axis=0), start < end
+    order = np.lexsort(edge)
+    same = (np.diff(edge[:, order]) == 0).all(axis=0)
+    before, after = order[:-1][same], order[1:][same]
     return owner[before], owner[after], turned[before] != turned[after]
 
 
@@ -133,51 +133,44 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
     near = distance <= REACH * (1 + SAME) * distance[:, count, None]
     label = parts_of(np.nonzero(near)[0], nearest[near], len(unique))
     if points.shape[1] == 3 and label.max() > 0:
-        first, second = _next_to_curves(unique, label, distance[:, 1])
-        label = parts_of(first, second, int(label.max()) + 1)[label]
+        first_part, second_part = _next_to_curves(unique, label, distance[:, 1]).T
+        label = parts_of(first_part, second_part, int(label.max()) + 1)[label]
     return label[inverse]
 
 
-def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs every part that is a curve with the next part of its wall, on both sides, if most nodes
-    of a sample of the curve find one part there.
-    """
-    tree, pairs = Tree(points), []
+def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+    """Pairs (p, 2) of every part that is a curve and the next part of its wall, on both sides."""
+    pairs = []
     for curve in range(label.max() + 1):
-        members = np.flatnonzero(label == curve)
-        extent = np.linalg.norm(np.ptp(points[members], axis=0))
-        if len(members) > CURVED * (1 + SAME) * extent / np.median(spacing[members]):
+        members, others = points[label == curve], np.flatnonzero(label != curve)
+        extent = np.linalg.norm(np.ptp(members, axis=0))
+        if len(members) > CURVED * (1 + SAME) * extent / np.median(spacing[label == curve]):
             continue
-        sample = points[members[farthest(points[members], SAMPLE, 0.0)]]
-        around = np.sort(np.asarray(tree.query(sample, k=min(AROUND, len(points)))[1]).reshape(len(sample), -1), axis=1)
-        pairs += _votes(points, label, members, sample, around) or _votes(
-            points, label, members, sample, np.broadcast_to(np.arange(len(points)), (len(sample), len(points)))
-        )
-    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    return first, second
+        tree, sample = Tree(points[others]), members[farthest(members, SAMPLE, 0.0)]
+        for count in (AROUND, len(others)):
+            near = others[np.sort(tree.query(sample, k=range(1, min(count, len(others)) + 1))[1], axis=1)]
+            parts = _parts_beside(members, points[near] - sample[:, None], label[near])
+            if parts:
+                break
+        pairs += [(curve, part) for part in parts]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    curve = label[members[0]]
-    offsets = points[around] - sample[:, None]
-    distance = np.where(label[around] == curve, np.inf, np.linalg.norm(offsets, axis=2))
-    if not np.isfinite(distance).any():
-        return []
-    across, pairs = _across(points[members], offsets, distance), []
+def _parts_beside(curve: np.ndarray, offsets: np.ndarray, label: np.ndarray) -> list[int]:
+    """The part next to a curve on either side, if most nodes of a sample of the curve find it.
+    `offsets` (s, k, d) lead from the sample to other nodes, whose parts are `label` (s, k).
+    """
+    distance, parts = np.linalg.norm(offsets, axis=2), []
+    size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
+    across = axes[-1]  # the normal of the curve's plane, or the way from a straight curve to the nearest node
+    if not size[1] > 0.01 * size[0]:
+        nearest = tuple(np.argwhere(distance <= (1 + SAME) * distance.min())[0])
+        across = offsets[nearest] / distance[nearest]
     for side in (-1, 1):
         reachable = np.where(side * (offsets @ across) > 0.5 * (1 + SAME) * distance, distance, np.inf)
         least = reachable.min(axis=1)
-        closest = np.where(reachable <= (1 + SAME) * least[:, None], label[around], len(points)).min(axis=1)
+        closest = np.where(reachable <= (1 + SAME) * least[:, None], label, label.max() + 1).min(axis=1)
         votes = np.bincount(closest[np.isfinite(least)], minlength=1)
-        if 2 * votes.max() > len(sample):
-            pairs.append((curve, int(votes.argmax())))
-    return pairs
-
-
-def _across(curve: np.ndarray, offsets: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """The normal of a curve's plane, or the way from a straight curve to the nearest node."""
-    size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
-    if size[1] > 0.01 * size[0]:
-        return axes[-1]
-    sample, node = np.argwhere(distance <= (1 + SAME) * distance.min())[0]
-    return offsets[sample, node] / distance[sample, node]
+        if 2 * votes.max() > len(distance):
+            parts.append(int(votes.argmax()))
+    return parts

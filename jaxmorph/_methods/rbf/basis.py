@@ -6,7 +6,7 @@ van der Schoot and Bijl (Computers and Structures 85, 2007) compared all on movi
 
 import abc
 import functools
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -16,7 +16,16 @@ from jaxtyping import Array, Float
 from ..._kernels.log import half_x_log_x
 from ..._kernels.module import Module
 from ..._kernels.values import root
-from ..base import number
+from ..base import Scalar, number
+
+Squared = Float[Array, "..."]
+"""Squared distances, or a function of them."""
+Sources = Float[Array, "s d"]
+"""Coordinates of sources."""
+Columns = Float[Array, "s k"]
+"""Values or weights at sources, in columns."""
+Weights = Float[Array, "k s"]
+"""Weights of sources, in rows."""
 
 
 class AbstractBasis(Module):
@@ -36,7 +45,7 @@ class AbstractBasis(Module):
     scale_free: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def __call__(self, r2: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, r2: Squared) -> Squared:
         """Computes phi, elementwise. It must be finite, derivatives included, at r2 = 0."""
 
 
@@ -77,7 +86,7 @@ class AbstractScaledBasis(AbstractBasis):
     radius that is not positive and finite.
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=number("radius", 0))
+    radius: Scalar = eqx.field(converter=number("radius", 0))
 
     def relative(self, r2):
         return r2 * (1 / self.radius.astype(r2.dtype) ** 2)
@@ -120,15 +129,15 @@ class AbstractCompactBasis(AbstractBasis):
     of phi alone, the slope would not be right at a source. R is `support_radius`.
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=number("support_radius", 0))
+    support_radius: Scalar = eqx.field(converter=number("support_radius", 0))
 
     @staticmethod
     @abc.abstractmethod
-    def value(xi: Float[Array, "..."]) -> Float[Array, "..."]: ...
+    def value(xi: Squared) -> Squared: ...
 
     @staticmethod
     @abc.abstractmethod
-    def slope(xi: Float[Array, "..."]) -> Float[Array, "..."]: ...
+    def slope(xi: Squared) -> Squared: ...
 
     def __call__(self, r2):
         return _compact(type(self), r2, self.support_radius.astype(r2.dtype))
@@ -156,10 +165,19 @@ def _compact_jvp(kind, primals, tangents):
     return _compact(kind, r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)
 
 
+def _factored(power: int, *coefficients: float | int) -> Any:
+    """Makes (1 - xi)^power times a polynomial, its constant first."""
+
+    def value(xi):
+        return (1 - xi) ** power * sum(c * xi**k for k, c in enumerate(coefficients))
+
+    return staticmethod(value)
+
+
 class WendlandC0(AbstractCompactBasis):
     """Evaluates phi = (1 - xi)^2, with xi = r / `support_radius`: a cone at each source."""
 
-    value = staticmethod(lambda xi: (1 - xi) ** 2)
+    value = _factored(2, 1)
     slope = staticmethod(lambda xi: -(1 - xi) / xi)
 
 
@@ -170,12 +188,7 @@ class WendlandC2(AbstractCompactBasis):
     condition. The constructor raises `ValueError` for a radius that is not positive and finite.
     """
 
-    @staticmethod
-    def value(xi):
-        inner = 1 - xi
-        return (inner * inner) * (inner * inner) * (4 * xi + 1)
-
-    slope = staticmethod(lambda xi: -10 * (1 - xi) ** 3)
+    value, slope = _factored(4, 1, 4), _factored(3, -10)
 
 
 class WendlandC4(AbstractCompactBasis):
@@ -184,8 +197,7 @@ class WendlandC4(AbstractCompactBasis):
     It has four continuous derivatives (Wendland 1995).
     """
 
-    value = staticmethod(lambda xi: (1 - xi) ** 6 * (35 / 3 * xi**2 + 6 * xi + 1))
-    slope = staticmethod(lambda xi: -28 / 3 * (1 - xi) ** 5 * (5 * xi + 1))
+    value, slope = _factored(6, 1, 6, 35 / 3), _factored(5, -28 / 3, -140 / 3)
 
 
 class WendlandC6(AbstractCompactBasis):
@@ -194,14 +206,13 @@ class WendlandC6(AbstractCompactBasis):
     It has six continuous derivatives (Wendland 1995).
     """
 
-    value = staticmethod(lambda xi: (1 - xi) ** 8 * (32 * xi**3 + 25 * xi**2 + 8 * xi + 1))
-    slope = staticmethod(lambda xi: -11 * (1 - xi) ** 7 * (16 * xi**2 + 7 * xi + 1))
+    value, slope = _factored(8, 1, 8, 25, 32), _factored(7, -11, -77, -176)
 
 
 class CompactC0(AbstractCompactBasis):
     """Evaluates phi = (1 - xi)^5, de Boer's CTPS C0, with xi = r / `support_radius` (Wu 1995)."""
 
-    value = staticmethod(lambda xi: (1 - xi) ** 5)
+    value = _factored(5, 1)
     slope = staticmethod(lambda xi: -2.5 * (1 - xi) ** 4 / xi)
 
 

@@ -12,9 +12,9 @@ from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
-from ..base import AbstractPlacing, Control, length_or_none
-from ..cells.cells import NodeFactors
-from ..sparse import SLACK, InterpolatedField, Reach, Searched, squared_distance
+from ..base import AbstractPlacing, Control, Flag, Pairs, Point, Rows, Scalar, number_or_none
+from ..cells import NodeFactors
+from ..sparse import SLACK, InterpolatedField, Reach, Searched, lost_unless, squared_distance
 from ..surface import Surface
 from .basis import WendlandC2
 from .expansion import is_sound, warn_of_close
@@ -28,15 +28,15 @@ class CompactIds(eqx.Module):
 
     stands: Int[Array, " b"]  # the row that has the function of all rows at its place
     speaks: Bool[Array, " b"]  # whether a row's displacement counts; a fixed row at a moving row's place does not
-    pairs: Int[Array, "e 2"]  # rows with functions, within the search's distance of each other
-    radius: Float[Array, ""]  # the functions' radius
+    pairs: Pairs  # rows with functions, within the search's distance of each other
+    radius: Scalar  # the functions' radius
     searched: Searched  # the coordinates of the search
 
     @property
     def has_function(self) -> Bool[Array, " b"]:
         return self.stands == jnp.arange(len(self.stands))
 
-    def at_functions(self, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
+    def at_functions(self, u: Rows) -> Rows:
         """The mean displacement of the rows that speak at each function; 0 elsewhere."""
         count = jax.ops.segment_sum(self.speaks.astype(u.dtype), self.stands, len(u))
         total = jax.ops.segment_sum(jnp.where(self.speaks[:, None], u, 0), self.stands, len(u))
@@ -44,16 +44,16 @@ class CompactIds(eqx.Module):
 
 
 class CompactFactors(eqx.Module):
-    radius: Float[Array, ""]
+    radius: Scalar
     matrix: NodeFactors
     has_function: Bool[Array, " b"]
-    is_certain: Bool[Array, ""]
+    is_certain: Flag
 
     def reaches(self, x: Float[Array, "*k d"], y: Float[Array, "*m d"]) -> Bool[Array, "*n"]:
         """Checks whether a function at y reaches x; at the very end of the reach it does not."""
         return squared_distance(x, y) < INSIDE * self.radius**2
 
-    def count(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Int[Array, ""]:
+    def count(self, x: Point, surface: Rows) -> Int[Array, ""]:
         return (self.has_function & self.reaches(x[None], surface)).sum()
 
 
@@ -79,7 +79,7 @@ class CompactRBF(AbstractPlacing):
     answers NaN there.
     """
 
-    radius: Float[Array, ""] | None = eqx.field(converter=length_or_none("radius"), default=None)
+    radius: Scalar | None = eqx.field(converter=number_or_none("radius", 0), default=None)
 
     def connect(self, surface: Surface, points):
         nodes, dtype = surface.points.astype(float), dtypes.canonicalize_dtype(surface.points.dtype)
@@ -120,7 +120,7 @@ class CompactRBF(AbstractPlacing):
             listed = factors.reaches(surface[i], surface[j]).sum()
             return jnp.sum(count * ids.has_function) > 2 * listed + ids.has_function.sum()
 
-        lost = jax.lax.cond(is_certain, lambda: jnp.array(False), is_lost)
+        lost = lost_unless(is_certain, is_lost)
         return eqx.tree_at(lambda factors: factors.matrix.values, factors, jnp.where(lost, jnp.nan, values))
 
     def carry(self, ids, factors, surface, points):
@@ -131,7 +131,7 @@ class CompactRBF(AbstractPlacing):
             listed = factors.reaches(x[None], surface[ids.nodes])
             return factors.count(x, surface) > (listed & ids.reached).sum()
 
-        lost = jax.lax.cond(factors.is_certain, lambda: jnp.array(False), is_lost)
+        lost = lost_unless(factors.is_certain, is_lost)
         weights = WendlandC2(factors.radius)(jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1))
         return ids.weighted(weights, lost)
 
@@ -153,7 +153,7 @@ class CompactRBF(AbstractPlacing):
 
 
 @compiled
-def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Float[Array, "b d"]) -> Float[Array, ""]:
+def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Rows) -> Scalar:
     reached = factors.matrix.times(ids.pairs, method.field(ids, factors, u, u).u)
     missed = jnp.where(ids.has_function[:, None], ids.at_functions(u) - reached, 0)
     return jnp.abs(missed).max() / jnp.abs(u).max()

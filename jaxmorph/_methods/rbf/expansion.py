@@ -7,17 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax.linalg import triangular_solve
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..._host.package.errors import place_of, warn
 from ..._host.package.rounding import Tree
 from ..._host.surface.neighbours import nearly_coincident
 from ..._kernels.compile import compiled
 from ..._kernels.module import Module
-from ..base import AbstractField
+from ..base import AbstractField, Flag, Point, Scalar, matmul
 from ..blocks import map_rows
-from .basis import AbstractBasis
-from .iterations import Cardinals, ConjugateGradients, precondition, times
+from .basis import AbstractBasis, Columns, Sources, Weights
+from .iterations import Cardinals, iterated, precondition
 from .system import (
     Radial,
     block_size,
@@ -37,18 +37,18 @@ class RBFFactors(eqx.Module):
     sources.
     """
 
-    sources: Float[Array, "s d"]
-    centre: Float[Array, " d"]
-    scale: Float[Array, ""]
+    sources: Sources
+    centre: Point
+    scale: Scalar
     lu: Float[Array, "t t"]
     order: Int[Array, " t"]
     cardinals: Cardinals | None = None
 
     @property
-    def places(self) -> Float[Array, "s d"]:
+    def places(self) -> Sources:
         return self.sources / self.scale + self.centre[None]
 
-    def solve(self, values: Float[Array, "s k"]) -> Float[Array, "t k"]:
+    def solve(self, values: Columns) -> Float[Array, "t k"]:
         """Solves for values at the sources, or at the first of them; other rows are zero."""
         right = jnp.pad(values, ((0, len(self.lu) - len(values)), (0, 0)))
         half = triangular_solve(self.lu, right[self.order], left_side=True, lower=True, unit_diagonal=True)
@@ -58,10 +58,10 @@ class RBFFactors(eqx.Module):
 class RBFField(AbstractField):
     basis: AbstractBasis
     degree: int | None = eqx.field(static=True)
-    sources: Float[Array, "s d"]
-    centre: Float[Array, " d"]
-    scale: Float[Array, ""]
-    beta: Float[Array, "k s"]
+    sources: Sources
+    centre: Point
+    scale: Scalar
+    beta: Weights
     alpha: Float[Array, "k p"]
 
     def __call__(self, x, ids):
@@ -123,7 +123,7 @@ class Expansion(Module):
         kernel = Radial(self.basis, scale)(squared_distances(points, sources))
         return jnp.concatenate([kernel, polynomial(points, self.degree)], axis=1)
 
-    def field(self, factors: RBFFactors, values: Float[Array, "s k"], dtype) -> RBFField:
+    def field(self, factors: RBFFactors, values: Columns, dtype) -> RBFField:
         """Makes the field with given values at the sources, in a given precision. Traced."""
         solved = factors.solve(values) if factors.cardinals is None else self._iterated(factors, values)
         weights = solved.astype(dtype)
@@ -131,29 +131,32 @@ class Expansion(Module):
         sources, centre, scale = (leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale))
         return RBFField(self.basis, self.degree, sources, centre, scale, beta, alpha)
 
-    def _iterated(self, factors: RBFFactors, values: Float[Array, "s k"]) -> Float[Array, "t k"]:
+    def _iterated(self, factors: RBFFactors, values: Columns) -> Float[Array, "t k"]:
         count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
         right = jnp.pad(values, ((0, tail.shape[1]), (0, 0)))
 
         def product(x):
             beta, alpha = x[:count], x[count:]
-            return jnp.concatenate([self._times_kernel(factors, beta) + times(tail, alpha), times(tail.T, beta)])
+            return jnp.concatenate([self._times_kernel(factors, beta) + matmul(tail, alpha), matmul(tail.T, beta)])
 
-        constant, constant_factors = jax.lax.stop_gradient((self, factors))
-        iterations = constant.iterations(constant_factors)
-        return jax.lax.custom_linear_solve(product, right, lambda _, right: iterations.solve(right), symmetric=True)
+        constant, fixed = jax.lax.stop_gradient((self, factors))
 
-    def iterations(self, factors: RBFFactors) -> ConjugateGradients:
-        cardinals = factors.cardinals
-        assert cardinals is not None
-        return ConjugateGradients(
-            lambda beta: self._times_kernel_quickly(factors, beta),
-            lambda residual: precondition(cardinals, lambda first: factors.solve(first)[: len(first)], residual),
-            polynomial(factors.sources, self.degree),
-            cardinals.tolerance,
-        )
+        def solve(_, right):
+            rows = fixed.cardinals
+            assert rows is not None
+            return iterated(
+                lambda beta: jax.lax.platform_dependent(
+                    fixed, beta, cpu=constant._of_pairs, default=constant._times_kernel
+                ),
+                lambda rest: precondition(rows, lambda first: fixed.solve(first)[: len(first)], rest),
+                polynomial(fixed.sources, self.degree),
+                rows.tolerance,
+                right,
+            )
 
-    def _times_kernel(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
+        return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+
+    def _times_kernel(self, factors: RBFFactors, beta: Columns) -> Columns:
         sources, phi = factors.sources, Radial(self.basis, factors.scale)
 
         def of_block(points):
@@ -163,14 +166,10 @@ class Expansion(Module):
             return self._with_ridge(fused(phi, sources, beta, sources), beta)
         return self._with_ridge(map_rows(jax.checkpoint(of_block), sources, block_size(len(sources))), beta)
 
-    def _times_kernel_quickly(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
+    def _of_pairs(self, factors: RBFFactors, beta: Columns) -> Columns:
         """Multiplies by the kernel's matrix, on a CPU by half of its entries."""
-
-        def of_pairs(factors, beta):
-            product = symmetric_kernel_sum(Radial(self.basis, factors.scale), factors.sources, beta.T).T
-            return self._with_ridge(product, beta)
-
-        return jax.lax.platform_dependent(factors, beta, cpu=of_pairs, default=self._times_kernel)
+        product = symmetric_kernel_sum(Radial(self.basis, factors.scale), factors.sources, beta.T).T
+        return self._with_ridge(product, beta)
 
     def _with_ridge(self, product, beta):
         return product + self.at_sources * beta if self.ridge else product
@@ -197,7 +196,7 @@ def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str)
 
 
 @compiled
-def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Float[Array, ""]:
+def rounding(expansion: Expansion, factors: RBFFactors, values: Columns) -> Scalar:
     """Measures how much rounding changes the interpolation, at the sources and between them, by one
     step of iterative refinement: the field of what the first field misses at the sources. It is
     infinite for a system without a solution.
@@ -206,7 +205,7 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s 
 
     def field(weights, points):
         def of_block(part):
-            return times(expansion.rows(sources, factors.scale, part), weights)
+            return matmul(expansion.rows(sources, factors.scale, part), weights)
 
         return map_rows(of_block, points, 1024)
 
@@ -219,7 +218,7 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s 
 
 
 @compiled
-def is_solved(expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]) -> Bool[Array, ""]:
+def is_solved(expansion: Expansion, factors: RBFFactors, values: Columns) -> Flag:
     return jnp.isfinite(expansion.field(factors, values, values.dtype).beta).all()
 
 

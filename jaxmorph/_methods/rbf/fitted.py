@@ -22,8 +22,9 @@ from ..._host.surface.skin import (
     thinned,
 )
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Control, check_kind, length_or_none, number
+from ..base import AbstractMethod, Control, Pairs, Rows, Scalar, check_kind, einsum, matmul, number_or_none
 from ..surface import Surface
+from .basis import Columns, Sources, Weights
 from .expansion import RBFFactors
 from .rbf import RBF, Direct
 from .system import polynomial
@@ -36,23 +37,18 @@ SOURCES_ALONE = 64
 
 
 ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
-"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
-
-A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
+"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
+twists in 3-D pays for every large rotation, so less of it is asked for there.
 """
 
 BEHIND, BEYOND_TIP = 0.02, 0.2
-"""Distance of the source behind a sharp tip, and its largest distance.
-
-Both are relative to the mean chord, or to the distance of the nearest held node if that is less.
+"""Distance of the source behind a sharp tip, and its largest distance, relative to the mean chord
+or to the distance of the nearest held node, whichever is less.
 """
 
 AT_TIP = 0.03, 0.5
-"""Distance from a sharp tip, and `mu` there, both relative to the mean chord.
-
-The field follows the wall's slope at the tip.
-
-Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
+"""Distance from a sharp tip, and `mu` there, both relative to the mean chord: the field follows the
+wall's slope. Cells there are small, and the wall's angle changes with the thickness.
 """
 
 WALLS = {2: 8, 3: 2}
@@ -79,9 +75,9 @@ class WallIds(eqx.Module):
     moving: Int[Array, " s"]
     fixed: Int[Array, " t"]
     nodes: Int[Array, " k"]
-    edges: Int[Array, "e 2"]
+    edges: Pairs
     held: Int[Array, " e"]
-    ends: Int[Array, "e 2"]
+    ends: Pairs
     far: Int[Array, " r"]
     tips: Int[Array, "g 3"]
     ell: Float[Array, " e"]
@@ -89,17 +85,15 @@ class WallIds(eqx.Module):
     reach: Float[Array, " r"]
 
     @classmethod
-    def without_edges(cls, surface: Surface, sources: np.ndarray) -> "WallIds":
-        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
+    def without_edges(cls, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         none = np.zeros((0, 2))
         rows = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
         return cls(*as_jax([ids.astype(np.int32) for ids in rows]), *[jnp.zeros(0)] * 3)
 
     @classmethod
-    def found(cls, surface: Surface, sources: np.ndarray, closest: float) -> "WallIds":
+    def found(cls, surface: Surface, moving: np.ndarray, fixed: np.ndarray, closest: float) -> "WallIds":
         """Finds the ids of a fit on the host; `closest` is how close two sources may come."""
         points, dimension = surface.points, surface.points.shape[1]
-        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         pairs = edges(points, surface.moving, surface.faces)
         wall, ends, share = surface.walls
         chord = share * np.linalg.norm(np.subtract(*points[ends.T]), axis=1)
@@ -121,30 +115,24 @@ class WallIds(eqx.Module):
             mu = np.where(distance < near * chord[label] * (1 - SAME), largest * share[label], mu)
         return cls(*as_jax([*(ids.astype(np.int32) for ids in rows), ell, mu, reach]))
 
-    def places(self, surface: Float[Array, "b d"]) -> Float[Array, "s d"]:
+    def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
         moving, fixed = surface[self.moving], surface[self.fixed]
         centre = moving.mean(axis=0)[None]
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
         return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
 
-    def behind_tips(self, values: Float[Array, "b d"]) -> Float[Array, "g d"]:
-        """Continues places or displacements of the walls behind their tips.
-
-        A place behind is the mirror image in the tip.
-
-        It is right for affine motions.
+    def behind_tips(self, values: Rows) -> Float[Array, "g d"]:
+        """Continues places or displacements of the walls behind their tips: a place behind is the
+        mirror image in the tip, which is right for affine motions.
         """
         tip, first, second = self.tips.T
         return 2 * values[tip] - (values[first] + values[second]) / 2
 
-    def at_rings(self, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
-        """Computes the displacement of the rings, a share of the walls' mean displacement.
-
-        So a body that is carried far away takes them along.
-
-        It is the share of the deflection of a plate that is held at the far field and pushed in the
-        middle.
+    def at_rings(self, values: Rows) -> Float[Array, "r d"]:
+        """Computes the displacement of the rings, a share of the walls' mean displacement: that of
+        a plate which is held at the far field and pushed in the middle. So a body that is carried
+        far away takes them along.
         """
         return deflection(self.reach.astype(values.dtype))[:, None] * values[self.moving].mean(axis=0)[None]
 
@@ -158,13 +146,9 @@ def deflection(reach: Float[Array, " r"]) -> Float[Array, " r"]:
 def _at_tips(
     surface: Surface, pairs: np.ndarray, chord: np.ndarray, closest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds sources (k,) beside sharp tips in 2-D, and the tips.
-
-    It returns the sources, the tips (g, 3) that get a source behind them, each with a node on
-    either side, and the places (h, 2) of all tips.
-
-    `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is that of each
-    edge's wall. A source stands behind the g tips.
+    """Finds sources (k,) beside sharp tips in 2-D; the tips (g, 3) that get a source behind them,
+    each with a node on either side; and the places (h, 2) of all tips. `pairs` are all edges of the
+    moving walls, `chord` (e,) is that of each edge's wall.
     """
     held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
@@ -172,10 +156,6 @@ def _at_tips(
     walls = sharp_tips(surface.points, pairs)
     behind = behind_tips(walls, BEHIND * room, closest, BEYOND_TIP * room)
     return beside_tips(walls, chord), behind, walls.points[walls.tips]
-
-
-def _share_or_none(value):
-    return None if value is None else number("share", 0, 1, "[]")(value)
 
 
 def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
@@ -254,9 +234,9 @@ class FittedRBF(AbstractMethod):
     """
 
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
-    ell: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("ell"))
-    mu: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("mu"))
-    share: Float[Array, ""] | None = eqx.field(default=None, converter=_share_or_none)
+    ell: Scalar | None = eqx.field(default=None, converter=number_or_none("ell", 0))
+    mu: Scalar | None = eqx.field(default=None, converter=number_or_none("mu", 0))
+    share: Scalar | None = eqx.field(default=None, converter=number_or_none("share", 0, 1, "[]"))
 
     def __check_init__(self):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
@@ -282,10 +262,11 @@ class FittedRBF(AbstractMethod):
         return surface.once(key, lambda: (self, self._ids(surface, is_open)))[1], None
 
     def _ids(self, surface: Surface, is_open: bool) -> WallIds:
-        if is_open:
-            return WallIds.without_edges(surface, self._denser.chosen(surface))
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
-        return WallIds.found(surface, _on_each_wall(surface, self.rbf.chosen(surface), closest), closest)
+        rbf = self._denser if is_open else self.rbf
+        sources = rbf.chosen(surface) if is_open else _on_each_wall(surface, rbf.chosen(surface), closest)
+        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
+        return WallIds.without_edges(moving, fixed) if is_open else WallIds.found(surface, moving, fixed, closest)
 
     @property
     def _denser(self) -> RBF:
@@ -308,42 +289,30 @@ class FittedRBF(AbstractMethod):
         sources = ids.places(surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
         if not len(ids.edges):
-            return FitFactors(
-                rbf, *(jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 2, 4, 1, 2, 2, 2, 2, 2, 1, 2))
-            )
+            none, outer = (jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 4))
+            empty = Cholesky.of(none)
+            return FitFactors(rbf, none, none, outer, empty, none, empty, none, empty)
         surface = surface.astype(rbf.lu.dtype)
-        count, moves, dimension = len(rbf.sources), len(ids.moving), surface.shape[1]
+        moves, cardinal = len(ids.moving), rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
         middle, along = (start + end) / 2, end - start
         length = jnp.sqrt(jnp.sum(along**2, axis=1))
-        cardinal = rbf.solve(jnp.eye(len(rbf.lu), count, dtype=surface.dtype))
 
         def rows(points):
             return self.rbf.expansion.rows(rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale)
 
-        def derivative(axis):
-            direction = jnp.broadcast_to(jnp.eye(dimension, dtype=surface.dtype)[axis], middle.shape)
-            return jax.jvp(rows, (middle,), (direction,))[1]
-
-        value = _product(rows(surface[ids.nodes]), cardinal)
-        slopes = jnp.stack([_product(derivative(axis), cardinal) for axis in range(dimension)], axis=1)
-        slope = jnp.einsum("ea,eas->es", along / length[:, None], slopes, precision="highest")
+        value = matmul(rows(surface[ids.nodes]), cardinal)
+        slopes = einsum("eta,ts->eas", jax.vmap(jax.jacfwd(lambda x: rows(x[None])[0]))(middle), cardinal)
+        slope = einsum("ea,eas->es", along / length[:, None], slopes)
         ell, mu = self._lengths(ids, surface, middle)
-        node, edge = 1 / len(value), 1 / max(1, len(slope))
-        follow = _product(value[:, :moves].T * node, value) + _product(slope[:, :moves].T * (edge * mu**2)[None], slope)
-        matrix = _system(follow, slopes * (ell * edge**0.5)[:, None, None])
-        inner, outer = matrix[..., :moves], matrix[..., moves:]
-        inner = inner.reshape(dimension * moves, -1)
-        scale = 1 / jnp.sqrt(jnp.diagonal(inner))
-        lower = jnp.linalg.cholesky(inner * scale[:, None] * scale[None])
-        of_edges = (slope * (edge * mu**2 / length)[:, None])[:, :moves]
-        affine = _affine(self.rbf, rbf, surface)
-        ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)[: len(ids.far)]
-        plain = _product(value[:, :moves].T * node, value)
-        size = 1 / jnp.sqrt(jnp.diagonal(plain))
-        squares = jnp.linalg.cholesky(plain[:, :moves] * size[None] * size[:, None])
-        plain = plain[:, moves:], size, squares
-        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring, *plain)
+        nodes, weighted = value[:, :moves] / len(value), slope[:, :moves] * (mu**2 / len(slope))[:, None]
+        squares = matmul(nodes.T, value)
+        matrix = _system(squares + matmul(weighted.T, slope), slopes * (ell * len(slope) ** -0.5)[:, None, None])
+        fit = Cholesky.of(matrix[..., :moves].reshape(matrix.shape[0] * moves, -1))
+        terms = polynomial((surface - rbf.centre[None]) * rbf.scale, self.rbf.degree)
+        affine, plain = Cholesky.of(matmul(terms.T, terms)), Cholesky.of(squares[:, :moves])
+        edges = weighted / length[:, None]
+        return FitFactors(rbf, nodes, edges, matrix[..., moves:], fit, terms, affine, squares[:, moves:], plain)
 
     def _lengths(self, ids: WallIds, surface, middle):
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
@@ -360,64 +329,60 @@ class FittedRBF(AbstractMethod):
             return self.rbf.expansion.field(
                 factors.rbf, jnp.concatenate([values[ids.moving], values[ids.fixed]]), u.dtype
             )
-        affine = self._affine_part(factors, values)
-        rest = values - _product(factors.polynomial, affine)
+        affine = factors.affine.solve(matmul(factors.polynomial.T, values))
+        rest = values - matmul(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
-        wanted = _product(factors.nodes.T, rest[ids.nodes]) + _product(factors.edges.T, difference)
-        fixed = jnp.concatenate([rest[ids.fixed], ids.at_rings(rest), ids.behind_tips(rest)])
-        wanted = wanted.T - jnp.einsum("aicj,jc->ai", factors.outer, fixed, precision="highest")
-        solved = jax.scipy.linalg.cho_solve((factors.lower, True), wanted.ravel() * factors.scale) * factors.scale
-        plain = _product(factors.nodes.T, rest[ids.nodes]) - _product(factors.outside, fixed)
-        plain = (
-            jax.scipy.linalg.cho_solve((factors.squares, True), plain * factors.size[:, None]) * factors.size[:, None]
-        )
+        outer = jnp.concatenate([rest[ids.fixed], ids.at_rings(rest), ids.behind_tips(rest)])
+        at_nodes = matmul(factors.nodes.T, rest[ids.nodes])
+        wanted = (at_nodes + matmul(factors.edges.T, difference)).T
+        wanted = wanted - einsum("aicj,jc->ai", factors.outer, outer)
+        fitted = factors.fit.solve(wanted.reshape(-1, 1)).reshape(wanted.shape).T
+        plain = factors.plain.solve(at_nodes - matmul(factors.outside, outer))
         share = 1 if self.share is None else self.share.astype(values.dtype)
-        moving = share * solved.reshape(wanted.shape).T + (1 - share) * plain
-        moving = moving + _product(factors.polynomial[ids.moving], affine)
-        ring = _product(factors.ring, affine) + ids.at_rings(rest)
-        everything = jnp.concatenate([moving, values[ids.fixed], ring, ids.behind_tips(values)])
-        return self.rbf.expansion.field(factors.rbf, everything, u.dtype)
+        rest = jnp.concatenate([share * fitted + (1 - share) * plain, outer])
+        terms = polynomial(factors.rbf.sources, self.rbf.degree)
+        return self.rbf.expansion.field(factors.rbf, rest + matmul(terms, affine), u.dtype)
 
-    def _affine_part(self, factors: "FitFactors", values):
-        moments = _product(factors.polynomial.T, values)
-        return jax.scipy.linalg.cho_solve((factors.moments, True), moments)
+
+class Cholesky(eqx.Module):
+    """The factor of a matrix whose rows and columns are multiplied by `size`."""
+
+    lower: Float[Array, "s s"]
+    size: Float[Array, " s"]
+
+    @classmethod
+    def of(cls, matrix: Float[Array, "s s"]) -> "Cholesky":
+        size = 1 / jnp.sqrt(jnp.diagonal(matrix))
+        return cls(jnp.linalg.cholesky(matrix * size[:, None] * size[None]), size)
+
+    def solve(self, right: Columns) -> Columns:
+        return jax.scipy.linalg.cho_solve((self.lower, True), right * self.size[:, None]) * self.size[:, None]
 
 
 class FitFactors(eqx.Module):
-    """The factored systems of sources, fit and affine part, and weighted rows of the fit."""
+    """The factored systems of sources, `fit`, `affine` part and least squares (`plain`), and
+    weighted rows of the fit. `outer` and `outside` are the columns of the sources outside of the
+    fit: fixed ones, rings and those behind tips.
+    """
 
     rbf: RBFFactors
-    nodes: Float[Array, "k s"]
+    nodes: Weights
     edges: Float[Array, "e s"]
     outer: Float[Array, "d s d t"]
-    scale: Float[Array, " ds"]
-    lower: Float[Array, "ds ds"]
+    fit: Cholesky
     polynomial: Float[Array, "b p"]
-    moments: Float[Array, "p p"]
-    ring: Float[Array, "r p"]
+    affine: Cholesky
     outside: Float[Array, "s t"]
-    size: Float[Array, " s"]
-    squares: Float[Array, "s s"]
+    plain: Cholesky
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
-    """Assembles the normal equations of the first m sources, which move.
-
-    They hold `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
+    """Assembles the normal equations of the first m sources, which move: `follow` for each
+    component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
     """
     (count, d, s), m = slopes.shape, len(follow)
     moving = slopes[:, :, :m].reshape(count, d * m)
-    strain = _product(moving.T, slopes.reshape(count, d * s)).reshape(d, m, d, s)
+    strain = matmul(moving.T, slopes.reshape(count, d * s)).reshape(d, m, d, s)
     component = follow + sum(strain[b, :, b] for b in range(d))
     diagonal = jnp.einsum("ac,ij->aicj", jnp.eye(d, dtype=follow.dtype), component)
     return diagonal + strain.transpose(2, 1, 0, 3) - (2 / d) * strain
-
-
-def _affine(method: RBF, rbf: RBFFactors, surface: Float[Array, "b d"]):
-    """Evaluates the polynomial's terms at the surface, and factors the matrix of their moments."""
-    terms = polynomial((surface - rbf.centre[None]) * rbf.scale, method.degree)
-    return terms, jnp.linalg.cholesky(_product(terms.T, terms))
-
-
-def _product(a: Float[Array, "m k"], b: Float[Array, "k n"]) -> Float[Array, "m n"]:
-    return jnp.matmul(a, b, precision="highest")

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from ..._host.package.arguments import between, checked, shown, whole
 from ..._host.package.errors import warn
@@ -17,7 +17,7 @@ from ..._host.sources.farthest import Graded, far_to_near
 from ..._host.sources.reduction import AbstractReduction, AllPoints, KDTree, drop_close
 from ..._kernels.module import Module
 from ..._kernels.values import as_jax, largest
-from ..base import AbstractMethod, Control, check_kind, number
+from ..base import AbstractMethod, Control, Scalar, check_kind, number, or_one
 from ..surface import Surface
 from .basis import AbstractBasis, ThinPlateSpline
 from .expansion import Expansion, RBFFactors, is_solved, is_sound, nearest_two, rounding, warn_of_close
@@ -51,8 +51,7 @@ class Iterative(Module):
     **Arguments:**
 
     - `tolerance`: the distance by which the field misses its sources when a solve ends, relative to
-      the largest displacement; also the error in the norm of the basis. Default 1e-10; 1.2e-5 at
-      least in single precision.
+      the largest displacement. Default 1e-10; 1.2e-5 at least in single precision.
     - `neighbours`: sources in each function's small system. More of them take fewer products, and
       more time and memory to prepare. Default 100.
     - `dense`: the number of first sources that are solved densely. Default None: a sixth of all
@@ -62,7 +61,7 @@ class Iterative(Module):
     neighbours or dense sources.
     """
 
-    tolerance: Float[Array, ""] = eqx.field(converter=number("tolerance", 0, 1), default=1e-10)
+    tolerance: Scalar = eqx.field(converter=number("tolerance", 0, 1), default=1e-10)
     neighbours: int = eqx.field(static=True, default=100)
     dense: int | None = eqx.field(static=True, default=None)
 
@@ -188,7 +187,7 @@ class RBF(AbstractMethod):
         extent = jnp.abs(points - centre[None]).max()
         if self.ridge:  # its effect depends on the scale, which must then not depend on the axes
             extent = jnp.sqrt(largest(jnp.sum((points - centre[None]) ** 2, axis=1)))
-        scale = 1 / jnp.where(extent > 0, extent, 1)
+        scale = 1 / or_one(extent)
         if self._below_min_degree:
             scale = jnp.ones_like(scale)
         elif not self.ridge:

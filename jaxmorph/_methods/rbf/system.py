@@ -18,9 +18,9 @@ from ..._host.package.errors import warn
 from ..._kernels.compile import is_for_cpu
 from ..._kernels.gpu import fused_sum, has_kernels, is_elementwise
 from ..._kernels.linear import MOST_ROWS, few_rows_times, few_rows_times_transposed, linear_primitive
-from ..base import BLOCK
+from ..base import BLOCK, Scalar, matmul
 from ..blocks import fold_rows, map_rows
-from .basis import AbstractBasis
+from .basis import AbstractBasis, Columns, Sources, Squared, Weights
 
 KERNEL_BLOCK = 2**17  # elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache
 MOST_FUSED = 48  # columns of weights beyond which a product of matrices is faster than the GPU's kernel
@@ -33,7 +33,7 @@ def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, 
     return {None: one[:, :0], 0: one, 1: jnp.concatenate([one, points], axis=1)}[degree]
 
 
-def squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
+def squared_distances(a: Float[Array, "k d"], b: Sources) -> Weights:
     return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]
 
 
@@ -41,27 +41,23 @@ def block_size(count: int) -> int:
     return min(BLOCK, max(64, KERNEL_BLOCK // count // 64 * 64))
 
 
-def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array, "d c"]:
+def in_rows(points: Float[Array, "c d"], scale: Scalar) -> Float[Array, "d c"]:
     """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`."""
     # A product of matrices, which the compiler does not merge into the loop along the points, as it
     # would a transposition. The barrier keeps it from making the transposed product of it in
     # programs for several devices.
     matrix = scale * jnp.eye(points.shape[1], dtype=points.dtype)
-    return jax.lax.optimization_barrier(jnp.matmul(matrix, points.T, precision="highest"))
+    return jax.lax.optimization_barrier(matmul(matrix, points.T))
 
 
-def kernel_sum(
-    phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"], points: Float[Array, "d c"]
-) -> Float[Array, "k c"]:
+def kernel_sum(phi: Callable, sources: Sources, weights: Weights, points: Float[Array, "d c"]) -> Float[Array, "k c"]:
     """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances."""
     # one loop along the points for distances and kernel, then a product with the weights; the
     # compiler makes vector instructions of it only if each coordinate lies in a row of its own
     return few_rows_times(weights, phi(squared_distances(sources, points.T)))
 
 
-def symmetric_kernel_sum(
-    phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"]
-) -> Float[Array, "k s"]:
+def symmetric_kernel_sum(phi: Callable, sources: Sources, weights: Weights) -> Weights:
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
     # of columns i.
@@ -89,9 +85,9 @@ def symmetric_kernel_sum(
 
 class Radial(eqx.Module):
     basis: AbstractBasis
-    scale: Float[Array, ""]
+    scale: Scalar
 
-    def __call__(self, r2: Float[Array, "..."]) -> Float[Array, "..."]:
+    def __call__(self, r2: Squared) -> Squared:
         return self.basis(r2 if self.basis.scale_free else r2 / self.scale**2)
 
 
@@ -101,9 +97,7 @@ def is_fused(phi: Radial, dtype: Any) -> bool:
     return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(phi)) and is_elementwise(phi, dtype)
 
 
-def fused(
-    phi: Radial, sources: Float[Array, "s d"], weights: Float[Array, "s k"], points: Float[Array, "c d"]
-) -> Float[Array, "c k"]:
+def fused(phi: Radial, sources: Sources, weights: Columns, points: Float[Array, "c d"]) -> Float[Array, "c k"]:
     if not len(points) or not len(sources):
         return jnp.zeros((len(points), weights.shape[1]), points.dtype)
     leaves, structure = jax.tree.flatten(phi)

@@ -5,7 +5,7 @@ import pathlib
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Inexact, Int
+from jaxtyping import Inexact, Int
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -13,6 +13,10 @@ from jaxmorph.extend import finite_array, rows_of, together
 
 from .. import mpi
 from .._pieces import check_comm
+
+Points = Inexact[np.ndarray, "k 3"]
+Coordinates = Inexact[np.ndarray, " c"]
+"""Three numbers of each point in turn."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -29,7 +33,7 @@ class DistributedGrid:
     """
 
     comm: Any
-    points: Float[np.ndarray, "n 3"]
+    points: Inexact[np.ndarray, "n 3"]
     nodes: Int[np.ndarray, " n"]
     rows: Int[np.ndarray, " k"]
     mesh: jm.Mesh | None
@@ -74,16 +78,16 @@ class DistributedGrid:
             return {}
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
 
-    def listed(self, points: Inexact[np.ndarray, "n 3"]) -> Inexact[np.ndarray, " c"]:
+    def listed(self, points: Points) -> Coordinates:
         return points[self.rows].ravel()
 
-    def added(self, values: Float[np.ndarray, " c"]) -> Float[np.ndarray, "n 3"]:
+    def added(self, values: Coordinates) -> Points:
         """Adds values of the file's list to its nodes: the transpose of `listed`."""
         total = np.zeros(self.points.shape)
         np.add.at(total, self.rows, values.reshape(-1, 3))
         return total
 
-    def write(self, path: str, points: Float[np.ndarray, "n 3"]) -> None:
+    def write(self, path: str, points: Points) -> None:
         if self.case is not None and self.mesh is not None:
             with self.case.writing(path, self.comm) as writer:
                 writer.add(self.comm.rank, self.mesh.moved(points))
@@ -119,15 +123,15 @@ class SolverOrder:
         return sum(map(len, self.places))
 
     def to_solver(self, values: np.ndarray) -> np.ndarray:
-        result = np.zeros(self.size, values.dtype)
-        for rows, answer in zip(self.places, self.comm.alltoall([values[rows] for rows in self.sent]), strict=True):
-            result[rows] = answer
-        return result
+        return self._sent(values, self.sent, self.places, self.size)
 
     def from_solver(self, values: np.ndarray) -> np.ndarray:
         """Adds up the solvers' numbers: the transpose of `to_solver`."""
-        result = np.zeros(self.count)
-        for rows, answer in zip(self.sent, self.comm.alltoall([values[rows] for rows in self.places]), strict=True):
+        return self._sent(values, self.places, self.sent, self.count)
+
+    def _sent(self, values: np.ndarray, sent: list[np.ndarray], places: list[np.ndarray], size: int) -> np.ndarray:
+        result = np.zeros(size, values.dtype)
+        for rows, answer in zip(places, self.comm.alltoall([values[rows] for rows in sent]), strict=True):
             np.add.at(result, rows, answer)
         return result
 
@@ -135,7 +139,6 @@ class SolverOrder:
 def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
     """Finds who has what. `indices` (k,) count the numbers of all processes from 0."""
     firsts = np.cumsum([0, *comm.allgather(count)])
-
     wanted = together(comm, lambda: rows_of("indices", whole_numbers("indices", indices), int(firsts[-1])))
     keeper = np.searchsorted(firsts, wanted, side="right") - 1
     places = [np.flatnonzero(keeper == rank) for rank in range(comm.size)]
@@ -188,7 +191,6 @@ def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> np.ndarray:
     return finite_array(name, values, shape).astype(float)
 
 
-def numbers(name: str, values: Any, shape: tuple[int, ...], kind: type) -> np.ndarray:
-    if kind is not complex:
-        return reals(name, values, shape)
-    return reals(name, np.real(values), shape) + 1j * reals(name, np.imag(values), shape)
+def agreed(comm: Any, name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Checks numbers in each process; all raise together."""
+    return together(comm, lambda: reals(name, values, shape))

@@ -6,13 +6,23 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Complex, Float, Inexact
+from jaxtyping import Complex
 
 import jaxmorph as jm
 from jaxmorph.extend import float64_mode, together
 
 from .. import mpi
-from ._grid import DistributedGrid, SolverOrder, communicator, faces, reals, solver_order, surface_blocks
+from ._grid import (
+    Coordinates,
+    DistributedGrid,
+    Points,
+    SolverOrder,
+    agreed,
+    communicator,
+    faces,
+    solver_order,
+    surface_blocks,
+)
 from ._surface import Definition, Follower, boundary_of, patches_by_kind
 
 OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
@@ -44,9 +54,12 @@ KINDS = {kind.lower(): kind for kind in ("CGNS", "OpenFOAM", "PLOT3D")}
 
 def checked(options: Any) -> dict[str, Any]:
     """Completes options by IDWarp's defaults, and adds a list of those that were given."""
-    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+    if not isinstance(options, Mapping):
         raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
-    values = {name_of(name): _checked(name_of(name), value) for name, value in options.items()}
+    values = {name_of(name): value for name, value in options.items()}
+    for name, value in values.items():
+        if value is not None:
+            _check(name, value)
     values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
     if values.get("gridFile") is None or values["fileType"] is None:
         raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(KINDS.values())}.")
@@ -55,40 +68,32 @@ def checked(options: Any) -> dict[str, Any]:
 
 def name_of(name: str) -> str:
     known = {option.lower(): option for option in OPTIONS}
-    if not isinstance(name, str) or name.lower() not in known:
+    if str(name).lower() not in known:
         raise ValueError(f"`options`: IDWarp has no option {name}; it has {', '.join(OPTIONS)}.")
     return known[name.lower()]
 
 
-def _checked(name: str, value: Any) -> Any:
-    if value is None:
-        return None
-    kinds = OPTIONS[name][0]
-    if not isinstance(value, kinds) or type(value) in {bool} - {*kinds}:
-        raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(kind.__name__ for kind in kinds)}.")
-    is_fit, expected = SHAPES.get(name, (lambda value: True, ""))
-    if not is_fit(value):
-        raise ValueError(f"`{name}` is {value!r}; expected {expected}.")
-    return value
-
-
-def _are_names(value: Any) -> bool:
-    return all(isinstance(entry, str) for entry in value)
-
-
-def _are_planes(value: Any) -> bool:
+def _check(name: str, value: Any) -> None:
+    kinds: Any = OPTIONS[name][0]
+    expected = EXPECTED.get(name, " or ".join(kind.__name__ for kind in kinds))
     try:
-        return not len(value) or np.asarray(value, dtype=float).shape[1:] == (2, 3)
+        if not isinstance(value, kinds) or (type(value) is bool and bool not in kinds):
+            raise TypeError
+        entries: Any = value
+        if name.endswith("Surfaces"):
+            "".join(entries)  # refuses what is no name
+        if name == "symmetryPlanes":
+            np.asarray(entries, dtype=float).reshape(len(entries), 2, 3)
     except (TypeError, ValueError):
-        return False
+        raise ValueError(f"`{name}` is {value!r}; expected {expected}.") from None
 
 
-SHAPES = {
-    "specifiedSurfaces": (_are_names, "names of patches"),
-    "symmetrySurfaces": (_are_names, "names of patches"),
-    "symmetryPlanes": (_are_planes, "a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]"),
+EXPECTED = {
+    "specifiedSurfaces": "names of patches",
+    "symmetrySurfaces": "names of patches",
+    "symmetryPlanes": "a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]",
 }
-"""Types of the entries of list options."""
+"""What list options hold."""
 
 
 def warn_of(options: Mapping[str, Any]) -> None:
@@ -155,16 +160,16 @@ class USMesh:
         self._moved = self._grid.points
         self._order: SolverOrder | None = None
         self._surface: Follower | None = None
-        self._dXs = np.zeros((0, 3))
+        self._coordinates = self._dXs = np.zeros((0, 3))
 
-    def getSurfaceCoordinates(self) -> Inexact[np.ndarray, "k 3"]:
+    def getSurfaceCoordinates(self) -> Points:
         """Returns the surface's points that this process has, as they were set last."""
-        return self._defined().coordinates.copy()
+        self._defined()
+        return self._coordinates.copy()
 
     def setSurfaceCoordinates(self, coordinates: Any) -> None:
         """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
-        surface = self._defined()
-        surface.coordinates = self._rows("coordinates", coordinates)
+        self._coordinates = self._rows("coordinates", coordinates)
 
     def setSurfaceDefinition(self, pts: Any, conn: Any, faceSizes: Any, cgnsBlockID: Any = None) -> None:
         """Defines the surface by this process' points (k, 3) and faces; equal points are one.
@@ -182,8 +187,7 @@ class USMesh:
         **Raises:** `ValueError`, in every process, for other shapes, and for a surface without a
         patch of the mesh.
         """
-        points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
-        self._define(points, corners, sizes, is_own=False)
+        self._define(*together(self.comm, lambda: faces(pts, conn, faceSizes)), is_own=False)
 
     def setSurfaceDefinitionFromFile(self, surfFile: str) -> None:
         """Defines the surface by the blocks of a PLOT3D file, which the first process has."""
@@ -201,21 +205,21 @@ class USMesh:
         """
         self._order = solver_order(self.comm, 3 * len(self._grid.rows), ind)
 
-    def getSolverGrid(self) -> Inexact[np.ndarray, " c"]:
+    def getSolverGrid(self) -> Coordinates:
         """Returns the coordinates of the moved mesh, in the order of `setExternalMeshIndices`."""
         return self._solver().to_solver(self.getCommonGrid())
 
-    def getCommonGrid(self) -> Inexact[np.ndarray, " c"]:
+    def getCommonGrid(self) -> Coordinates:
         """Returns this process' coordinates of the moved mesh in the file's order."""
         return self._grid.listed(self._moved)
 
-    def getWarpGrid(self) -> Inexact[np.ndarray, " c"]:
+    def getWarpGrid(self) -> Coordinates:
         """Returns what `getCommonGrid` does: no other order is used here."""
         return self.getCommonGrid()
 
     def warpMesh(self) -> None:
         """Moves the mesh from its first place to where the surface is."""
-        self._moved = self._defined().deform()
+        self._moved = self._defined().deform(self._coordinates)
 
     def warpDeriv(self, dXv: Any, solverVec: bool = True) -> None:
         """Pulls the derivative by mesh coordinates back to the surface's points; see `getdXs`.
@@ -223,21 +227,21 @@ class USMesh:
         `dXv` is in the order of `getSolverGrid`, or of `getCommonGrid` where `solverVec` is False.
         Contributions of processes add up.
         """
-        surface = self._defined()
-        self._dXs = surface.pullback(self._grid.added(self._volume("dXv", dXv, solverVec)))
+        seed = self._grid.added(self._volume(dXv, solverVec))
+        self._dXs = self._defined().pullback(self._coordinates, seed)
 
-    def getdXs(self) -> Float[np.ndarray, "k 3"]:
+    def getdXs(self) -> Points:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         return self._dXs.copy()
 
-    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Float[np.ndarray, " c"]:
+    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Coordinates:
         """Moves the mesh, and pushes a change of the surface's points (k, 3) forward to it.
 
         The result is in the order of `getSolverGrid`, or of `getCommonGrid` without `solverVec`.
         """
         tangent = self._rows("dXs", np.reshape(np.asarray(dXs, float), (-1, 3)))
         self.warpMesh()
-        change = self._grid.listed(self._defined().pushforward(tangent))
+        change = self._grid.listed(self._defined().pushforward(self._coordinates, tangent))
         return self._solver().to_solver(change) if solverVec else change
 
     def verifyWarpDeriv(
@@ -255,20 +259,22 @@ class USMesh:
         `dofStart` to before `dofEnd` count over the points of all processes. The step `h` has the
         mesh's unit. Returns the largest difference, relative to the largest derivative.
         """
-        surface, count = self._defined(), 3 * len(self._grid.rows)
+        surface = self._defined()
         if dXv is None:
-            dXv, solverVec = np.random.default_rng([randomSeed, self.comm.rank]).random(count), False
-        seed = self._volume("dXv", dXv, solverVec)
+            random = np.random.default_rng([randomSeed, self.comm.rank])
+            dXv, solverVec = random.random(3 * len(self._grid.rows)), False
+        seed = self._volume(dXv, solverVec)
         self.warpDeriv(seed, solverVec=False)
         slopes = np.concatenate(self.comm.allgather(self._dXs)).ravel()
-        scale, worst = float(np.abs(slopes).max(initial=0.0)), 0.0
+        worst = 0.0
         for dof in range(dofStart, min(dofEnd, len(slopes))):
-            ahead, behind = (self._grid.listed(surface.deform(dof, step)) for step in (h, -h))
-            slope = self.comm.allreduce(float(seed @ (ahead - behind))) / (2 * h)
+            step = h * (np.arange(len(slopes)) == dof).reshape(-1, 3)[surface.own]
+            ahead, behind = (surface.deform(self._coordinates + change) for change in (step, -step))
+            slope = self.comm.allreduce(float(seed @ self._grid.listed(ahead - behind))) / (2 * h)
             worst = max(worst, abs(slope - float(slopes[dof])))
             if self.comm.rank == 0:
                 print(f"surface coordinate {dof}: derivative {slopes[dof]:.12e}, difference {slope:.12e}")
-        return worst / scale if scale else worst
+        return worst / (float(np.abs(slopes).max(initial=0.0)) or 1.0)
 
     def writeGrid(self, fileName: str | None = None) -> None:
         """Writes the moved mesh: a file in `gridFile`'s format, or an OpenFOAM case or time.
@@ -347,7 +353,7 @@ class USMesh:
             half, weights = self.comm.bcast(together(self.comm, prepared))
             piece = mpi.attach(self.comm, half, grid.points, grid.nodes)
         self._surface = Follower(piece, weights, points)
-        self._dXs = np.zeros_like(points)
+        self._coordinates, self._dXs = points, np.zeros_like(points)
 
     def _solver(self) -> SolverOrder:
         if self._order is None:
@@ -358,14 +364,13 @@ class USMesh:
         return self._order
 
     def _rows(self, name: str, values: Any) -> np.ndarray:
-        shape = self._defined().coordinates.shape
-        return together(self.comm, lambda: reals(name, values, shape))
+        return agreed(self.comm, name, values, self._defined().points.shape)
 
-    def _volume(self, name: str, values: Any, is_solvers: bool) -> np.ndarray:
+    def _volume(self, values: Any, is_solvers: bool) -> np.ndarray:
         if not is_solvers:
-            return together(self.comm, lambda: reals(name, values, (3 * len(self._grid.rows),)))
+            return agreed(self.comm, "dXv", values, (3 * len(self._grid.rows),))
         order = self._solver()
-        return order.from_solver(together(self.comm, lambda: reals(name, values, (order.size,))))
+        return order.from_solver(agreed(self.comm, "dXv", values, (order.size,)))
 
 
 class USMesh_C(USMesh):
@@ -380,7 +385,7 @@ class USMesh_C(USMesh):
     def getSurfaceCoordinates(self) -> Complex[np.ndarray, "k 3"]:
         """Returns the surface's points that this process has, with their steps."""
         points = super().getSurfaceCoordinates()
-        return points + 1j * (np.zeros_like(points) if self._step is None else self._step)
+        return points + 1j * (0 if self._step is None else self._step)
 
     def setSurfaceCoordinates(self, coordinates: Any) -> None:
         """Sets the surface's points and steps, as `getSurfaceCoordinates` orders them."""
@@ -392,4 +397,4 @@ class USMesh_C(USMesh):
         """Moves the mesh from its first place to where the surface is, with the steps."""
         super().warpMesh()
         if self._step is not None:
-            self._moved = self._moved + 1j * self._defined().pushforward(self._step)
+            self._moved = self._moved + 1j * self._defined().pushforward(self._coordinates, self._step)

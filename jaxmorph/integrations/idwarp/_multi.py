@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Inexact
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.extend import rows_of, together
 from jaxmorph.io.cgns.file import open_zones, opened
 
-from ._grid import DistributedGrid, SolverOrder, communicator, faces, numbers, reals, solver_order
+from ._grid import Coordinates, DistributedGrid, Points, SolverOrder, agreed, communicator, faces, solver_order
 from ._mesh import USMesh, USMesh_C
 
 
@@ -50,14 +49,15 @@ class MultiUSMesh:
         if dtype != expected:
             raise ValueError(f"`dtype` is {dtype!r}; {expected!r} is taken: complex steps have a class, MultiUSMesh_C.")
         read = (None, None) if self.comm.rank else None
-        mesh, zones = together(self.comm, lambda: read or _read(CGNSFile, optionsDict))
-        names, self._counts, self._grid = self.comm.bcast(zones)
+        mesh, grids = together(self.comm, lambda: read or _read(CGNSFile, optionsDict))
+        names, self._zones, counts = self.comm.bcast(grids)
+        self._grid = np.repeat(self._zones, counts)
         self._whole = DistributedGrid.shared(self.comm, mesh)
         self.meshes = []
         for k, name in enumerate(names):
-            part = None if mesh is None else _part(mesh, np.repeat(self._grid, self._counts) == k)
+            part = DistributedGrid.shared(self.comm, None if mesh is None else _part(mesh, self._grid == k))
             options = {**optionsDict[name], "gridFile": CGNSFile}
-            self.meshes.append(self._mesh_class._of(self.comm, options, DistributedGrid.shared(self.comm, part)))
+            self.meshes.append(self._mesh_class._of(self.comm, options, part))
         self._order: SolverOrder | None = None
         self._chosen: list[np.ndarray] = []
         self._rows: list[np.ndarray] | None = None
@@ -66,17 +66,11 @@ class MultiUSMesh:
     def setExternalMeshIndices(self, ind: Any) -> None:
         """Sets the file's coordinates that this process' solver has, three a node, from 0."""
         self._order = solver_order(self.comm, 3 * len(self._whole.rows), ind)
-        indices, self._chosen = np.asarray(ind, dtype=np.int64).ravel(), []
-        first = np.cumsum(self._counts) - self._counts
-        zone = np.searchsorted(first, indices // 3, side="right") - 1
-        for k, mesh in enumerate(self.meshes):
-            # A grid's nodes are counted through its own zones: the shift is a zone's first node in
-            # the file less that in the grid.
-            counts = np.where(self._grid == k, self._counts, 0)
-            shift = first - (np.cumsum(counts) - counts)
-            chosen = np.flatnonzero(self._grid[zone] == k)
-            self._chosen.append(chosen)
-            mesh.setExternalMeshIndices(indices[chosen] - 3 * shift[zone[chosen]])
+        nodes, axis = np.divmod(np.asarray(ind, dtype=np.int64).ravel(), 3)
+        self._chosen = [np.flatnonzero(self._grid[nodes] == k) for k in range(len(self.meshes))]
+        for k, (chosen, mesh) in enumerate(zip(self._chosen, self.meshes, strict=True)):
+            place = np.cumsum(self._grid == k) - 1  # of a node of the file in the grid's own list
+            mesh.setExternalMeshIndices(3 * place[nodes[chosen]] + axis[chosen])
 
     def setSurfaceDefinition(
         self, pts: Any, conn: Any = None, faceSizes: Any = None, cgnsBlockIDs: Any = None, distTol: float = 1e-6
@@ -87,15 +81,16 @@ class MultiUSMesh:
         move.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
-        zones = together(self.comm, lambda: self._zones_of_faces(cgnsBlockIDs, sizes.shape))
+        zones = agreed(self.comm, "cgnsBlockIDs", np.ravel(cgnsBlockIDs), sizes.shape).astype(int)
+        zones = together(self.comm, lambda: rows_of("cgnsBlockIDs", zones, len(self._zones)))
         self._coordinates, self._rows = points.astype(self._number), []
         for k, mesh in enumerate(self.meshes):
-            is_own = self._grid[zones] == k
+            is_own = self._zones[zones] == k
             own = corners[np.repeat(is_own, sizes)]
             self._rows.append(np.unique(own))
             mesh.setSurfaceDefinition(points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own])
 
-    def getSurfaceCoordinates(self) -> Inexact[np.ndarray, "k 3"]:
+    def getSurfaceCoordinates(self) -> Points:
         """Returns the surface's points that this process has, as they were set last."""
         for rows, mesh in self._parts():
             self._coordinates[rows] = mesh.getSurfaceCoordinates()
@@ -104,7 +99,9 @@ class MultiUSMesh:
     def setSurfaceCoordinates(self, pts: Any) -> None:
         """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
         parts = self._parts()
-        points = together(self.comm, lambda: numbers("pts", pts, self._coordinates.shape, self._number))
+        shape, is_real = self._coordinates.shape, self._number is float
+        points = agreed(self.comm, "pts", pts if is_real else np.real(pts), shape)
+        points = points if is_real else points + 1j * agreed(self.comm, "pts", np.imag(pts), shape)
         for rows, mesh in parts:
             mesh.setSurfaceCoordinates(points[rows])
 
@@ -113,38 +110,38 @@ class MultiUSMesh:
         for mesh in self.meshes:
             mesh.warpMesh()
 
-    def getSolverGrid(self) -> Inexact[np.ndarray, " c"]:
+    def getSolverGrid(self) -> Coordinates:
         """Returns the coordinates of the moved grids, in the order of `setExternalMeshIndices`."""
         grid = self._solver().to_solver(self._whole.listed(self._whole.points)).astype(self._number)
         for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
             grid[chosen] = mesh.getSolverGrid()
         return grid
 
-    def getWarpGrid(self) -> tuple[list[Inexact[np.ndarray, " c"]], int]:
+    def getWarpGrid(self) -> tuple[list[Coordinates], int]:
         """Returns `getCommonGrid` of each moving grid, and the count of all coordinates."""
         grids = [mesh.getCommonGrid() for mesh in self.meshes]
         return grids, self.comm.allreduce(sum(map(len, grids)))
 
-    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Float[np.ndarray, "k 3"]:
+    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Points:
         """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3)."""
         if not solverVec:
             raise ValueError("`solverVec` must be True here; `meshes` have an order of their own each.")
-        values = together(self.comm, lambda: reals("dXv", dXv, (self._solver().size,)))
+        values = agreed(self.comm, "dXv", dXv, (self._solver().size,))
         for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
             mesh.warpDeriv(values[chosen])
         return self.getdXs()
 
-    def getdXs(self) -> Float[np.ndarray, "k 3"]:
+    def getdXs(self) -> Points:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         total = np.zeros(self._coordinates.shape)
         for rows, mesh in self._parts():
             total[rows] += mesh.getdXs()
         return total
 
-    def warpDerivFwd(self, dXs: Any) -> Float[np.ndarray, " c"]:
+    def warpDerivFwd(self, dXs: Any) -> Coordinates:
         """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
         parts = self._parts()
-        tangent = together(self.comm, lambda: reals("dXs", dXs, self._coordinates.shape))
+        tangent = agreed(self.comm, "dXs", dXs, self._coordinates.shape)
         change = np.zeros(self._solver().size)
         for (rows, mesh), chosen in zip(parts, self._chosen, strict=True):
             change[chosen] = mesh.warpDerivFwd(tangent[rows])
@@ -157,16 +154,12 @@ class MultiUSMesh:
         def write() -> None:
             mesh = self._whole.mesh
             if mesh is not None:
-                points, grid = np.array(mesh.points), np.repeat(self._grid, self._counts)
+                points = np.array(mesh.points)
                 for k, parts in enumerate(shares):
-                    points[mesh.file_nodes[grid == k]] = np.concatenate(parts or [])
+                    points[mesh.file_nodes[self._grid == k]] = np.concatenate(parts or [])
                 io.write(f"{baseName or 'IDWarpMulti'}.cgns", mesh.moved(points))
 
         together(self.comm, write)
-
-    def _zones_of_faces(self, zones: Any, shape: tuple[int, ...]) -> np.ndarray:
-        found = reals("cgnsBlockIDs", np.ravel(zones), shape).astype(int)
-        return rows_of("cgnsBlockIDs", found, len(self._grid))
 
     def _solver(self) -> SolverOrder:
         if self._order is None:
@@ -192,26 +185,26 @@ class MultiUSMesh_C(MultiUSMesh):
 
 
 def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray, np.ndarray]]:
-    """Reads a mesh and its grids: names, and by zone its number of nodes and its grid, or -1."""
-    mesh = io.read(path)
+    """Reads a mesh and its grids: names, and by zone its grid, or -1, and its number of nodes."""
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
-        sizes = [(zone.name.rsplit(".", 1)[0], zone.count) for zone in zones]
-    grids, counts = zip(*sizes, strict=True)
-    numbers = {name: k for k, name in enumerate(name for name in dict.fromkeys(grids) if name in options)}
-    missing = [name for name in options if name not in numbers]
-    if missing or not numbers:
-        known = ", ".join(dict.fromkeys(grids))
-        raise ValueError(f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {known}.")
-    return mesh, (list(numbers), np.array(counts), np.array([numbers.get(name, -1) for name in grids]))
+        counts, grids = [zone.count for zone in zones], [zone.name.rsplit(".", 1)[0] for zone in zones]
+    names = [name for name in dict.fromkeys(grids) if name in options]
+    if len(names) < max(len(options), 1):
+        known, missing = ", ".join(dict.fromkeys(grids)), ", ".join(name for name in options if name not in names)
+        raise ValueError(f"`optionsDict`: {path} has no grid {missing}; it has {known}.")
+    numbers = [names.index(name) if name in names else -1 for name in grids]
+    return io.read(path), (names, np.array(numbers), np.array(counts))
 
 
 def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
     nodes, listed = np.unique(mesh.file_nodes[is_own], return_inverse=True)
-    inside = {kind: ids[np.isin(ids, nodes).all(axis=1)] for kind, ids in mesh.cells.items()}
-    inside |= {name: ids[np.isin(ids, nodes)] for name, ids in mesh.patches.items()}
-    own = {name: np.searchsorted(nodes, ids) for name, ids in inside.items() if len(ids)}
-    cells, patches = ({name: own[name] for name in names if name in own} for names in (mesh.cells, mesh.patches))
+
+    def own(lists: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        inside = {name: ids[np.isin(ids, nodes).reshape(len(ids), -1).all(axis=1)] for name, ids in lists.items()}
+        return {name: np.searchsorted(nodes, ids) for name, ids in inside.items() if len(ids)}
+
+    cells, patches = own(mesh.cells), own(mesh.patches)
     periodic = tuple(pair for pair in io.periodic(mesh) if str(pair.patch) in patches)
     rest = {"content": None, "polyhedra": None, "cell_ids": None, "in_file": None}
     source = dataclasses.replace(mesh.source, file_nodes=listed, periodic=periodic, **rest)

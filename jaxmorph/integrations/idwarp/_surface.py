@@ -16,6 +16,7 @@ from jaxmorph import io
 from jaxmorph.extend import closest, fans, float64_mode
 
 from .. import mpi
+from ._grid import Points
 
 WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
 """What a patch is, by a word in its kind or its name."""
@@ -23,10 +24,10 @@ PART = 0.5
 """Share of a patch's nodes on the surface, from which the patch belongs to it."""
 SAME = 1e-12
 """Distance of duplicate points, as a share of the surface's extent."""
-AT = 1e-6
-"""Distance of a wall node from its surface point, as a share of the points' spacing."""
 NEAR = 0.1
 """Distance of a node from its face, as a share of its longest edge: facets cut corners."""
+
+Patches = dict[str, tuple[str, ...]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,75 +39,67 @@ class Definition:
 
     @staticmethod
     def gathered(comm: Any, points: np.ndarray, conn: np.ndarray, sizes: np.ndarray) -> "Definition":
-        shares = comm.allgather((points, fans(conn, sizes)))
-        firsts = np.cumsum([0, *(len(share[0]) for share in shares)])
-        corners = [share[1] + first for share, first in zip(shares, firsts, strict=False)]
-        return Definition(np.concatenate([share[0] for share in shares]), np.concatenate(corners))
+        shares, triangles = zip(*comm.allgather((points, fans(conn, sizes))), strict=True)
+        firsts = np.cumsum([0, *map(len, shares)])
+        corners = [own + first for own, first in zip(triangles, firsts, strict=False)]
+        return Definition(np.concatenate(shares), np.concatenate(corners))
 
-    def weights(self, x: Float[np.ndarray, "k 3"]) -> tuple[Any, np.ndarray, np.ndarray]:
+    def weights(self, x: Points) -> tuple[Any, np.ndarray, np.ndarray]:
         """Computes sparse weights (k, s) by which the surface's points move nodes `x`.
 
-        A node at a place of the surface moves with the mean of its points. Another node moves as
-        the closest point of the faces, or as the three nearest places without faces. Rows sum to
-        one. Also returned: each node's distance (k,) from the surface, and the largest distance
-        (k,) of a node on it.
+        A node moves as the closest point of the faces, or without faces as the three nearest
+        places, each with the mean of its points: solvers repeat points. Rows sum to one. Also
+        returned: each node's distance (k,) from the surface, and the largest distance (k,) of a
+        node on it.
         """
-        place, at = self._places()
-        tree = KDTree(place)
-        away, nearest = (np.reshape(answer, (len(x), -1)) for answer in tree.query(x, k=min(3, len(place))))
-        limit = _spacing(place)[nearest[:, 0]]
-        is_point = away[:, 0] <= AT * limit
-        inverse = 1 / np.maximum(away, np.finfo(float).tiny ** 0.25) ** 2
-        inverse = np.where(is_point[:, None], np.arange(away.shape[1]) == 0, inverse)
-        missing = ((0, 0), (0, 3 - away.shape[1]))
-        columns, shares = np.pad(nearest, missing), np.pad(inverse / inverse.sum(axis=1, keepdims=True), missing)
-        away = away[:, 0]
+        same = KDTree(self.points).query_pairs(SAME * np.ptp(self.points, axis=0).max(), output_type="ndarray")
+        graph = csr_array((np.ones(len(same)), same.T), (len(self.points), len(self.points)))
+        at = connected_components(graph, directed=False)[1]
+        place = self.points[np.unique(at, return_index=True)[1]]
         if len(self.triangles):
-            corners, off = at[self.triangles], np.flatnonzero(~is_point)
-            chosen, inside, away[off] = closest(place[corners], x[off])
-            columns[off], shares[off] = corners[chosen], inside
-            sides = place[corners] - np.roll(place[corners], 1, axis=1)
-            limit[off] = NEAR * np.linalg.norm(sides, axis=2).max(axis=1)[chosen]
-        rows = np.repeat(np.arange(len(x)), 3)
+            corners = at[self.triangles]
+            chosen, shares, away = closest(place[corners], x)
+            edges = np.linalg.norm(place[corners] - place[np.roll(corners, 1, axis=1)], axis=2)
+            columns, limit = corners[chosen], NEAR * edges.max(axis=1)[chosen]
+        else:
+            count = min(3, len(place))
+            near, columns = (np.reshape(answer, (-1, count)) for answer in KDTree(place).query(x, k=count))
+            inverse = 1 / np.maximum(near, np.finfo(float).tiny ** 0.25) ** 2
+            shares, away = inverse / inverse.sum(axis=1, keepdims=True), near[:, 0]
+            limit = spacing(place)[columns[:, 0]]
+        rows = np.repeat(np.arange(len(x)), columns.shape[1])
         of_places = csr_array((shares.ravel(), (rows, columns.ravel())), (len(x), len(place)))
         means = csr_array((1 / np.bincount(at)[at], (at, np.arange(len(at)))), (len(place), len(at)))
         return of_places @ means, away, limit
 
-    def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Finds the points' places (g, 3), and each point's place (s,): solvers repeat points."""
-        place, at = np.unique(self.points, axis=0, return_inverse=True)
-        same = KDTree(place).query_pairs(SAME * np.ptp(place, axis=0).max(), output_type="ndarray")
-        graph = csr_array((np.ones(len(same)), (same[:, 0], same[:, 1])), (len(place), len(place)))
-        part = connected_components(graph, directed=False)[1]
-        return place[np.unique(part, return_index=True)[1]], part[at.ravel()]
 
-
-def _spacing(points: np.ndarray) -> np.ndarray:
+def spacing(points: np.ndarray) -> np.ndarray:
     """Each point's distance (n,) from its nearest neighbour; infinite for one point."""
     return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
-def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> Patches:
     """Lists patches of `wall`, `symmetry` and `overset` by option, kind in the file, or name."""
-    kinds: dict[str, list[str]] = {kind: [] for kind in (*WORDS.values(), "")}
+    found: dict[str, list[str]] = {kind: [] for kind in (*WORDS.values(), "")}
     for name in mesh.patches:
-        kinds[_kind_of(mesh, name)].append(name)
+        found[_kind_of(mesh, name)].append(name)
     for kind, option in (("wall", "specifiedSurfaces"), ("symmetry", "symmetrySurfaces")):
         if options[option] is not None:
-            kinds[kind] = _named(mesh, options[option], option)
+            found[kind] = _named(mesh, options[option], option)
     if options["symmetryPlanes"] is not None:
-        kinds["symmetry"] = _in_planes(mesh, _planes(mesh, options))
-    walls, _ = kinds.pop("wall"), kinds.pop("")
-    return {kind: tuple(name for name in names if name not in walls) for kind, names in kinds.items()} | {
-        "wall": tuple(walls)
-    }
+        found["symmetry"] = _in_planes(mesh, _planes(mesh, options))
+    walls = found.pop("wall")
+    others = {kind: tuple(name for name in names if name not in walls) for kind, names in found.items() if kind}
+    return others | {"wall": tuple(walls)}
 
 
 def _in_planes(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
-    on = np.zeros(len(mesh.points), bool)
-    for plane in planes:
-        on |= plane.holds(np.asarray(mesh.points, dtype=float))
+    on = np.logical_or.reduce([np.zeros(len(mesh.points), bool), *(plane.holds(_points(mesh)) for plane in planes)])
     return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
+
+
+def _points(mesh: jm.Mesh) -> np.ndarray:
+    return np.asarray(mesh.points, dtype=float)
 
 
 def _kind_of(mesh: jm.Mesh, name: str) -> str:
@@ -124,7 +117,7 @@ def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
 
 
 def _planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
-    planes, points = [], np.asarray(mesh.points, dtype=float)
+    planes, points = [], _points(mesh)
     for origin, normal in options["symmetryPlanes"]:
         plane = jm.Plane(normal, origin)
         near = np.flatnonzero(np.abs(plane.height(points)) <= options["symmTol"])
@@ -144,7 +137,7 @@ def boundary_of(
     move in patches with half of their nodes on its faces, walls first. All other patches but
     symmetry, periodic and overset ones are fixed.
     """
-    kinds, points = patches_by_kind(mesh, options), np.asarray(mesh.points, dtype=float)
+    kinds, points = patches_by_kind(mesh, options), _points(mesh)
     walls, periodic = kinds["wall"], io.periodic(mesh)
     loose = {*kinds["symmetry"], *kinds["overset"]}
     moving = mesh.patch(*walls) if is_own else _on_surface(mesh, surface, walls, loose)
@@ -158,17 +151,17 @@ def boundary_of(
 
 
 def _on_surface(mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose: Collection[str]) -> np.ndarray:
-    points = np.asarray(mesh.points, dtype=float)
     for names in (walls, [name for name in mesh.patches if name not in loose]):
-        found = []
+        found = [np.zeros(0, int)]
         for nodes in (np.asarray(mesh.patches[name]) for name in names if len(mesh.patches[name]) > 1):
-            _, away, limit = surface.weights(points[nodes])
-            is_on = away <= np.maximum(limit, NEAR * _spacing(points[nodes]))
+            x = _points(mesh)[nodes]
+            _, away, limit = surface.weights(x)
+            is_on = away <= np.maximum(limit, NEAR * spacing(x))
             if is_on.mean() >= PART:
                 found.append(nodes[is_on])
-        if found:
+        if len(found) > 1:
             return np.unique(np.concatenate(found))
-    low, high = (tuple(np.round(extreme(surface.points, axis=0), 6)) for extreme in (np.min, np.max))
+    low, high = (np.round(extreme(surface.points, axis=0), 6).tolist() for extreme in (np.min, np.max))
     raise ValueError(
         f"no patch of the mesh lies on the surface that is defined, {len(surface.points)} points between {low} and {high}: "
         f"its unit, or its place, is not that of the mesh, whose patches are {', '.join(mesh.patches)}."
@@ -176,43 +169,34 @@ def _on_surface(mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose:
 
 
 class Follower:
-    """Moves the mesh with the surface's points; this process has the points `coordinates` (k, 3).
+    """Moves the mesh with the surface's `points` (k, 3), of which this process has some.
 
-    `weights` (m, s) lead from the points of all processes to the moving nodes of the whole mesh.
+    `weights` (m, s) lead from the points of all processes to the moving nodes of the whole mesh;
+    `own` are the rows of this process' points among all.
     """
 
     def __init__(self, piece: mpi.Piece, weights: Any, points: np.ndarray):
         self.piece, self.weights, self.points = piece, weights, points
-        self.coordinates = points.copy()
-        counts = piece.comm.allgather(len(points))
-        self.first = sum(counts[: piece.comm.rank])
+        first = sum(piece.comm.allgather(len(points))[: piece.comm.rank])
+        self.own = slice(first, first + len(points))
         self.copies = dataclasses.replace(piece, is_owner=np.ones_like(piece.is_owner))
 
-    def deform(self, dof: int = 0, step: float = 0.0) -> np.ndarray:
-        """Moves the piece, with a step of one coordinate of the points of all processes."""
+    def deform(self, coordinates: np.ndarray) -> np.ndarray:
         with float64_mode():
-            return self.piece.deform(self._u(self._displacement(dof, step)))
+            return self.piece.deform(self._u(coordinates - self.points))
 
-    def pushforward(self, tangent: np.ndarray) -> np.ndarray:
+    def pushforward(self, coordinates: np.ndarray, tangent: np.ndarray) -> np.ndarray:
         with float64_mode():
-            return self.piece.pushforward(self._u(self._displacement()), self._u(tangent))
+            return self.piece.pushforward(self._u(coordinates - self.points), self._u(tangent))
 
-    def pullback(self, cotangent: np.ndarray) -> np.ndarray:
+    def pullback(self, coordinates: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
         """Pulls back a derivative by all processes' nodes: derivatives by a shared node add up."""
         with float64_mode():
-            share = self.copies.pullback(self._u(self._displacement()), cotangent)
+            share = self.copies.pullback(self._u(coordinates - self.points), cotangent)
         moving = np.zeros((self.weights.shape[0], 3))
         for rows, values in self.piece.comm.allgather((self.piece.rows, share)):
             moving[rows] = values
-        total = self.weights.T @ moving
-        return total[self.first : self.first + len(self.points)]
-
-    def _displacement(self, dof: int = 0, step: float = 0.0) -> np.ndarray:
-        u = self.coordinates - self.points
-        if 0 <= dof - 3 * self.first < u.size:
-            u.ravel()[dof - 3 * self.first] += step
-        return u
+        return (self.weights.T @ moving)[self.own]
 
     def _u(self, values: np.ndarray) -> np.ndarray:
-        everywhere = np.concatenate(self.piece.comm.allgather(values))
-        return (self.weights @ everywhere)[self.piece.rows]
+        return (self.weights @ np.concatenate(self.piece.comm.allgather(values)))[self.piece.rows]

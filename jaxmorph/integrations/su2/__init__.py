@@ -5,21 +5,21 @@ import typing
 
 if typing.TYPE_CHECKING:
     from ._config import Config as Config
+    from ._config import Sensitivity as Sensitivity
     from ._config import read_config as read_config
+    from ._config import read_sensitivity as read_sensitivity
+    from ._config import write_gradient as write_gradient
     from ._motion import DesignVariables as DesignVariables
     from ._options import checked_options as checked_options
-    from ._sensitivity import Sensitivity as Sensitivity
-    from ._sensitivity import read_sensitivity as read_sensitivity
-    from ._sensitivity import write_gradient as write_gradient
 
 _MODULES = {
     "Config": "_config",
     "DesignVariables": "_motion",
-    "Sensitivity": "_sensitivity",
+    "Sensitivity": "_config",
     "checked_options": "_options",
     "read_config": "_config",
-    "read_sensitivity": "_sensitivity",
-    "write_gradient": "_sensitivity",
+    "read_sensitivity": "_config",
+    "write_gradient": "_config",
 }
 __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 

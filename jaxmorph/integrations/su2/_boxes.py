@@ -12,17 +12,16 @@ import scipy.interpolate
 from jaxtyping import Array, Float, Int
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
-from jaxmorph.extend import warn
 
-from ._motion import AbstractPart, check_axis
+from ._motion import AbstractPart, Names, check_axis
 from ._options import KINDS, Options, Variable
 
 Fixed = tuple[frozenset[int], ...]
 """Planes of control points that stay, in each direction of a box."""
 KEPT = {"NO_DERIVATIVE": 1, "1ST_DERIVATIVE": 2, "2ND_DERIVATIVE": 3, "USER_INPUT": 0}
 """Planes of control points that stay behind each face of a box which the wall crosses."""
-HALVINGS = 60
-"""Halvings of an interval, down to a double's rounding."""
+STEPS = 20
+"""Steps of Newton's method, down to a double's rounding."""
 MOST = 10**6
 """Control points that a box may have."""
 OUTSIDE = 2.0
@@ -58,20 +57,20 @@ class BoxPart(AbstractPart):
     def _factors(self, variable: Variable) -> Float[np.ndarray, "k ..."]:
         """Computes what a unit of each value adds to the control points: (k, *counts, d)."""
         factors = np.zeros((variable.size, *self.control.shape))
-        ADDS[variable.kind.removesuffix("_2D")](variable, variable.index, self, factors)
+        ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
         return factors
 
     def is_fixed(self, *index: int) -> bool:
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
 
 
-def _control_point(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     """Moves control points, of which -1 names all of a direction.
 
     SU2 moves none where a plane of a given number stays. Of a direction of all it leaves planes out
     in 3-D alone, and only where the other two numbers are given.
     """
-    d = len(index)
+    index, d = variable.index, len(variable.index)
     if part.is_fixed(*index):
         return
     chosen = np.zeros(factors.shape[1:-1])
@@ -83,21 +82,22 @@ def _control_point(variable: Variable, index: tuple[int, ...], part: BoxPart, fa
     factors += chosen[..., None] * ways.reshape(-1, *[1] * d, d)
 
 
-def _pair(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+def _pair(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     """Moves two control points across a box alike (camber), or apart (thickness)."""
-    d = factors.shape[-1]
+    index, d = variable.index, factors.shape[-1]
     if d == 2 or not any(part.is_fixed(*index, side) for side in (0, 1)):
         factors[(0, *index, 0, d - 1)] = -1 if "THICKNESS" in variable.kind else 1
         factors[(0, *index, 1, d - 1)] = 1
 
 
-def _gull(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
-    factors[0, :, index[0], :, 2] = index[0] not in part.fixed[1]
+def _gull(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+    (j,) = variable.index
+    factors[0, :, j, :, 2] = j not in part.fixed[1]
 
 
-def _nacelle(variable: Variable, index: tuple[int, ...], part: BoxPart, factors: np.ndarray) -> None:
+def _nacelle(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     """Moves the control points at an angle and at the opposite angle."""
-    i, j, k = index
+    i, j, k = variable.index
     last = factors.shape[2] - 1
     for angle in dict.fromkeys([j, last - j if j >= 0 else 0]):
         if part.is_fixed(i, angle, k):
@@ -144,9 +144,10 @@ def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, ".
     about = jnp.asarray(start, control.dtype) + share * jnp.asarray(end - start, control.dtype)
     plane = control[:, j].reshape(-1, 3)
     turned = shapes.rotate(plane, jnp.arctan(value / part.length), about, [0.0, 1.0, 0.0]) - plane
-    rows, columns = len(control), control.shape[2]
-    free = np.array([[not part.is_fixed(i, j, k) for k in range(columns)] for i in range(rows)])
-    turned = jnp.where(meets & jnp.asarray(free)[..., None], turned.reshape(*free.shape, 3), 0)
+    free = np.ones(control.shape[:-1], bool)
+    for axis, planes in enumerate(part.fixed):
+        np.moveaxis(free, axis, 0)[sorted(planes)] = False
+    turned = jnp.where(meets & jnp.asarray(free[:, j, :, None]), turned.reshape(len(control), -1, 3), 0)
     return jnp.zeros_like(control).at[:, j].set(turned)
 
 
@@ -154,7 +155,7 @@ TURNS = {"FFD_ROTATION": _rotation, "FFD_CONTROL_SURFACE": _control_surface, "FF
 """The other kinds, whose motions depend on where the control points are."""
 
 
-def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
+def boxes_of(options: Options, mesh: Mesh, moving: Names, is_setting: bool) -> tuple[io.Box, ...]:
     """Lists the mesh's boxes; without any, or with `is_setting`, those of `FFD_DEFINITION`."""
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
     present = () if is_setting else io.boxes(mesh)
@@ -175,33 +176,20 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
     degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
     if len(degrees) != len(groups):
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
-    return [
-        (
-            name,
-            shapes.Hexahedron(_corners(options, name, words)[: 2**d, :d], _counts(options, own[:d], d), degree=degree),
-        )
-        for (name, *words), own in zip(groups, degrees, strict=True)
-    ]
+    boxes = []
+    for (name, *words), own in zip(groups, degrees, strict=True):
+        numbers = [
+            options.number("FFD_DEFINITION", word) for word in options.taken("FFD_DEFINITION", f"box {name}", words, 24)
+        ]
+        counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
+        if len(counts) < d or math.prod(counts) > MOST:
+            found = " x ".join(map(str, counts))
+            raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
+        boxes.append((name, shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)))
+    return boxes
 
 
-def _corners(options: Options, name: str, words: list[str]) -> Float[np.ndarray, "8 3"]:
-    if len(words) < 24:
-        found = f"24 numbers for box {name}, eight corners, expected; found {len(words)}"
-        raise options.error("FFD_DEFINITION", found)
-    if len(words) > 24:  # as in tutorials of SU2
-        warn(f"{options.path}: FFD_DEFINITION= box {name} has 24 numbers, left out: {' '.join(words[24:])}.")
-    return np.reshape([options.number("FFD_DEFINITION", word) for word in words[:24]], (8, 3))
-
-
-def _counts(options: Options, degrees: list[str], d: int) -> list[int]:
-    counts = [options.whole("FFD_DEGREE", word) + 1 for word in degrees]
-    if len(counts) < d or math.prod(counts) > MOST:
-        found = " x ".join(map(str, counts))
-        raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
-    return counts
-
-
-def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
+def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
     surface = {}
     for name in moving:
         nodes = mesh.patch(name)
@@ -222,17 +210,15 @@ def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Fl
         if 1 < p < count - 1:
             knots = np.clip(np.arange(-p, count + 1) / (count - p), 0, 1)
             spline = scipy.interpolate.BSpline(knots, np.arange(count) / (count - 1), p)
-            low, high = np.zeros(len(places)), np.ones(len(places))
-            for _ in range(HALVINGS):
-                middle = (low + high) / 2
-                below = spline(middle) < places[:, axis]
-                low, high = np.where(below, middle, low), np.where(below, high, middle)
-            found[:, axis] = (low + high) / 2
+            slope, t = spline.derivative(), places[:, axis]
+            for _ in range(STEPS):
+                t = np.clip(t - (spline(t) - places[:, axis]) / slope(t), 0, 1)
+            found[:, axis] = t
     return found
 
 
 def box_parts(
-    options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
+    options: Options, listed: list[Variable], mesh: Mesh, moving: Names, boxes: Sequence[io.Box]
 ) -> list[AbstractPart]:
     """Makes a part for each box, of the variables that move its control points."""
     _check_boxes(listed, boxes)
@@ -249,7 +235,7 @@ def box_parts(
     return parts[::-1]
 
 
-def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Names) -> Float[np.ndarray, "m d"]:
     places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
     for ids, inside in (box.surface[name] for name in moving if name in box.surface):
         moves = np.isin(ids, nodes)
@@ -257,7 +243,7 @@ def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str])
     return places
 
 
-def _check_boxes(listed: Sequence[Variable], boxes: Sequence[io.Box]) -> None:
+def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
     known = {box.name: box for box in boxes}
     for variable in (variable for variable in listed if variable.box):
         if variable.box not in known:
@@ -267,7 +253,8 @@ def _check_boxes(listed: Sequence[Variable], boxes: Sequence[io.Box]) -> None:
 
 
 def _check(variable: Variable, box: io.Box) -> None:
-    kind, counts, index = variable.kind, box.shape.counts, variable.numbers[: KINDS[variable.kind].indices]
+    kind, counts, directions = variable.kind, box.shape.counts, KINDS[variable.kind].indices
+    index = variable.numbers[: len(directions)]
     if not index:
         return check_axis(kind, variable.numbers, len(counts))
     if kind.endswith("_2D") != (len(counts) == 2):
@@ -275,14 +262,15 @@ def _check(variable: Variable, box: io.Box) -> None:
     if index == (-1, -1, -1):
         raise ValueError(f"{kind} of box {box.name} with all three numbers -1: SU2 moves no control point by it.")
     least = -1 if kind.startswith(("FFD_CONTROL_POINT", "FFD_NACELLE")) else 0
-    for direction, value in zip((1,) if kind in ("FFD_TWIST", "FFD_GULL") else (0, 1, 2), index, strict=False):
-        last = counts[direction] - 1
+    for direction, value in zip(directions, index, strict=True):
+        last = counts["ijk".index(direction)] - 1
         if value % 1 or not least <= value <= last:
-            found = f"{'ijk'[direction]} = {value:g}"
-            raise ValueError(f"{kind} has {found}; box {box.name} has control points 0 to {last} there.")
+            raise ValueError(
+                f"{kind} has {direction} = {value:g}; box {box.name} has control points 0 to {last} there."
+            )
 
 
-def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Sequence[str]) -> Fixed:
+def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names) -> Fixed:
     """Finds the planes that stay in each direction of a lattice, so that no wall tears."""
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
     is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
@@ -320,7 +308,7 @@ def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d
     return False
 
 
-def _segments(mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, "s 2 d"]:
+def _segments(mesh: Mesh, moving: Names) -> Float[np.ndarray, "s 2 d"]:
     faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()]
     pairs = [ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)]
     return np.asarray(mesh.points, float)[np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)]

@@ -14,6 +14,7 @@ from jaxmorph import Mesh, io, shapes
 
 from ._options import LOWER, Options, Variable
 
+Names = Sequence[str]
 Numbers = Sequence[tuple[float, ...]] | Float[np.ndarray, "k p"]
 TAIL = 0.99
 """The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
@@ -32,15 +33,19 @@ class AbstractPart(eqx.Module):
 
 
 class WallPart(AbstractPart):
-    """The displacement by all variables of one kind; `data` is the wall's, for `MOVES`."""
+    """The displacement by all variables of one kind; `data` is the wall's, for `MOVES`.
+
+    `move` gives displacements (m, d), or (m,) upwards.
+    """
 
     rows: tuple[int, ...] = eqx.field(static=True)
-    move: Callable[..., Float[Array, "m d"]] = eqx.field(static=True)
+    move: Callable[..., Array] = eqx.field(static=True)
     numbers: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     data: Any
 
     def __call__(self, x, values):
-        return self.move(x, values, self.numbers, self.data).astype(x.dtype)
+        moved = self.move(x, values, self.numbers, self.data)
+        return (moved if moved.ndim == 2 else jnp.zeros_like(x).at[:, 1].set(moved)).astype(x.dtype)
 
 
 class DesignVariables(shapes.AbstractShape):
@@ -70,7 +75,7 @@ class DesignVariables(shapes.AbstractShape):
         return x + jnp.where(self.free, sum(terms[1:], terms[0]), 0) if terms else x
 
 
-def wall_parts(options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str]) -> list[AbstractPart]:
+def wall_parts(options: Options, listed: list[Variable], mesh: Mesh, moving: Names) -> list[AbstractPart]:
     """Makes a part of the variables of each kind that moves no boxes."""
     parts: list[AbstractPart] = []
     for kind in dict.fromkeys(variable.kind for variable in listed if variable.kind in MOVES):
@@ -102,12 +107,12 @@ def check_axis(kind: str, numbers: Sequence[float], d: int) -> None:
         raise ValueError(f"{kind} about an axis without length: its two ends are one point.")
 
 
-def _signs(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, " m"]:
+def _signs(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, " m"]:
     """Finds the side of each node: 1 where the wall's normal points up, -1 where down."""
     return np.sign(shapes.wall_normals(mesh, *moving)[:, 1])
 
 
-def _chord(options: Options, mesh: Mesh, moving: Sequence[str]) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
+def _chord(options: Options, mesh: Mesh, moving: Names) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
     """Finds the airfoil's own chord, which SU2 takes to be 1 long; 1 for nodes ahead of `TAIL`."""
     wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
     own = shapes.Chord.along(wall)
@@ -116,7 +121,7 @@ def _chord(options: Options, mesh: Mesh, moving: Sequence[str]) -> tuple[shapes.
     return chord, np.where(np.asarray(chord.coordinates(jnp.asarray(wall))[0]) <= TAIL, 1.0, 0.0)
 
 
-def _file(options: Options, mesh: Mesh, moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+def _file(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, "m d"]:
     name = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))  # the older name
     return io.read_displacement(options.beside(name), mesh, mesh.patch(*moving))
 
@@ -150,7 +155,7 @@ def _hicks_henne(x, values, numbers: Numbers, signs):
     """Moves each side outwards by bumps across a unit chord along x."""
     sides, tops = np.array(numbers).T
     ways = np.where(sides == LOWER, -1, 1)[None, :]
-    return _upwards(x, (_bumps(x[:, :1], tops) * (ways * (signs[:, None] == ways))) @ values)
+    return (_bumps(x[:, :1], tops) * (ways * (signs[:, None] == ways))) @ values
 
 
 def _camber(x, values, numbers: Numbers, data):
@@ -163,7 +168,7 @@ def _surface_bump(x, values, numbers: Numbers, data):
     """Moves both sides upwards by bumps along x between two places."""
     start, end, top = np.array(numbers).T[:, None].astype(x.dtype)
     t = (x[:, :1] - start) / (end - start)
-    return _upwards(x, jnp.where(t < 1, _bumps(t, ((top - start) / (end - start))[0]), 0) @ values)
+    return jnp.where(t < 1, _bumps(t, ((top - start) / (end - start))[0]), 0) @ values
 
 
 def _bumps(t: Float[Array, "m _"], tops: Float[np.ndarray, " k"]) -> Float[Array, "m k"]:
@@ -181,7 +186,7 @@ def _kulfan(x, values, numbers: Numbers, signs):
         k, n = int(number) - 1, int(most) - 1
         on = signs == (-1 if side == LOWER else 1)
         rise += value * math.comb(n, k) * t**k * (1 - t) ** (n - k) * on
-    return _upwards(x, front * rise)
+    return front * rise
 
 
 def _naca(x, values, numbers: Numbers, signs):
@@ -192,17 +197,13 @@ def _naca(x, values, numbers: Numbers, signs):
     mean = camber / width**2 * (jnp.where(ahead, 0, 1 - 2 * place) + 2 * place * t - t**2)
     root = jnp.sqrt(jnp.where(t > 0, t, 0))
     half = thickness * (1.4845 * root + t * (-0.63 + t * (-1.758 + t * (1.4215 - 0.518 * t))))
-    return _upwards(x, jnp.where(signs != 0, mean + signs * half - x[:, 1], 0))
+    return jnp.where(signs != 0, mean + signs * half - x[:, 1], 0)
 
 
 def _parabolic(x, values, numbers: Numbers, signs):
     t, (centre, thickness) = x[:, 0], numbers[0]
     half = thickness / 100 * (t * t - t) / (2 * (centre * centre - centre))
-    return _upwards(x, jnp.where(signs != 0, signs * half - x[:, 1], 0))
-
-
-def _upwards(x: Float[Array, "m d"], up: Float[Array, " m"]) -> Float[Array, "m d"]:
-    return jnp.zeros_like(x).at[:, 1].set(up)
+    return jnp.where(signs != 0, signs * half - x[:, 1], 0)
 
 
 MOVES: dict[str, tuple[Callable[..., Any], Callable[..., Any] | None]] = {

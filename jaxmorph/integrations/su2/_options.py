@@ -5,12 +5,14 @@ import difflib
 import os
 import pathlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxmorph.extend import checked, input_path, warn
+
+Words = list[str]
 
 
 class Kind(NamedTuple):
@@ -20,13 +22,13 @@ class Kind(NamedTuple):
     - `parameters`: how many it has, with the tag of a box; None for an unsupported kind.
     - `sort`: what it moves, a `wall`, a `box`, or the whole `mesh`. A `constant` kind moves the
       wall whatever its value is, `flow` and `nothing` move none.
-    - `indices`: how many of the parameters are numbers of control points.
+    - `indices`: directions of the parameters that are numbers of control points.
     """
 
     number: int
     parameters: int | None = None
     sort: str = "wall"
-    indices: int = 0
+    indices: str = ""
 
 
 KINDS = {
@@ -35,16 +37,16 @@ KINDS = {
     "ROTATION": Kind(2, 6),
     "SCALE": Kind(3, 0),
     "FFD_SETTING": Kind(10, 0, "nothing"),
-    "FFD_CONTROL_POINT": Kind(11, 7, "box", 3),
-    "FFD_NACELLE": Kind(12, 6, "box", 3),
-    "FFD_GULL": Kind(13, 2, "box", 1),
-    "FFD_CAMBER": Kind(14, 3, "box", 2),
-    "FFD_TWIST": Kind(15, 8, "box", 1),
-    "FFD_THICKNESS": Kind(16, 3, "box", 2),
+    "FFD_CONTROL_POINT": Kind(11, 7, "box", "ijk"),
+    "FFD_NACELLE": Kind(12, 6, "box", "ijk"),
+    "FFD_GULL": Kind(13, 2, "box", "j"),
+    "FFD_CAMBER": Kind(14, 3, "box", "ij"),
+    "FFD_TWIST": Kind(15, 8, "box", "j"),
+    "FFD_THICKNESS": Kind(16, 3, "box", "ij"),
     "FFD_ROTATION": Kind(18, 7, "box"),
-    "FFD_CONTROL_POINT_2D": Kind(19, 5, "box", 2),
-    "FFD_CAMBER_2D": Kind(20, 2, "box", 1),
-    "FFD_THICKNESS_2D": Kind(21, 2, "box", 1),
+    "FFD_CONTROL_POINT_2D": Kind(19, 5, "box", "ij"),
+    "FFD_CAMBER_2D": Kind(20, 2, "box", "i"),
+    "FFD_THICKNESS_2D": Kind(21, 2, "box", "i"),
     "FFD_TWIST_2D": Kind(22),
     "FFD_CONTROL_SURFACE": Kind(23, 7, "box"),
     "FFD_ANGLE_OF_ATTACK": Kind(24, 2, "flow"),
@@ -92,10 +94,10 @@ class Options:
     def text(self, name: str, default: str = "") -> str:
         return self.values[name] if name in self else default
 
-    def words(self, name: str) -> list[str]:
+    def words(self, name: str) -> Words:
         return split(self.text(name))
 
-    def groups(self, name: str) -> list[list[str]]:
+    def groups(self, name: str) -> list[Words]:
         return [split(part) for part in self.text(name).split(";") if split(part)]
 
     def numbers(self, name: str) -> list[float]:
@@ -119,6 +121,14 @@ class Options:
             raise self.error(name, f"a whole number, 1 or more, expected, found {value:g}")
         return int(value)
 
+    def taken(self, name: str, what: str, words: Words, count: int) -> Words:
+        """Takes the first `count` words; SU2's tutorials have more, which it warns of."""
+        if len(words) < count:
+            raise self.error(name, f"{what} has {count} parameters, found {len(words)}: {' '.join(words)}")
+        if len(words) > count:
+            warn(f"{self.path}: {name}= {what} has {count} parameters, left out: {' '.join(words[count:])}.")
+        return words[:count]
+
     def choice(self, name: str, default: str, *known: str) -> str:
         word = self.text(name, default).upper()
         if word not in known:
@@ -129,7 +139,7 @@ class Options:
     def relaxation(self) -> float:
         return self.number("OPT_RELAX_FACTOR")
 
-    def left_out(self) -> list[str]:
+    def left_out(self) -> Words:
         """Lists the options of `LEFT_OUT` with another value than SU2's default."""
         given = [(name, self.text(name)) for name in LEFT_OUT if name in self]
         return [f"{name}= {text}" for name, text in given if _plain(text) not in map(_plain, LEFT_OUT[name])]
@@ -161,7 +171,7 @@ def _plain(text: str) -> str | float:
         return {"FALSE": "NO", "TRUE": "YES"}.get(text.upper(), text.upper())
 
 
-def split(text: str) -> list[str]:
+def split(text: str) -> Words:
     return [word for word in SEPARATORS.split(text) if word]
 
 
@@ -208,7 +218,11 @@ class Variable:
     @property
     def index(self) -> tuple[int, ...]:
         """The numbers of control points among the parameters."""
-        return tuple(int(value) for value in self.numbers[: KINDS[self.kind].indices])
+        return tuple(map(int, self.numbers[: len(KINDS[self.kind].indices)]))
+
+
+Listed = tuple[list[Variable], Words]
+"""Design variables, and names of their markers."""
 
 
 @checked
@@ -222,7 +236,7 @@ def checked_options(path: str | os.PathLike[str], *, definition: bool = False) -
     return options
 
 
-def checked_variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:
+def checked_variables(options: Options, definition: bool) -> Listed:
     """Lists the design variables and their markers, and reads every number.
 
     `definition` takes the variables of `DEFINITION_DV`. Raises `ValueError` for unsupported kinds
@@ -241,7 +255,7 @@ def checked_variables(options: Options, definition: bool) -> tuple[list[Variable
     return listed, markers
 
 
-def _listed(options: Options) -> tuple[list[Variable], list[str]]:
+def _listed(options: Options) -> Listed:
     kinds, groups = [word.upper() for word in options.words("DV_KIND")], options.groups("DV_PARAM")
     if not kinds:
         raise ValueError(f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are.")
@@ -254,7 +268,7 @@ def _listed(options: Options) -> tuple[list[Variable], list[str]]:
     return listed, options.words("DV_MARKER")
 
 
-def _definition(options: Options) -> tuple[list[Variable], list[str]]:
+def _definition(options: Options) -> Listed:
     entries = [_defined(options, text) for text in filter(split, options.text("DEFINITION_DV").split(";"))]
     if not entries:
         raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
@@ -266,7 +280,7 @@ def _definition(options: Options) -> tuple[list[Variable], list[str]]:
     return [variable for variable, _ in entries], first
 
 
-def _defined(options: Options, text: str) -> tuple[Variable, list[str]]:
+def _defined(options: Options, text: str) -> tuple[Variable, Words]:
     """Reads one variable and its markers: ( kind, scale | markers | parameters )."""
     name, (head, *rest) = "DEFINITION_DV", [split(part) for part in text.split("|")]
     if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
@@ -278,7 +292,7 @@ def _defined(options: Options, text: str) -> tuple[Variable, list[str]]:
     return _variable(options, name, kind, rest[1] if len(rest) == 2 else [], scale), rest[0]
 
 
-def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
+def _check_kinds(options: Options, name: str, kinds: Words) -> None:
     taken = [word for word, kind in KINDS.items() if kind.parameters is not None]
     wrong = [kind for kind in dict.fromkeys(kinds) if kind not in taken]
     if wrong:
@@ -287,7 +301,7 @@ def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
         raise options.error(name, f"{', '.join(wrong)} is not taken{hint}; {', '.join(taken)} are")
 
 
-def _check_alone(options: Options, listed: Sequence[Variable]) -> None:
+def _check_alone(options: Options, listed: list[Variable]) -> None:
     """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
     for variable in listed:
         if variable.sort in ("constant", "mesh") and len(listed) > 1:
@@ -297,7 +311,7 @@ def _check_alone(options: Options, listed: Sequence[Variable]) -> None:
         _check_sort(options, kinds, start)
 
 
-def _check_sort(options: Options, kinds: list[str], start: str) -> None:
+def _check_sort(options: Options, kinds: Words, start: str) -> None:
     own = [kind for kind in kinds if kind.startswith(start)]
     others = [kind for kind in kinds if kind not in own]
     if own and others:
@@ -317,15 +331,14 @@ def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
     return None
 
 
-def _variable(options: Options, name: str, kind: str, words: list[str], scale: float = 1.0) -> Variable:
+def _variable(options: Options, name: str, kind: str, words: Words, scale: float = 1.0) -> Variable:
     _, count, sort, indices = KINDS[kind]
     if not count or sort == "flow":
         return Variable(kind, size=0 if sort == "nothing" else 1, scale=scale)
-    if len(words) < count:
-        raise options.error(name, f"{kind} has {count} parameters, found {len(words)}: {' '.join(words)}")
-    if len(words) > count:
-        warn(f"{options.path}: {name}= {kind} has {count} parameters, left out: {' '.join(words[count:])}.")
+    words = options.taken(name, kind, words, count)
     box, start = (words[0], 1) if sort == "box" else ("", 0)
-    numbers = tuple(options.number(name, word) for word in words[start:count])
-    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(numbers[indices:])  # no direction: a value for each
-    return Variable(kind, box, numbers, indices if is_free else 1, scale)
+    numbers = tuple(options.number(name, word) for word in words[start:])
+    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(
+        numbers[len(indices) :]
+    )  # no direction: a value for each
+    return Variable(kind, box, numbers, len(indices) if is_free else 1, scale)

@@ -2,23 +2,41 @@
 
 import collections
 import contextlib
-import dataclasses
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from typing import Any
+import itertools
+from collections.abc import Collection, Iterable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._joined import block_ids
-from .zone import Condition, Ragged, Zone, children, data, word
+from .zone import Condition, Ragged, Zone, children, data, first, word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
 SYMMETRY = "BCSymmetryPlane"
 UNSAID = ("", "Null", "FamilySpecified")
 ONE_TO_ONE = "GridConnectivity1to1_t"
+INTERFACES = (ONE_TO_ONE, "GridConnectivity_t", "OversetHoles_t")
+CHOICES = ("PointRange", "PointList", "ElementRange", "ElementList")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Connection:
+class Interface(NamedTuple):
+    """A zone's interface: its label and node, and the node that makes it periodic, or None."""
+
+    label: str
+    name: str
+    node: Any
+    turn: Any
+
+    @property
+    def choice(self) -> str | None:
+        return next((what for what in CHOICES[:2] if what in self.node), None)
+
+    @property
+    def is_joint(self) -> bool:
+        return self.label == ONE_TO_ONE and self.turn is None
+
+
+class Connection(NamedTuple):
     """A periodic interface: nodes of zone and donor, centre and angles, zero if translated."""
 
     zone: str
@@ -29,89 +47,59 @@ class Connection:
     angles: np.ndarray
 
 
+def interfaces(zone: Zone) -> Iterator[Interface]:
+    for label in INTERFACES:
+        for name, node in children(zone.group, "ZoneGridConnectivity_t", label):
+            yield Interface(label, name, node, first(node, "GridConnectivityProperty_t", "Periodic_t"))
+
+
 def connections(zones: list[Zone]) -> Iterator[Connection]:
     """Yields the periodic interfaces of zones whose nodes are named on both sides."""
     by_name = {zone.name: zone for zone in zones}
     for zone in zones:
-        for name, interface, turns in _interfaces(zone, ONE_TO_ONE, "GridConnectivity_t"):
-            donor = by_name.get(word(interface).rpartition("/")[2])
-            if not turns or donor is None:
-                continue
-            nodes, others = _chosen(zone, name, interface), _chosen(donor, name, interface, "Donor")
-            if nodes is not None and others is not None:
-                values = {key: data(array).astype(float).ravel() for key, array in children(turns[0], "DataArray_t")}
-                centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
-                yield Connection(zone.name, name, np.unique(nodes), np.unique(others), centre, angles)
+        for each in interfaces(zone):
+            donor = by_name.get(word(each.node).rpartition("/")[2])
+            if each.turn is not None and donor is not None and f"{each.choice}Donor" in each.node:
+                yield from _connection(zone, donor, each)
 
 
-def _chosen(zone: Zone, name: str, interface: Any, end: str = "") -> np.ndarray | None:
-    """Finds the nodes of one side of an interface; None if they are not named on both sides."""
-    what = next((kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= {*interface}), None)
-    return None if what is None else _picked(zone, name, interface, what + end, _place(interface))
+def _connection(zone: Zone, donor: Zone, each: Interface) -> Iterator[Connection]:
+    place = word(each.node.get("GridLocation"), "Vertex")
+    sides = ((zone, f"{each.choice}"), (donor, f"{each.choice}Donor"))
+    nodes, others = (_picked(side, each.name, each.node, what, place) for side, what in sides)
+    if nodes is not None and others is not None:
+        turn = {key: data(array).astype(float).ravel() for key, array in children(each.turn, "DataArray_t")}
+        centre, angles = (turn.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
+        yield Connection(zone.name, each.name, np.unique(nodes), np.unique(others), centre, angles)
 
 
-def _joints(zone: Zone) -> Iterator[np.ndarray]:
-    for name, interface, turns in _interfaces(zone, ONE_TO_ONE):
-        if not turns and "PointRange" in interface:
-            with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
-                nodes = _picked(zone, name, interface, "PointRange", "Vertex")
-                yield np.zeros(0, np.int64) if nodes is None else np.unique(nodes)
+def left_interfaces(zone: Zone, found: Iterable[Connection]) -> list[str]:
+    """Lists the names of interfaces that are not read: without equal nodes, or overset holes."""
+    known = {each.name for each in found if each.zone == zone.name}
+    known |= {each.name for each in interfaces(zone) if each.is_joint}
+    return [f"{zone.name}/{each.name}" for each in interfaces(zone) if each.name not in known]
 
 
-def _interfaces(zone: Zone, *labels: str) -> Iterator[tuple[str, Any, list[Any]]]:
-    for _, connectivity in children(zone.group, "ZoneGridConnectivity_t"):
-        for label in labels:
-            for name, interface in children(connectivity, label):
-                properties = [group for _, group in children(interface, "GridConnectivityProperty_t")]
-                yield name, interface, [turn for group in properties for _, turn in children(group, "Periodic_t")]
-
-
-def _place(parts: Mapping[str, Any]) -> str:
-    return word(parts.get("GridLocation"), "Vertex")
-
-
-def left_interfaces(zone: Zone, found: Iterable[Connection]) -> Iterator[str]:
-    """Yields the names of interfaces that are not read: without equal nodes, or overset holes."""
-    known = {interface.name for interface in found if interface.zone == zone.name}
-    known |= {name for name, _, turns in _interfaces(zone, ONE_TO_ONE) if not turns}
-    for name, *_ in _interfaces(zone, ONE_TO_ONE, "GridConnectivity_t", "OversetHoles_t"):
-        if name not in known:
-            yield f"{zone.name}/{name}"
-
-
-def read_conditions(zones: list[Zone]) -> list[str]:
-    """Reads each zone's boundary conditions; returns notes on those of one name.
+def name_patches(zones: list[Zone]) -> list[str]:
+    """Names the patch of each boundary condition; returns notes on those of one name.
 
     Conditions of one family are one patch, and so are those of one name and type without a family.
-    One of another type, or with the name of a family, is a patch of its own, named by the zone too.
+    A patch with the name of another one is named by the zone too; families keep their names.
     """
-    for zone in zones:
-        zone.conditions += _conditions(zone)
-    every = [condition for zone in zones for condition in zone.conditions]
-    families = {condition.family for condition in every} - {""}
-    notes, kinds, members = [], {}, collections.Counter()
-    for condition in (condition for condition in every if not condition.family):
-        name = condition.name
-        if name not in families and kinds.setdefault(name, condition.kind) == condition.kind:
-            members[name] += 1
-            continue
-        while condition.patch in families | kinds.keys():
-            condition.patch += f"_{condition.zone}"
-        kinds[condition.patch] = condition.kind
-        other = "family" if name in families else "condition of another type"
-        notes.append(
-            f"the boundary condition {name} of zone {condition.zone} is called as a {other}: "
-            f"it is the patch {condition.patch}."
-        )
+    names: dict[Any, str] = {}
+    notes, members = [], collections.Counter()
+    every = itertools.chain(*(zone.conditions for zone in zones))
+    for condition in sorted(every, key=lambda each: not each.family):
+        key, patch = condition.family or (condition.name, condition.kind), condition.patch
+        while key not in names and patch in names.values():
+            patch += f"_{condition.zone}"
+        if patch != condition.patch:
+            place = f"the boundary condition {condition.name} of zone {condition.zone}"
+            notes.append(f"{place} is called as another patch: it is the patch {patch}.")
+        condition.patch = names.setdefault(key, patch)
+        members[condition.patch] += not condition.family
     text = "the boundary conditions {} of {} zones, of one type, are one patch."
     return notes + [text.format(name, count) for name, count in members.items() if count > 1]
-
-
-def _conditions(zone: Zone) -> Iterator[Condition]:
-    for _, zone_bc in children(zone.group, "ZoneBC_t"):
-        for name, node in children(zone_bc, "BC_t"):
-            family = word(next((child for _, child in children(node, "FamilyName_t")), None))
-            yield Condition(zone.name, name, node, family, family or name)
 
 
 def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
@@ -120,23 +108,33 @@ def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
     gmsh writes these for volumes. Conditions inside of the mesh are left out. A zone without any
     condition or interface has its sections of faces as patches, as SU2 reads them.
     """
-    joined = {nodes.tobytes() for nodes in _joints(zone)}
+    joined = _joints(zone)
     for condition in zone.conditions:
         nodes = _nodes_of(zone, condition)
         if nodes is None or np.unique(nodes).tobytes() not in joined:
             yield condition.patch, nodes
-    if not zone.conditions and not any(children(zone.group, "ZoneGridConnectivity_t")):
+    if not zone.conditions and not any(interfaces(zone)):
         for section in zone.outer_sections():
             if not isinstance(section.vertices, Ragged):
                 yield section.section, section.vertices.ravel()
 
 
+def _joints(zone: Zone) -> set[bytes]:
+    joined = set()
+    for each in interfaces(zone):
+        if each.is_joint and each.choice == "PointRange":
+            with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
+                nodes = _picked(zone, each.name, each.node, "PointRange", "Vertex")
+                joined.add(b"" if nodes is None else np.unique(nodes).tobytes())
+    return joined
+
+
 def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
     parts = condition.node
-    what = next((part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts), None)
+    what = next((part for part in CHOICES if part in parts), None)
     if what is None:
         raise zone.error(f"boundary condition {condition.name} says neither a range nor a list of points")
-    place = "FaceCenter" if what.startswith("Element") else _place(parts)
+    place = "FaceCenter" if what.startswith("Element") else word(parts.get("GridLocation"), "Vertex")
     if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
         place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
     return _picked(zone, condition.name, parts, what, place)
@@ -147,30 +145,27 @@ def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndar
 
     A range may run backwards. One that ends before the first node is empty.
     """
-    chosen, is_range = np.atleast_2d(data(parts[what])).astype(np.int64), "Range" in what
-    first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
-    if not chosen.size or ((last < first) & (last < 1)).any():
+    chosen = np.atleast_2d(data(parts[what])).astype(np.int64)
+    if not chosen.size:
         return np.zeros(0, np.int64)
+    # a list is one range for each of its members
+    width = chosen.shape[1] if zone.is_structured else 1
+    start, stop = chosen.reshape(2, 1, -1) if "Range" in what else (chosen.reshape(-1, width),) * 2
+    if ((stop < start) & (stop < 1)).any():
+        return np.zeros(0, np.int64)
+    start, stop = np.minimum(start, stop), np.maximum(start, stop)
     if zone.is_structured:
-        return _of_block(zone, name, place, chosen, is_range)
-    _check_numbers(zone, name, place, chosen)
-    numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen.ravel()
-    return numbers - 1 + zone.first if place == "Vertex" else _of_elements(zone, name, numbers)
+        return _of_block(zone, name, place, start - 1, stop - 1)
+    start, stop = start.ravel(), stop.ravel()
+    if place != "Vertex":
+        return _of_elements(zone, name, start, stop)
+    if start.min() < 1 or stop.max() > zone.count:
+        raise zone.error(f"boundary condition {name} names vertices beyond 1 to {zone.count}")
+    return zone.first - 1 + (np.arange(start[0], stop[0] + 1) if len(start) == 1 else start)
 
 
-def _check_numbers(zone: Zone, name: str, place: str, chosen: np.ndarray) -> None:
-    if place == "Vertex":
-        wrong = f"vertices beyond 1 to {zone.count}" if chosen.min() < 1 or chosen.max() > zone.count else ""
-    else:
-        sections = zone.content.elements.items()
-        most = max((begin + len(section.vertices) for begin, section in sections), default=1) - 1
-        wrong = f"elements beyond the last one, {most}" if chosen.max() > most else ""
-    if wrong:
-        raise zone.error(f"boundary condition {name} names {wrong}")
-
-
-def _of_block(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: bool) -> np.ndarray | None:
-    low, high = chosen.min(axis=0) - 1, chosen.max(axis=0) - 1
+def _of_block(zone: Zone, name: str, place: str, start: np.ndarray, stop: np.ndarray) -> np.ndarray | None:
+    low, high = start.min(axis=0), stop.max(axis=0)
     step = np.zeros(len(low), np.int64)
     if place != "Vertex":
         normal = _normal(low, high, zone.shape, place)
@@ -180,11 +175,8 @@ def _of_block(zone: Zone, name: str, place: str, chosen: np.ndarray, is_range: b
     if len(low) != len(zone.shape) or (low < 0).any() or (high + step >= zone.shape).any():
         raise zone.error(f"boundary condition {name} goes beyond {' x '.join(map(str, zone.shape))} vertices")
     ids = block_ids(zone.shape, zone.first).reshape(zone.shape)
-    if is_range:
-        return ids[tuple(slice(a, b + 1) for a, b in zip(low, high + step, strict=True))].ravel()
-    corners = np.stack(np.meshgrid(*(np.arange(size + 1) for size in step), indexing="ij"), axis=-1)
-    places = chosen[:, None] - 1 + corners.reshape(-1, len(step))
-    return ids[tuple(np.moveaxis(places, -1, 0))].ravel()
+    ends = stop + step + 1
+    return np.concatenate([ids[tuple(map(slice, *box))].ravel() for box in zip(start, ends, strict=True)])
 
 
 def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: str) -> int | None:
@@ -193,27 +185,30 @@ def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: st
     Where the faces are one wide in several axes, it is the axis in which they lie behind the last
     cell, else at the first one of several cells.
     """
-    sizes = np.array(shape)
     if place in NORMAL:
         return NORMAL[place]
-    if len(low) != len(sizes) or not ((low == high) & (sizes > 1)).any():
+    sizes = np.array(shape)
+    is_thin = (low == high) & (sizes > 1) if len(low) == len(sizes) else np.zeros(1, bool)
+    if not is_thin.any():
         return None
     rank = 4 * (high == sizes - 1) + 2 * (low == 0) + (sizes > 2)
-    return int(np.argmax(np.where((low == high) & (sizes > 1), rank, -1)))
+    return int(np.argmax(np.where(is_thin, rank, -1)))
 
 
-def _of_elements(zone: Zone, name: str, numbers: np.ndarray) -> np.ndarray | None:
+def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> np.ndarray | None:
     nodes, count, solid = [np.zeros(0, np.int64)], 0, 0
     for begin, section in zone.content.elements.items():
-        rows = numbers[(numbers >= begin) & (numbers < begin + len(section.vertices))] - begin
+        # of a range that part which lies in the section; members of a list are in it, or not
+        low, high = np.maximum(start, begin), np.minimum(stop, begin + len(section.vertices) - 1)
+        rows = (np.arange(low[0], high[0] + 1) if len(start) == 1 else low[low <= high]) - begin
         count += len(rows)
         if section.dimension < zone.content.dimension:
             nodes.append(section.vertices[rows].ravel())
         else:
             solid += len(rows)
-    if count < len(numbers):
-        missing = len(numbers) - count
-        raise zone.error(f"boundary condition {name}: {missing} of its {len(numbers)} elements are not there")
+    missing = (stop - start + 1).sum() - count
+    if missing:
+        raise zone.error(f"boundary condition {name}: {missing} of its {count + missing} elements are not there")
     return None if solid == count else np.concatenate(nodes)
 
 
@@ -236,7 +231,7 @@ def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
 
 
 def _of_families(file: Any, label: str) -> dict[str, list[str]]:
-    families = [family for _, base in children(file, "CGNSBase_t") for family in children(base, "Family_t")]
+    families = children(file, "CGNSBase_t", "Family_t")
     return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
 
 

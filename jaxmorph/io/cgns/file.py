@@ -1,6 +1,8 @@
 """CGNS, structured and unstructured: a copy of the file with other coordinates, rest untouched."""
 
+import collections
 import dataclasses
+import itertools
 import pathlib
 from collections.abc import Iterator
 from typing import Any
@@ -16,10 +18,11 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 from .._format import MeshLike, Source, faults_of, stamp_of
 from .._joined import join
 from .._tree import Coordinates, opened, points_of, singles_of, write_points
-from .conditions import Connection, connections, left_interfaces, patches, read_conditions, said
-from .zone import DIMENSION, TYPES, Zone, children, data, word
+from .conditions import Connection, connections, left_interfaces, name_patches, patches, said
+from .zone import DIMENSION, TYPES, Zone, children, data, first, word
 
 NAME = "CGNS"
+Members = dict[str, list[np.ndarray]]
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
@@ -35,7 +38,7 @@ def read(path: pathlib.Path) -> Parts:
         points = points_of(coordinates, zones[-1].rows.stop, max(each.columns.stop for each in coordinates))
         singles = singles_of(coordinates)
         _read_cells(zones, dimension, points)
-        notes = [*_other_bases(file, dimension), *_other_grids(zones), *read_conditions(zones)]
+        notes = [*_others(file, zones, dimension), *name_patches(zones)]
         of_patch, faces, regions = _patches(zones)
         found = list(connections(zones))
         notes += [*regions_note(regions), *_left(zones, found, of_patch)]
@@ -61,19 +64,19 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     """Lists the zones of the base of the highest dimension, and this dimension of its cells."""
-    bases = list(_bases(file))
-    most = max((dimension for _, _, dimension in bases), default=0)
-    highest = {name: base for name, base, dimension in bases if dimension == most}
-    if len(highest) > 1:
-        names = ", ".join(highest)
-        raise ValueError(f"{path}: {len(highest)} bases of {most}-D cells in this file ({names}); one is read.")
-    zones, first = [], 0
-    for name, group in (child for base in highest.values() for child in children(base, "Zone_t")):
-        kind = word(next((child for _, child in children(group, "ZoneType_t")), None), "Structured")
-        is_structured, sizes = kind == "Structured", np.atleast_2d(data(group))[0]
+    most = max((level for *_, level in _bases(file)), default=0)
+    bases = {name: base for name, base, level in _bases(file) if level == most}
+    if len(bases) > 1:
+        raise ValueError(
+            f"{path}: {len(bases)} bases of {most}-D cells in this file ({', '.join(bases)}); one is read."
+        )
+    zones, start = [], 0
+    for name, group in children(next(iter(bases.values()), {}), "Zone_t"):
+        is_structured = word(first(group, "ZoneType_t"), "Structured") == "Structured"
+        sizes = np.atleast_2d(data(group))[0]
         shape = tuple(map(int, sizes if is_structured else sizes[:1]))
-        zones.append(Zone(path, name, group, shape, is_structured, first))
-        first += zones[-1].count
+        zones.append(Zone(path, name, group, shape, is_structured, start))
+        start += zones[-1].count
     if not zones:
         raise ValueError(f"{path}: no CGNS base with zones in this file.")
     return zones, most
@@ -87,25 +90,19 @@ def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
 
 def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
     contents = [zone.cells(points[zone.rows]) for zone in zones]
-    levels = [LEVEL[block.kind] for content in contents for block in content.blocks if len(block.corners)]
+    levels = {LEVEL[block.kind] for content in contents for block in content.blocks}
     if max(levels, default=0) == 2 < dimension:  # a surface alone in a base of volumes
         dimension = 2
     for zone, content in zip(zones, contents, strict=True):
-        blocks = [block for block in content.blocks if LEVEL[block.kind] == dimension and len(block.corners)]
+        blocks = [block for block in content.blocks if LEVEL[block.kind] == dimension]
         if not blocks:
             raise zone.error(f"no cells of {dimension} dimensions")
-        zone.content = dataclasses.replace(content, blocks=blocks, dimension=dimension)
-
-
-def _other_grids(zones: list[Zone]) -> Iterator[str]:
-    steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
-    if steps:
-        yield f"of several GridCoordinates of the zones {', '.join(steps)} the first are read, and moved."
+        zone.content = content._replace(blocks=blocks, dimension=dimension)
 
 
 def _patches(
     zones: list[Zone],
-) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray], list[str]]:
+) -> tuple[Members, list[np.ndarray], list[str]]:
     of_patch, faces, regions = {}, [], []
     for zone in zones:
         for name, nodes in patches(zone):
@@ -113,48 +110,45 @@ def _patches(
                 regions.append(name)
             else:
                 of_patch.setdefault(name, []).append(nodes)
-        faces += zone.content.sides or _outer(zone)
+        alone = gathered(block[:2] for block in zone.content.blocks)
+        faces += zone.content.sides or boundary_faces(alone, zone.rows.stop).values()
     return of_patch, faces, regions
 
 
-def _other_bases(file: Any, dimension: int) -> Iterator[str]:
+def _others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
     for name, _, level in _bases(file):
         if level < dimension:
             yield f"the base {name} of {level}-D cells is not read, and stays in the file."
+    steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
+    if steps:
+        yield f"of several GridCoordinates of the zones {', '.join(steps)} the first are read, and moved."
 
 
-def _left(zones: list[Zone], found: list[Connection], patches: dict[str, list[np.ndarray]]) -> Iterator[str]:
+def _left(zones: list[Zone], found: list[Connection], patches: Members) -> Iterator[str]:
     inside = np.zeros(zones[-1].rows.stop, bool)
-    for nodes in patches.values():
-        inside[np.concatenate(nodes)] = True
-    outside = [
-        section.section
-        for zone in zones
-        for section in zone.outer_sections()
-        if not inside[getattr(section.vertices, "values", section.vertices)].all()
-    ]
+    inside[np.concatenate([np.zeros(0, np.int64), *itertools.chain(*patches.values())])] = True
+    sections = itertools.chain(*(zone.outer_sections() for zone in zones))
+    outside = [each.section for each in sections if not inside[getattr(each.vertices, "values", each.vertices)].all()]
     if outside and any(zone.conditions for zone in zones):
         names = ", ".join(dict.fromkeys(outside))
         yield f"no boundary condition has all faces of the sections {names}: they are in unnamed."
-    interfaces = [name for zone in zones for name in left_interfaces(zone, found)]
+    interfaces = list(itertools.chain(*(left_interfaces(zone, found) for zone in zones)))
     if interfaces:
         yield f"interfaces without equal nodes on both sides are not read: {', '.join(interfaces)}."
 
 
-def _pairs(found: list[Connection], patches: dict[str, list[np.ndarray]]) -> list[tuple[str, str, Connection]]:
-    names: list[str] = []
-    for interface in found:
-        is_taken = interface.name in patches or sum(interface.name == other.name for other in found) > 1
-        names.append(f"{interface.zone}/{interface.name}" if is_taken else interface.name)
-        patches[names[-1]] = [interface.nodes]
+def _pairs(found: list[Connection], patches: Members) -> list[tuple[str, str, Connection]]:
+    names, counts = {}, collections.Counter(each.name for each in found)
+    for each in found:
+        is_taken = each.name in patches or counts[each.name] > 1
+        name = f"{each.zone}/{each.name}" if is_taken else each.name
+        names[each.nodes.tobytes()], patches[name] = name, [each.nodes]
     pairs: dict[frozenset[str], tuple[str, str, Connection]] = {}
-    for name, interface in zip(names, found, strict=True):
-        of_nodes = (n for n, other in zip(names, found, strict=True) if np.array_equal(other.nodes, interface.others))
-        partner = next(of_nodes, None)
-        if partner is None:
-            partner = f"{name} donor"
-            patches[partner] = [interface.others]
-        pairs.setdefault(frozenset((name, partner)), (name, partner, interface))
+    for each in found:
+        name = names[each.nodes.tobytes()]
+        partner = names.setdefault(each.others.tobytes(), f"{name} donor")
+        patches.setdefault(partner, [each.others])
+        pairs.setdefault(frozenset((name, partner)), (name, partner, each))
     return list(pairs.values())
 
 
@@ -166,7 +160,7 @@ def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> 
     return Periodic(first, second, about=about, axis=None if is_flat else interface.angles)
 
 
-def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
+def _whole(zones: list[Zone], node: Any) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
     """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
     if not any(len(getattr(zone.content.whole, "cut", ())) for zone in zones):
         return None, None
@@ -184,13 +178,6 @@ def _whole(zones: list[Zone], node: np.ndarray | None) -> tuple[Polyhedra, np.nd
                 first += len(corners)
             else:
                 ids.append((kind, start + cell))
-    faces = joined_faces(
-        [dataclasses.replace(part, labels=part.labels if node is None else node[part.labels]) for part in parts]
-    )
+    faces = joined_faces([dataclasses.replace(part, labels=node[part.labels]) for part in parts])
     numbers = np.concatenate([cells for _, cells in sorted(gathered(ids).items())])
     return Polyhedra(faces, np.concatenate(cut)), numbers
-
-
-def _outer(zone: Zone) -> list[np.ndarray]:
-    alone = gathered((kind, corners - zone.first) for kind, corners, _ in zone.content.blocks)
-    return [corners + zone.first for corners in boundary_faces(alone, zone.count).values()]

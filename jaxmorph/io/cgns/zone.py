@@ -1,8 +1,9 @@
 """Zones of a CGNS file: nodes, cells, polyhedra (cgns.github.io, SIDS, HDF5 mapping)."""
 
 import dataclasses
+import functools
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,49 +44,43 @@ class Block(NamedTuple):
     cell: np.ndarray | None = None
 
 
-def polyhedra(
-    polygons: dict[int, Ragged], cells: list[Ragged], points: np.ndarray, first: int
-) -> tuple[list[Block], list[np.ndarray], Polyhedra]:
+def polyhedra(faces: Faces, points: np.ndarray, first: int) -> tuple[list[Block], list[np.ndarray], Polyhedra]:
     """Makes cells by type, others as tetrahedra between own nodes; outer faces; and whole cells.
 
-    `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0,
-    `points` are the zone's points.
+    `first` is the id of vertex 0, `points` are the zone's points.
     """
-    cells_by_type, whole = cells_of_faces(_faces(polygons, cells), points)
+    cells_by_type, whole = cells_of_faces(faces, points)
     blocks = [Block(kind, corners + first, cell) for kind, corners, cell in cells_by_type]
-    faces = dataclasses.replace(whole.faces, labels=whole.faces.labels + first)
-    sizes = np.where(faces.neighbour < 0, np.diff(faces.starts), 0)
+    faces = dataclasses.replace(faces, labels=faces.labels + first)
+    sizes = np.where(faces.neighbour < 0, faces.sizes, 0)
     outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
     return blocks, outer, Polyhedra(faces, whole.cut)
 
 
-def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
-    """Joins all sections' faces, with the cells on both sides; refuses missing and surplus ones."""
-    begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
-    parts = [rows for _, rows in sorted(polygons.items())]
-    labels = np.concatenate([rows.values for rows in parts])
-    starts = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(rows.starts) for rows in parts]))])
+def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
+    """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
     cell = np.repeat(np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells]))
-    face = np.searchsorted(begins, np.abs(used))
-    if (face >= len(begins)).any() or (begins[np.minimum(face, len(begins) - 1)] != np.abs(used)).any():
+    order = np.argsort(numbers)
+    face = order[np.minimum(np.searchsorted(numbers, np.abs(used), sorter=order), len(numbers) - 1)]
+    if (numbers[face] != np.abs(used)).any():
         raise ValueError("NFACE_n names faces that are in no section NGON_n")
-    sides = np.full((2, len(begins)), -1)
+    sides = np.full((2, len(numbers)), -1)
     sides[(used < 0).astype(int), face] = cell
     if (sides >= 0).sum() != len(used):
         raise ValueError("NFACE_n has faces on the same side of two cells")
-    # a face that only a cell behind it has is turned round: its labels are gathered backwards
-    turned = (sides[0] < 0) & (sides[1] >= 0)
-    rows_of_cells = np.flatnonzero((sides >= 0).any(axis=0))
-    rows, which = spread(starts[rows_of_cells], starts[rows_of_cells + 1])
-    back = (starts[rows_of_cells] + starts[rows_of_cells + 1] - 1)[which] - rows
-    rows = np.where(turned[rows_of_cells][which], back, rows)
-    return Faces(
-        labels[rows],
-        np.concatenate([[0], np.cumsum(np.diff(starts)[rows_of_cells])]),
-        np.where(turned, sides[1], sides[0])[rows_of_cells],
-        np.where(turned, -1, sides[1])[rows_of_cells],
-    )
+    return sides
+
+
+def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
+    """Makes faces of those that have a cell; one with a cell only behind it is turned round."""
+    turned, has_cell = (sides[0] < 0) & (sides[1] >= 0), sides.max(axis=0) >= 0
+    ends = np.cumsum(sizes)
+    starts = ends - sizes
+    rows, which = spread(starts, ends)
+    rows = np.where(turned[which], (starts + ends - 1)[which] - rows, rows)[has_cell[which]]
+    owner, neighbour = np.where(turned, sides[::-1], sides)[:, has_cell]
+    return Faces(labels[rows], np.append(0, np.cumsum(sizes[has_cell])), owner, neighbour)
 
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
@@ -96,18 +91,25 @@ TYPES |= {
     **{30: "tetra20", 33: "pyramid30", 36: "wedge40", 39: "hexahedron64", 40: "line5", 42: "triangle15"},
     **{44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},
 }
-PARTIAL = {25, 27, 29, 31, 32, 34, 35, 37, 38, 41, 43, 45, 46, 48, 49, 51, 52, 54, 55}
-"""Elements of order 3 and 4 that lack nodes inside of the cell, or inside of faces too."""
 NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
 MIXED, NGON, NFACE = 20, 22, 23
 DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
 
 
-def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
+def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
+    """Yields names and nodes of a label in a group, or of the last label in those of the others."""
     for name in group:
         child = group[name]
-        if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
+        if not hasattr(child, "keys") or text(child.attrs.get("label", b"")) != label:
+            continue
+        if inner:
+            yield from children(child, *inner)
+        else:
             yield (decoded(name) if isinstance(name, bytes) else name), child  # h5py: bytes unless UTF-8
+
+
+def first(group: Any, *labels: str) -> Any:
+    return next((child for _, child in children(group, *labels)), None)
 
 
 def text(value: Any) -> str:
@@ -123,26 +125,31 @@ def word(group: Any, default: str = "") -> str:
     return text(data(group).tobytes()) if group is not None and " data" in group else default
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Elements:
+Polygons = tuple[np.ndarray, ...]
+"""Faces of a section: numbers, vertices, sizes, and cells (n, 2) on both sides, 0 for none."""
+
+
+class ElementSection(NamedTuple):
     section: str
     dimension: int
     vertices: Any
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Content:
-    """Cells and boundary elements of a zone by type, known outer faces, and all its elements.
+class ZoneContent(NamedTuple):
+    """Cells and boundary elements of a zone by type, all its elements, and known outer faces.
 
     `elements` stand by the number of their first one, `whole` has all polyhedral cells, and
     `dimension` is that of the base's cells.
     """
 
     blocks: list[Block]
-    sides: list[np.ndarray] = dataclasses.field(default_factory=list)
-    elements: dict[int, Elements] = dataclasses.field(default_factory=dict)
+    elements: dict[int, ElementSection]
+    sides: Sequence[np.ndarray] = ()
     whole: Polyhedra | None = None
     dimension: int = 3
+
+
+NOTHING = ZoneContent([], {})
 
 
 @dataclasses.dataclass(eq=False)
@@ -168,8 +175,15 @@ class Zone:
     shape: tuple[int, ...]
     is_structured: bool
     first: int
-    content: Content = dataclasses.field(default_factory=lambda: Content([]))
-    conditions: list[Condition] = dataclasses.field(default_factory=list)
+    content: ZoneContent = NOTHING
+
+    @functools.cached_property
+    def conditions(self) -> list[Condition]:
+        found = []
+        for name, node in children(self.group, "ZoneBC_t", "BC_t"):
+            family = word(first(node, "FamilyName_t"))
+            found.append(Condition(self.name, name, node, family, family or name))
+        return found
 
     @property
     def count(self) -> int:
@@ -179,7 +193,7 @@ class Zone:
     def rows(self) -> slice:
         return slice(self.first, self.first + self.count)
 
-    def outer_sections(self) -> list[Elements]:
+    def outer_sections(self) -> list[ElementSection]:
         """Lists sections of faces of the zone's cells."""
         elements = self.content.elements.values()
         return [section for section in elements if section.dimension == self.content.dimension - 1]
@@ -190,49 +204,61 @@ class Zone:
     def coordinates(self) -> list[Coordinates]:
         """Finds x, y[, z]. Raises `ValueError` for other coordinates, and for rind planes."""
         grids = dict(children(self.group, "GridCoordinates_t"))
-        if not grids:
+        grid = grids.get("GridCoordinates", next(iter(grids.values()), None))
+        if grid is None:
             raise self.error("no GridCoordinates")
-        grid = grids.get("GridCoordinates", next(iter(grids.values())))
         names = dict(children(grid, "DataArray_t"))
         sets = [names[f"Coordinate{axis}"][" data"] for axis in "XYZ" if f"Coordinate{axis}" in names]
         if len(sets) < 2 or any(data(rind).any() for _, rind in children(grid, "Rind_t")):
-            raise self.error(f"Cartesian coordinates without rind planes expected, found {', '.join(names) or 'none'}")
-        for values in sets:
-            if values.size != self.count:
-                raise self.error(f"{values.size} coordinates for {self.count} vertices")
+            raise self.error(f"Cartesian coordinates without rind planes expected, found {', '.join(names)}")
+        wrong = {values.size for values in sets} - {self.count}
+        if wrong:
+            raise self.error(f"{min(wrong)} coordinates for {self.count} vertices")
         return [Coordinates(values, self.rows, slice(axis, axis + 1)) for axis, values in enumerate(sets)]
 
-    def cells(self, points: np.ndarray) -> Content:
+    def cells(self, points: np.ndarray) -> ZoneContent:
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
-            return Content([Block(*block_cells(ids))], block_sides(ids))
-        blocks, elements, polygons, volumes, parents = [], {}, {}, [], []
+            return ZoneContent([Block(*block_cells(ids))], {}, block_sides(ids))
+        blocks, elements, polygons, volumes = [], {}, [], []
         for name, node in children(self.group, "Elements_t"):
             section = _Section(self, name, node)
             if section.kind == NFACE:
                 volumes.append(section.ragged(least=4))
-                elements[section.start] = Elements(name, 3, volumes[-1])
+                elements[section.start] = ElementSection(name, 3, volumes[-1])
             elif section.kind == NGON:
-                faces = section.ragged(least=3)
-                section.check(faces.values)
-                polygons[section.start] = Ragged(faces.values - 1, faces.starts)
-                elements[section.start] = Elements(name, 2, Ragged(faces.values - 1 + self.first, faces.starts))
-                parents += section.parents(len(faces))
+                rows = section.ragged(least=3)
+                section.check(rows.values)
+                numbers = section.start + np.arange(len(rows))
+                polygons.append((numbers, rows.values - 1, np.diff(rows.starts), section.parents(len(rows))))
+                elements[section.start] = ElementSection(name, 2, Ragged(rows.values - 1 + self.first, rows.starts))
             else:
                 for begin, number, corners in section.runs():
                     ids = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
-                    elements[begin] = Elements(name, DIMENSION[number], ids)
+                    elements[begin] = ElementSection(name, DIMENSION[number], ids)
                     blocks.append(Block(TYPES[number], ids))
-        volumes = volumes or _cells_of(parents)
-        if not volumes or not polygons:
-            return Content(blocks, elements=elements)
+        return self._with_polyhedra(ZoneContent(blocks, elements), polygons, volumes, points)
+
+    def _with_polyhedra(
+        self, content: ZoneContent, polygons: list[Polygons], volumes: list[Ragged], points: np.ndarray
+    ) -> ZoneContent:
+        """Adds the cells of NFACE_n, or else of the parents of faces."""
+        if not polygons:
+            return content
+        numbers, labels, sizes, parents = map(np.concatenate, zip(*polygons, strict=True))
+        if not volumes and not parents.any():
+            return content
         try:
-            more, outer, whole = polyhedra(polygons, volumes, points, self.first)
+            if volumes:
+                sides = _sides(numbers, volumes)
+            else:  # cells are numbered from 0 on, the number 0 of none becomes -1
+                sides = np.unique(np.append(0, parents), return_inverse=True)[1][1:].reshape(parents.shape).T - 1
+            blocks, outer, whole = polyhedra(_faces(labels, sizes, sides), points, self.first)
         except ValueError as error:
             raise self.error(str(error)) from error
-        return Content(blocks + more, outer, elements, whole)
+        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=whole)
 
 
 class _Section:
@@ -254,31 +280,24 @@ class _Section:
 
         Before version 4 of CGNS each row begins with its count, later offsets cut the numbers.
         """
-        count = len(self.values)
+        values = self.values
         if "ElementStartOffset" in self.node:
-            rows = Ragged(self.values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
-            is_good = rows.starts[0] == 0 and rows.starts[-1] == count
-            fault = f"the offsets of section {self.name} do not cut its {count} numbers into rows of {least} or more"
+            rows = Ragged(values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
+            fault = f"the offsets of section {self.name} do not cut its {len(values)} numbers into {self.count} rows"
         else:
-            rows = _counted(self.values)
-            is_good, rest = len(rows) == self.count, f"rows of a count, {least} or more, and so many numbers"
-            fault = (
-                f"section {self.name} has no ElementStartOffset, and its {count} numbers are not {self.count} {rest}"
-            )
-        if not is_good or (np.diff(rows.starts) < least).any():
-            raise self.zone.error(fault)
+            rows = _counted(values)
+            fault = f"section {self.name} has no ElementStartOffset, and its {len(values)} numbers are not {self.count} rows"
+        starts, sizes = rows.starts, np.diff(rows.starts)
+        if len(rows) != self.count or starts[0] or starts[-1] != len(rows.values) or (sizes < least).any():
+            raise self.zone.error(f"{fault} of {least} numbers or more, each behind its count before version 4 of CGNS")
         return rows
 
-    def parents(self, count: int) -> list[np.ndarray]:
-        """Lists pairs (k, 2) of cell and face, the face negative where it points into the cell."""
-        if "ParentElements" not in self.node:
-            return []
-        cells = data(self.node["ParentElements"])
+    def parents(self, count: int) -> np.ndarray:
+        """Reads the numbers (count, 2) of the cells on both sides of each face, 0 for none."""
+        cells = data(self.node["ParentElements"]) if "ParentElements" in self.node else np.zeros((2, count), np.int64)
         if cells.shape != (2, count):
             raise self.error(f"has ParentElements for {cells.size // 2} of its {count} faces")
-        number = self.start + np.arange(count)
-        pairs = np.stack([cells.astype(np.int64).ravel(), np.concatenate([number, -number])], axis=1)
-        return [pairs[pairs[:, 0] > 0]]
+        return cells.T
 
     def runs(self) -> Iterator[tuple[int, int, np.ndarray]]:
         """Yields elements of one type after another: number of the first, type, vertices."""
@@ -288,8 +307,7 @@ class _Section:
             number = int(values[at]) if head else self.kind
             width = head + self._size(number)
             rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
-            other = np.flatnonzero(rows[:, 0] != number) if head else rows[:0, 0]
-            rows = rows[: other[0]] if other.size else rows
+            rows = rows[: np.argmax(np.append(rows[:, 0] != number, True))] if head else rows
             if not len(rows):
                 break
             self.check(rows[:, head:])
@@ -301,31 +319,18 @@ class _Section:
             raise self.error(f"has {start - self.start} elements, and the range of {self.count}")
 
     def _size(self, number: int) -> int:
-        if number in NODES:
-            return NODES[number]
-        what = f"has elements of type {number}"
-        if number in PARTIAL:
+        if number not in NODES:
             raise self.error(
-                f"{what}, of order 3 or 4 without all inner nodes; of these orders complete elements are read"
+                f"has elements of type {number}; linear elements, those of order 2, of order 3 and 4 with all inner nodes, and "
+                "polyhedra are read"
             )
-        raise self.error(f"{what}; linear elements, elements of order 2 to 4 and polyhedra are read")
+        return NODES[number]
 
 
 def _counted(values: np.ndarray) -> Ragged:
-    """Cuts numbers into rows that begin with their count; none where the counts do not fit."""
+    """Cuts numbers into rows that begin with their count; the last one may be cut short."""
     counts, at, numbers = [], 0, values.tolist()
-    while 0 <= at < len(numbers):
+    while at < len(numbers):
         counts.append(at)
-        at += numbers[at] + 1 if numbers[at] >= 0 else len(numbers) + 1
-    if at != len(numbers):
-        return Ragged(values, np.zeros(1, np.int64))
-    return Ragged(np.delete(values, counts), np.concatenate([[0], np.cumsum(values[counts])]))
-
-
-def _cells_of(sides: list[np.ndarray]) -> list[Ragged]:
-    if not sides:
-        return []
-    pairs = np.concatenate(sides)
-    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
-    starts = np.concatenate([np.flatnonzero(np.diff(pairs[:, 0], prepend=-1)), [len(pairs)]])
-    return [Ragged(pairs[:, 1], starts)]
+        at += 1 + max(numbers[at], 0)
+    return Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))

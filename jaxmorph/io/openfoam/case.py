@@ -8,7 +8,6 @@ import os
 import pathlib
 import re
 import shutil
-import zlib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -21,11 +20,10 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import EVERYTHING, MeshLike, Source, as_in_file, faults_of, source_of
+from .._format import EVERYTHING, MeshLike, Source, as_in_file, content_of, faults_of
 from .._text import replaced
-from .file import PARENTHESES, FoamFile, Patch, load, patches
+from .file import PARENTHESES, Boundary, FoamFile, faces_of, load, patches
 from .plane import Front, check_cyclic, cyclic_pairs, layer, plane_cells, sector
-from .topology import faces_of, patch_nodes, sides_of_parts
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
@@ -34,8 +32,11 @@ PLANES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
 
 
+Members = dict[str, np.ndarray]
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
-class _CaseContent:
+class CaseContent:
     """A case's file of points, its values, the folder of faces, planes in 2-D, shared points."""
 
     file: FoamFile
@@ -65,13 +66,31 @@ class _CaseContent:
     @functools.cached_property
     def point_ids(self) -> np.ndarray:
         """The numbers (n,) of a part's points in the whole mesh: its `pointProcAddressing`."""
-        return point_ids(self.topology, len(self.points))
+        try:
+            ids = load(self.topology, "pointProcAddressing").numbers("label").ravel()
+        except FileNotFoundError:
+            raise ValueError(
+                f"{self.topology}: there is no pointProcAddressing, so it is not known which points the processors share. "
+                "Run reconstructParMesh -constant in the case, which writes it, or decomposePar again."
+            ) from None
+        if len(ids) != len(self.points) or ids.min(initial=0) < 0 or len(np.unique(ids)) < len(ids):
+            raise ValueError(
+                f"{self.topology / 'pointProcAddressing'}: {len(ids)} numbers for {len(self.points)} points; each point has "
+                "one of its own, from 0 on. Run decomposePar again."
+            )
+        return ids
 
     @property
-    def region(self) -> pathlib.Path:
-        """The folder of the mesh's region, in `constant` or a time; else "."."""
-        case, here = _case_of(self.topology), self.topology.resolve()
-        return pathlib.Path(*(() if case is None else here.relative_to(case).parts[1:-1]))
+    def case(self) -> pathlib.Path | None:
+        above = self.topology.resolve().parents
+        inner = [folder for folder in above if folder.name == "constant"] or list(filter(_is_time, above))
+        return inner[0].parent if inner else None
+
+    @property
+    def place(self) -> pathlib.Path:
+        """The folder of the mesh in `constant` or a time: `polyMesh`, or that of a region."""
+        case, here = self.case, self.topology.resolve()
+        return pathlib.Path("polyMesh" if case is None else here.relative_to(case / here.relative_to(case).parts[0]))
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -91,13 +110,13 @@ def read(path: pathlib.Path) -> Parts:
     planes = _planes(path, boundary)
     file, points = _points(here)
     faces = faces_of(folder, boundary, len(points))
-    nodes = patch_nodes(faces, boundary)
+    nodes = _nodes(faces, boundary)
     with faults_of(path):
         mesh, ids, whole, plane = (_in_plane if planes else _in_space)(faces, points, nodes, planes)
-    between = sides_of_parts(faces, boundary)
+    between = _between(faces, boundary)
     # a caller may change the mesh's points in place, and the file's values must stay
     own = points.copy() if plane is None else points
-    content = _CaseContent(file, own, folder, plane, np.unique(between[between >= 0]))
+    content = CaseContent(file, own, folder, plane, np.unique(between[between >= 0]))
     joined = np.concatenate([ids[kind] for kind in mesh.cells])
     source = Source(
         file.path,
@@ -106,61 +125,74 @@ def read(path: pathlib.Path) -> Parts:
         whole,
         None if (joined[1:] > joined[:-1]).all() else joined,
         between=None if not len(between) else between if plane is None else plane.edges(between),
-        notes=tuple(_notes(folder, [patch for patch in planes if patch.count])),
+        notes=tuple(_notes(folder, [patch for patch in planes if patch.size])),
         **content.known,
         **_said(boundary, mesh, plane),
     )
     return mesh._replace(source=source)
 
 
-def _planes(path: pathlib.Path, boundary: list[Patch]) -> list[Patch]:
+def _nodes(faces: Faces, boundary: Boundary) -> Members:
+    """Lists nodes of patches, copied: views would keep all labels.
+
+    Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to.
+    """
+    own = [patch for patch in boundary if not patch.is_between]
+    return gathered((patch.refers or patch.name, faces.nodes(patch.start, patch.end)) for patch in own)
+
+
+def _between(faces: Faces, boundary: Boundary) -> np.ndarray:
+    """Lists the corners (k, c) of faces to other parts of a case, -1 behind the last one."""
+    chosen = [patch.faces for patch in boundary if patch.is_between]
+    return faces.padded(np.concatenate([np.zeros(0, np.int64), *chosen]))
+
+
+def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
     planes = [patch for patch in boundary if patch.type in PLANES]
-    kinds = [patch.type for patch in planes if patch.count]
+    kinds = [patch.type for patch in planes if patch.size]
     if "wedge" in kinds and kinds != ["wedge"] * 2:
-        names = ", ".join(patch.name for patch in planes if patch.count)
+        names = ", ".join(patch.name for patch in planes if patch.size)
         raise ValueError(
             f"{path}: patches of type wedge ({names}); an axisymmetric case has two, and none of type empty."
         )
     return planes if kinds else []
 
 
-def _said(boundary: list[Patch], mesh: Parts, plane: Front | None) -> dict[str, Any]:
+def _said(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any]:
     own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
     kinds = {patch.name: patch.type for patch in own}
-    symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.count]
+    symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.size]
     if plane is not None and plane.on_axis.any():
         symmetry, kinds = [*symmetry, "axis"], kinds | {"axis": "axis"}
     return {"groups": _groups(own), "periodic": _periodic(boundary, own), "symmetry": tuple(symmetry), "kinds": kinds}
 
 
-def _periodic(boundary: list[Patch], own: list[Patch]) -> tuple[Periodic, ...]:
+def _periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     """Lists the cyclic pairs, unless partners of their faces are on another processor."""
-    if any(patch.refers and patch.count for patch in boundary):
+    if any(patch.refers and patch.size for patch in boundary):
         return ()
-    return tuple(Periodic(first.name, second.name) for first, second in cyclic_pairs(own))
+    return tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
 
 
-def _groups(boundary: list[Patch]) -> dict[str, tuple[str, ...]]:
-    groups: dict[str, tuple[str, ...]] = {}
-    for patch in boundary:
-        groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
-    return groups
+def _groups(own: Boundary) -> dict[str, tuple[str, ...]]:
+    groups = dict.fromkeys(name for patch in own for name in patch.groups)
+    return {name: tuple(patch.name for patch in own if name in patch.groups) for name in groups}
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    source = source_of(mesh, NAME)
-    if source is None:
+    content = content_of(mesh, NAME)
+    if content is None:
         raise ValueError(f"{path}: only a mesh that was read from an OpenFOAM case can be written to one.")
-    case = _case_of(source.content.topology)
+    case = content.case
     if not _is_time(path):
         if case is None:
-            raise ValueError(f"{path}: {source.path.parent} is in no case with a folder constant; nothing to copy.")
+            raise ValueError(
+                f"{path}: {content.file.path.parent} is in no case with a folder constant; nothing to copy."
+            )
         check_new(path, case, f"a new folder, or a time folder of the case such as {case / '1'}")
-        return
-    if case is None or not path.parent.is_dir() or not os.path.samefile(path.parent, case):
+    elif case is None or not path.parent.is_dir() or not os.path.samefile(path.parent, case):
         raise ValueError(f"{path}: a time folder must be one of the case that the mesh was read from, {case}.")
-    folder = path / source.content.region / "polyMesh"
-    if any(is_same(folder / name, source.path) for name in ("points", "points.gz")):
+    elif any(is_same(path / content.place / name, content.file.path) for name in ("points", "points.gz")):
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 
 
@@ -176,8 +208,8 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
 
     It warns where the case is decomposed: its parts keep the old points.
     """
-    content, points = content_of(mesh), file_points(mesh)
-    case = _case_of(content.topology)
+    content, points = content_of(mesh, NAME), file_points(mesh)
+    case = content.case
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
     if parts:
         fate = "keep the old points" if _is_time(path) else "are not copied"
@@ -188,39 +220,37 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     write_points(path, content, points)
 
 
-def content_of(mesh: MeshLike) -> _CaseContent:
-    source = source_of(mesh, NAME)
-    assert source is not None
-    return source.content
-
-
 def file_points(mesh: MeshLike) -> np.ndarray:
     """Computes the file's points (N, 3) of a mesh, in 2-D both planes'; checks cyclic patches."""
-    content = content_of(mesh)
+    content = content_of(mesh, NAME)
     points = content.in_file(np.asarray(mesh.points))
     check_cyclic(content.topology, content.points, points)
     return points
 
 
-def write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) -> None:
-    case, name = _case_of(content.topology), content.file.path.name
-    if _is_time(path):
-        folder = path / content.region / "polyMesh"
-        made = [directory for directory in dict.fromkeys((path, folder.parent, folder)) if not directory.exists()]
-        with _removed_on_failure(made):
-            folder.mkdir(parents=True, exist_ok=True)
-            with complete(folder / name) as partial:
-                _write_points(partial, content, points)
-            (folder / {"points": "points.gz", "points.gz": "points"}[name]).unlink(missing_ok=True)
+def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -> None:
+    case, name = content.case, content.file.path.name
+    if not _is_time(path):
+        assert case is not None
+        with complete(path, folder=True) as partial:
+            copy_case(case, partial)
+            folder = partial / "constant" / content.place
+            shutil.copytree(content.topology, folder, dirs_exist_ok=True)
+            for old in ("points", "points.gz"):
+                (folder / old).unlink(missing_ok=True)
+            _write_points(folder / name, content, points)
         return
-    assert case is not None
-    with complete(path, folder=True) as partial:
-        copy_case(case, partial)
-        folder = partial / "constant" / content.region / "polyMesh"
-        shutil.copytree(content.topology, folder, dirs_exist_ok=True)
-        for old in ("points", "points.gz"):
-            (folder / old).unlink(missing_ok=True)
-        _write_points(folder / name, content, points)
+    file = path / content.place / name
+    # the first of the folders that is not there yet appears complete, else the file does
+    new = next(
+        (folder for folder in (path, *reversed(file.relative_to(path).parents)) if not (path / folder).exists()), None
+    )
+    target = file if new is None else path / new
+    with complete(target, folder=target != file) as partial:
+        inner = partial / file.relative_to(target)
+        inner.parent.mkdir(parents=True, exist_ok=True)
+        _write_points(inner, content, points)
+    file.with_name({"points": "points.gz", "points.gz": "points"}[name]).unlink(missing_ok=True)
 
 
 def copy_case(case: pathlib.Path, folder: pathlib.Path, **options: Any) -> None:
@@ -229,24 +259,7 @@ def copy_case(case: pathlib.Path, folder: pathlib.Path, **options: Any) -> None:
             shutil.copytree(case / name, folder / name, **options)
 
 
-def point_ids(topology: pathlib.Path, count: int) -> np.ndarray:
-    """Reads `pointProcAddressing`: the number (n,) of each point of a part in the whole mesh."""
-    try:
-        ids = load(topology, "pointProcAddressing").numbers("label").ravel()
-    except FileNotFoundError:
-        raise ValueError(
-            f"{topology}: there is no pointProcAddressing, so it is not known which points the processors share. Run "
-            "reconstructParMesh -constant in the case, which writes it, or decomposePar again."
-        ) from None
-    if len(ids) != count or ids.min(initial=0) < 0 or len(np.unique(ids)) < count:
-        raise ValueError(
-            f"{topology / 'pointProcAddressing'}: {len(ids)} numbers for {count} points; each point has one of its own, from 0 on. "
-            "Run decomposePar again."
-        )
-    return ids
-
-
-def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) -> None:
+def _write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -> None:
     file = content.file
     if np.array_equal(points, content.points):
         path.write_bytes(file.raw)
@@ -280,11 +293,11 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
     return file, points
 
 
-Found = tuple[Parts, dict[str, np.ndarray], Polyhedra | None, Front | None]
+Found = tuple[Parts, Members, Polyhedra | None, Front | None]
 """A mesh, the case's number of each cell by type, whole cells if some are cut, and planes."""
 
 
-def _in_space(faces: Faces, points: np.ndarray, nodes: dict[str, np.ndarray], planes: list[Patch]) -> Found:
+def _in_space(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
     (cells, ids), whole = standard_cells(faces), None
     if "polyhedron" in ids:
         whole = Polyhedra(faces, ids.pop("polyhedron"))
@@ -294,16 +307,17 @@ def _in_space(faces: Faces, points: np.ndarray, nodes: dict[str, np.ndarray], pl
     return checked_parts(points, cells, nodes), ids, whole, None
 
 
-def _in_plane(faces: Faces, points: np.ndarray, nodes: dict[str, np.ndarray], planes: list[Patch]) -> Found:
+def _in_plane(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
-    sides = [nodes[patch.name] for patch in planes if patch.type == "wedge" and patch.count]
-    plane = sector(faces, points, sides) if sides else layer(faces, points, chosen)
-    names = {patch.name for patch in planes}
-    own = {name: plane.ids(ids) for name, ids in nodes.items() if name not in names}
-    if plane.on_axis.any():
+    kinds = {patch.type for patch in planes if patch.size}
+    sides = [ids for patch in planes if len(ids := nodes.pop(patch.name))]  # no patches of the mesh in one of them
+    plane = sector(faces, points, sides) if kinds == {"wedge"} else layer(faces, points, chosen)
+    own = {name: plane.ids(ids) for name, ids in nodes.items()}
+    axis = np.flatnonzero(plane.on_axis)
+    if len(axis):
         if len(own.get("axis", ())):
             raise ValueError("the patch axis has faces; nodes on the axis get its name: call it otherwise in boundary.")
-        own["axis"] = np.flatnonzero(plane.on_axis)
+        own["axis"] = axis
     cells, ids, whole = plane_cells(faces, points, chosen, plane)
     return checked_parts(plane.in_plane(points), cells, own), ids, whole, plane
 
@@ -320,8 +334,10 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     return here, time.parent / "constant" / here.absolute().relative_to(time)
 
 
-def _notes(topology: pathlib.Path, planes: list[Patch]) -> Iterator[str]:
-    zones = [f"{size} {name}" for name in ("cellZones", "faceZones", "pointZones") if (size := _size(topology, name))]
+def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
+    zones = [
+        f"{size} {name}" for name in ("cellZones", "faceZones", "pointZones") if (size := _size(topology, name)) > 0
+    ]
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
     if topology.parent.name == "constant" and (others := regions(topology.parent)):
@@ -332,10 +348,9 @@ def _notes(topology: pathlib.Path, planes: list[Patch]) -> Iterator[str]:
 
 
 def _size(topology: pathlib.Path, name: str) -> int:
-    for path, opening in ((topology / name, open), (topology / f"{name}.gz", gzip.open)):
-        with contextlib.suppress(OSError, EOFError, zlib.error), opening(path, "rb") as file:
-            found = re.search(rb"^\s*(\d{1,18})\s*(\(|$)", file.read(1 << 13).rpartition(b"FoamFile")[2], re.MULTILINE)
-            return int(found[1]) if found else 0
+    with contextlib.suppress(OSError, ValueError):
+        file = load(topology, name)
+        return file.list_at(file.end).size
     return 0
 
 
@@ -344,38 +359,16 @@ def regions(folder: pathlib.Path) -> list[str]:
 
 
 def _hint(path: pathlib.Path) -> str:
-    here = path if _is_time(path) else path / "constant"
-    found, divided = regions(here), list(path.glob("processor*/constant/polyMesh"))
-    in_parts = sorted({region for part in path.glob("processor*/constant") for region in regions(part)})
-    if found:
-        several = "one region" if len(found) == 1 else f"{len(found)} regions"
-        return f" It has {several}, {', '.join(found)}, each with a mesh that is read by itself: {here / found[0]}."
-    if divided:
-        parts = f"one of its {len(divided)} folders processor*"
-        return f" It is decomposed: take {parts}, jaxmorph deform --decomposed, or reconstruct it."
-    if in_parts:
-        first, part = path / "constant" / in_parts[0], path / "processor0" / "constant" / in_parts[0]
-        names = ", ".join(in_parts)
-        return f" It is decomposed, and has the regions {names}: jaxmorph deform --decomposed {first}, or take {part}."
-    return ""
-
-
-def _case_of(topology: pathlib.Path) -> pathlib.Path | None:
-    above = topology.resolve().parents
-    cases = [folder.parent for folder in above if folder.name == "constant"]
-    return cases[0] if cases else next((folder.parent for folder in above if _is_time(folder)), None)
+    here, parts = path if _is_time(path) else path / "constant", sorted(path.glob("processor*"))
+    if found := regions(here):
+        return f" Its regions, {', '.join(found)}, have meshes of their own, each read by itself: {here / found[0]}."
+    if not parts:
+        return ""
+    inner = regions(parts[0] / "constant")
+    names = f", and has the regions {', '.join(inner)}" if inner else ""
+    place = pathlib.Path("constant", *inner[:1]) if inner else pathlib.Path()
+    return f" It is decomposed{names}: jaxmorph deform --decomposed {path / place}, or take {parts[0] / place}."
 
 
 def _is_time(path: pathlib.Path) -> bool:
     return re.fullmatch(r"\d+(\.\d*)?(e[+-]?\d+)?", path.name) is not None
-
-
-@contextlib.contextmanager
-def _removed_on_failure(folders: list[pathlib.Path]) -> Iterator[None]:
-    try:
-        yield
-    except BaseException:
-        for folder in reversed(folders):
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        raise

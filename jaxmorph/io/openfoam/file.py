@@ -1,42 +1,44 @@
-"""OpenFOAM's files: header, lists of numbers and of faces, ascii or binary, plain or compressed."""
+"""OpenFOAM's files, ascii or binary, plain or compressed: numbers, patches, checked faces."""
 
 import collections
-import dataclasses
-import gzip
-import io
+import itertools
 import pathlib
 import re
-import zlib
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._text import chunks, parse, scan
+from jaxmorph._host.package.files import unpacked
+from jaxmorph._mesh.faces import Faces, open_cells
 
-_SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?(?:\*/|\Z))*", re.DOTALL)
+from .._text import chunks, parse
+
+_LIST = re.compile(rb"(?:\s|//[^\n]*+|/\*.*?(?:\*/|\Z))*+(\d{0,19})(?!\d)\s*([({]?)", re.DOTALL)
+_END = re.compile(rb"\)(?:[\s;]|//[^\n]*+)*+\Z")
 _HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
-_COUNT = re.compile(rb"(\d*)\s*([({]?)")
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
 _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
+TAIL = 1 << 16
+"""Bytes at the end of a text that may be comments behind its list."""
 UNIFORM = 2 * 10**8
 """Bytes of an unpacked list of equal elements, besides ten times its file's size."""
-UNPACKED = 100
-"""Unpacked bytes per byte of a packed file, besides `UNIFORM`."""
-DIGITS = 19
-"""Digits of a number of elements."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
+KINDS = {"label": np.int64, "scalar": np.float64}
+
+Rows = tuple[np.ndarray, np.ndarray]
+"""The labels of all faces, and where each face begins (one more at the end)."""
 
 
-@dataclasses.dataclass(frozen=True)
-class List:
-    """Locates a list: `count` elements (-1: not said) from `start`; `uniform` holds one for all."""
+class List(NamedTuple):
+    """Locates a list: `size` elements (-1: not said) from `start`; `uniform` holds one for all."""
 
-    count: int
+    size: int
     start: int
     uniform: bool
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FoamFile:
+class FoamFile(NamedTuple):
     """A file of a mesh: `raw` as on disk, `data` unpacked, its header, and the header's end."""
 
     path: pathlib.Path
@@ -62,65 +64,51 @@ class FoamFile:
         return ValueError(f"{self.path}: {message}.")
 
     def list_at(self, at: int) -> List:
-        space = _SPACE.match(self.data, at)
-        at = space.end() if space else at
-        match = _COUNT.match(self.data, at)
-        if match is None or not match[0] or len(match[1]) > DIGITS:
-            raise self.error(f"a list expected, found {self.data[at : at + 20]!r}")
-        count = int(match[1]) if match[1] else -1
-        return List(count if match[2] else 0, match.end(), match[2] == b"{")
+        match = _LIST.match(self.data, at)
+        if match is None or not (match[1] or match[2]):
+            raise self.error(f"a list expected, found {self.data[at : at + 20].lstrip()!r}")
+        return List(int(match[1] or -1) if match[2] else 0, match.end(), match[2] == b"{")
 
     def end_of_text(self, start: int) -> int:
-        """Finds the last parenthesis after `start`, before the comments at the end of the file."""
-        stop = len(self.data)
-        while stop > start:
-            line = max(self.data.rfind(b"\n", start, stop), start)
-            comment = self.data.find(b"//", line, stop)
-            if comment < 0 and self.data[line:stop].strip():
-                break
-            stop = max(comment, line)
-        return self.data.rfind(b")", start, stop)
+        """Finds the last parenthesis, before the comments at the end of the file."""
+        found = _END.search(self.data, max(start, len(self.data) - TAIL))
+        return found.start() if found else start
 
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
         """Reads the list of `label`s or `scalar`s: (count, width), as int32 or float64."""
         items = self.list_at(self.end)
-        if items.uniform and items.count * width * 8 > UNIFORM + 10 * len(self.raw):
-            raise self.error(f"{items.count} elements that are all equal; a mesh has no such list")
+        if items.uniform and items.size * width * 8 > UNIFORM + 10 * len(self.raw):
+            raise self.error(f"{items.size} elements that are all equal; a mesh has no such list")
         if self.is_binary:
-            values = self.binary(items, what, width)[0]
-            return (_narrow(values) if what == "label" else values.astype(float)).reshape(-1, width)
-        values = self._text_numbers(items, what)
+            values = _narrow(self.binary(items, what, width)[0])
+        else:
+            stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
+            values = self._parsed(items, stop if items.size else items.start, KINDS[what])
         if items.uniform and len(values) == width:
-            values = np.tile(values, items.count)
-        if len(values) % width or items.count not in (-1, len(values) // width):
-            raise self.error(f"{items.count} elements of {width} {what}s expected, found {len(values)} numbers")
+            values = np.tile(values, items.size)
+        if len(values) % width or items.size not in (-1, len(values) // width):
+            raise self.error(f"{items.size} elements of {width} {what}s expected, found {len(values)} numbers")
         return values.reshape(-1, width)
 
-    def _text_numbers(self, items: List, what: str) -> np.ndarray:
-        kind = np.int64 if what == "label" else np.float64
-        stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
-        parts = [_narrow(np.zeros(0, kind)) if what == "label" else np.zeros(0, kind)]
-        for chunk in chunks(self.data, items.start, stop if items.count else items.start):
-            values = parse(chunk.translate(PARENTHESES), kind)
-            parts.append(_narrow(values) if what == "label" else values)
+    def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> np.ndarray:
+        """Reads the numbers of a text list; `mark` takes the place of opening parentheses."""
+        parts = [_narrow(np.zeros(0, kind))]
+        for chunk in chunks(self.data, items.start, stop):
+            parts.append(_narrow(parse(chunk.replace(b"(", mark).translate(PARENTHESES), kind)))
         return np.concatenate(parts)
 
     def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
-        """Views the numbers of a binary list, not copied, and tells where it ends."""
-        dtype = self.dtype(what)
-        count = items.count * width
-        stored = width if items.uniform else count
-        end = items.start + stored * dtype.itemsize
-        if items.count == 0:
+        """Views the numbers of a binary list, one element if it is uniform; tells where it ends."""
+        dtype, stored = self.dtype(what), width * (1 if items.uniform else items.size)
+        if items.size == 0:
             return np.zeros(0, dtype), items.start
-        if items.count < 0 or end >= len(self.data) or self.data[end : end + 1] not in (b")", b"}"):
-            message = f"{items.count} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
+        end = items.start + stored * dtype.itemsize
+        if items.size < 0 or self.data[end : end + 1] not in (b")", b"}"):
+            message = f"{items.size} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
             raise self.error(f"{message}; it is cut short, or its header's arch ({self.header.get('arch')}) is wrong")
-        values = np.frombuffer(self.data, dtype, stored, items.start)
-        return (np.tile(values, items.count) if items.uniform else values), end + 1
+        return np.frombuffer(self.data, dtype, stored, items.start), end + 1
 
-    def faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Reads the labels of all faces, and where each face begins (one more at the end)."""
+    def faces(self) -> Rows:
         if not self.is_binary:
             return self._text_faces()
         if "Compact" not in self.header.get("class", ""):
@@ -132,72 +120,53 @@ class FoamFile:
             raise self.error(f"the offsets of the faces do not fit their {len(labels)} labels")
         return _narrow(labels), starts
 
-    def _separate_faces(self) -> tuple[np.ndarray, np.ndarray]:
+    def _separate_faces(self) -> Rows:
         """Reads a binary list of lists of older versions: faces with their counts, in turn."""
         items = self.list_at(self.end)
         at, parts = items.start, [np.zeros(0, self.dtype("label"))]
-        for _ in range(items.count):
+        for face in range(items.size):
             labels, at = self.binary(self.list_at(at), "label")
+            if len(labels) < 3:
+                raise self.error(f"face {face} has {len(labels)} labels; it needs 3 at least")
             parts.append(labels)
-        sizes = np.array([len(part) for part in parts])
-        short = np.flatnonzero(sizes[1:] < 3)
-        if len(short):
-            raise self.error(f"face {short[0]} has {sizes[1 + short[0]]} labels; it needs 3 at least")
-        return _narrow(np.concatenate(parts)), np.cumsum(sizes)
+        return _narrow(np.concatenate(parts)), np.cumsum(list(map(len, parts)))
 
-    def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
-        # Numbers right before a parenthesis are counts of labels, which are taken out at the end.
+    def _text_faces(self) -> Rows:
+        # Opening parentheses become the number -1: behind the count of a face, before its labels.
         items = self.list_at(self.end)
-        words, before, done = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], 0
-        for chunk in chunks(self.data, items.start, self.end_of_text(items.start)):
-            plain = chunk.translate(PARENTHESES)
-            opens = np.flatnonzero(np.frombuffer(chunk, np.uint8) == ord("("))
-            starts = scan(plain)[0]
-            before.append(done + np.searchsorted(starts, opens))
-            words.append(_narrow(parse(plain, np.int64)))
-            done += len(starts)
-        values, begins = np.concatenate(words), np.concatenate(before)
-        sizes = np.diff(begins, append=done + 1) - 1
-        fits = len(values) == done and (begins > 0).all() and items.count in (-1, len(begins))
+        values = self._parsed(items, self.end_of_text(items.start), np.int64, b" -1 ")
+        begins = np.flatnonzero(values == -1)
+        sizes = np.diff(begins, append=len(values) + 1) - 2
+        fits = items.size in (-1, len(begins)) and (begins > 0).all()
         if not fits or (values[begins - 1] != sizes).any() or (sizes < 3).any():
             raise self.error(
-                f"{items.count} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
+                f"{items.size} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
             )
-        return np.delete(values, begins - 1), np.append(0, np.cumsum(sizes))
+        return np.delete(values, np.concatenate([begins - 1, begins])), np.append(0, np.cumsum(sizes))
 
 
-def _narrow(labels: np.ndarray) -> np.ndarray:
-    return labels.astype(np.int32 if not len(labels) or labels.max() < 2**31 else np.int64)
+def _narrow(values: np.ndarray) -> np.ndarray:
+    """Takes labels to int32, unless they are too large for it, and scalars to float64."""
+    if values.dtype.kind == "f":
+        return values.astype(float, copy=False)
+    return values.astype(np.int32 if not len(values) or values.max() < 2**31 else np.int64)
 
 
 def load(folder: pathlib.Path, name: str) -> FoamFile:
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
-    raw = path.read_bytes()
-    try:
-        data = _unpacked(path, raw) if path.suffix == ".gz" else raw
-    except (OSError, EOFError, zlib.error) as error:
-        raise ValueError(f"{path}: a damaged gzip file ({error}).") from error
+    with unpacked(path) as plain:
+        raw, data = path.read_bytes(), plain.read_bytes()
     match = _HEADER.search(data, 0, 1 << 14)
     if match is None:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
-    header = {key: " ".join(values).strip('"') for key, values in _entries(_words(match[1])).items()}
+    header = {key: " ".join(values).strip('"') for key, *values in _statements(_nested(match[1]))}
     return FoamFile(path, raw, data, header, match.end())
 
 
-def _unpacked(path: pathlib.Path, raw: bytes) -> bytes:
-    limit = UNIFORM + UNPACKED * len(raw)
-    with gzip.GzipFile(fileobj=io.BytesIO(raw)) as packed:
-        data = packed.read(limit + 1)
-    if len(data) > limit:
-        raise ValueError(f"{path}: {len(raw)} bytes become more than {limit} when unpacked; no mesh does.")
-    return data
-
-
-@dataclasses.dataclass(frozen=True)
-class Patch:
-    """An entry of `boundary`: `count` faces from `start` on.
+class FoamPatch(NamedTuple):
+    """An entry of `boundary`: `size` faces from `start` on.
 
     `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the
     cyclic patch of a `processorCyclic` one. Both are "" for others. `part` is the processor on the
@@ -207,7 +176,7 @@ class Patch:
     name: str
     type: str
     start: int
-    count: int
+    size: int
     groups: tuple[str, ...] = ()
     neighbour: str = ""
     refers: str = ""
@@ -215,7 +184,7 @@ class Patch:
 
     @property
     def end(self) -> int:
-        return self.start + self.count
+        return self.start + self.size
 
     @property
     def faces(self) -> np.ndarray:
@@ -226,82 +195,72 @@ class Patch:
         return self.type == "processor"
 
 
-def patches(file: FoamFile) -> list[Patch]:
+Boundary = list[FoamPatch]
+
+
+def patches(file: FoamFile) -> Boundary:
     """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
-    words = _words(file.data[file.end :])
-    _refuse_directives(file, words[:1])
-    head = re.match(rf"(\d{{1,{DIGITS}}} )?\( ", " ".join([*words[:2], ""]))
-    if head is None:
+    tree = _nested(file.data[file.end :])
+    _refuse_directives(file, tree)
+    stated = int(tree.pop(0)) if re.fullmatch(r"\d{1,19}", str(*tree[:1])) else None
+    if tree[:1] != ["("]:
         raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
-    stated = int(head[1]) if head[1] else None
-    found, end = _listed(file, words, 2 if head[1] else 1)
-    for name, count in collections.Counter(patch.name for patch in found).most_common(1):
-        if count > 1:
-            raise file.error(f"{count} patches are called {name}; each needs a name of its own")
-    if end == len(words) or stated not in (None, len(found)):
-        end_of_list = "" if end < len(words) else " and no end of the list"
+    end = tree.index(")") if ")" in tree else len(tree)
+    found = [_patch(file, str(name), body) for name, body in itertools.zip_longest(tree[1:end:2], tree[2:end:2])]
+    name, count = collections.Counter(["", *(patch.name for patch in found)]).most_common(1)[0]
+    if count > 1:
+        raise file.error(f"{count} patches are called {name}; each needs a name of its own")
+    if end == len(tree) or stated not in (None, len(found)):
+        end_of_list = "" if end < len(tree) else " and no end of the list"
         raise file.error(f"{stated} patches announced, {len(found)} read{end_of_list}")
     return found
 
 
-def _listed(file: FoamFile, words: list[str], at: int) -> tuple[list[Patch], int]:
-    found = []
-    while at < len(words) and words[at] != ")":
-        _refuse_directives(file, words[at : at + 1])
-        end = _end_of_body(words, at + 1)
-        if end is None:
-            raise file.error(f"patch {words[at][:80]} has no entries between {{ and }}; is the file cut short?")
-        found.append(_patch(file, words[at], words[at + 2 : end]))
-        at = end + 1
-    return found, at
-
-
-def _refuse_directives(file: FoamFile, words: list[str]) -> None:
+def _refuse_directives(file: FoamFile, words: list[Any]) -> None:
     """Raises `ValueError` for `#include`, `#calc` and `$name`, which a solver replaces by text."""
     for word in words:
-        if word.startswith(("#", "$")):
+        if str(word).startswith(("#", "$")):
             raise file.error(
                 f"{word[:40]} is not read, nor are other directives and variables: `foamDictionary -expand` prints "
                 "the file without them"
             )
 
 
-def _end_of_body(words: list[str], start: int) -> int | None:
-    depth = 0
-    for place in range(start, len(words)):
-        depth += {"{": 1, "}": -1}.get(words[place], 0)
-        if depth <= 0:
-            return place if place > start else None
-    return None
-
-
-def _words(data: bytes) -> list[str]:
-    return _WORD.findall(_COMMENT.sub(" ", data.decode(errors="replace")))
-
-
-def _entries(body: list[str]) -> dict[str, list[str]]:
-    """Lists the words of each entry `key word word;`, with those of its dictionary, by its key."""
-    entries: dict[str, list[str]] = {}
-    key, depth = None, 0
-    for word in body:
-        depth += {"{": 1, "}": -1}.get(word, 0)
-        if word == ";" or word == "}":
-            key = key if depth else None
-        elif key is None:
-            key, entries[word] = word, []
+def _nested(data: bytes) -> list[Any]:
+    """Lists the words of a text; those between braces are a list of their own."""
+    stack: list[list[Any]] = [[]]
+    for word in _WORD.findall(_COMMENT.sub(" ", data.decode(errors="replace"))):
+        if word == "{":
+            stack.append([])
+        elif word == "}" and len(stack) > 1:
+            inner = stack.pop()
+            stack[-1].append(inner)
         else:
-            entries[key].append(word)
-    return entries
+            stack[-1].append(word)
+    return stack[0]
 
 
-def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
-    entries = _entries(body)
+def _statements(words: list[Any]) -> Iterator[list[str]]:
+    """Yields the words of each entry `key word word;`, and the key of each dictionary."""
+    statement: list[str] = []
+    for word in words:
+        if word != ";" and not isinstance(word, list):
+            statement.append(word)
+        elif statement:
+            yield statement
+            statement = []
+
+
+def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
+    if not isinstance(body, list):
+        raise file.error(f"patch {name[:80]} has no entries between {{ and }}; is the file cut short?")
+    entries = {key: words for key, *words in _statements(body)}
     firsts = {key: words[0].strip('"') for key, words in entries.items() if words}
-    _refuse_directives(file, [*entries, *(firsts.get(key, "") for key in ("type", "nFaces", "startFace"))])
+    _refuse_directives(file, [*entries, *(firsts.get(key) for key in ("type", "nFaces", "startFace"))])
     groups = entries.get("inGroups", [])  # List<word> 2(wall wing), or (wall wing)
     groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
     try:
-        return Patch(
+        return FoamPatch(
             name.strip('"'),
             firsts["type"],
             int(firsts["startFace"]),
@@ -313,3 +272,60 @@ def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
         )
     except (KeyError, ValueError) as error:
         raise file.error(f"patch {name[:80]} has no good type, nFaces and startFace ({error})") from error
+
+
+def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
+    """Reads `faces`, `owner` and `neighbour`. Raises `ValueError` where they close no cells."""
+    labels, starts = load(folder, "faces").faces()
+    owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
+    if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
+        counts = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
+        raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {counts}.")
+    _check_labels(folder, labels, n, owner, neighbour)
+    faces = Faces(labels, starts, owner, neighbour[neighbour >= 0])
+    counts = np.bincount(np.concatenate([owner, faces.neighbour]))
+    if counts.min() < 4:
+        raise ValueError(f"{folder}: cell {counts.argmin()} has {counts.min()} faces; a cell needs 4 at least.")
+    _check_patches(folder / "boundary", boundary, faces)
+    ajar = open_cells(faces)
+    if len(ajar):
+        raise ValueError(f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: a damaged file.")
+    return faces
+
+
+def _check_labels(folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.ndarray, neighbour: np.ndarray) -> None:
+    """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
+
+    Each cell has four faces and each face two cells at most. Outer faces have no neighbour: older
+    versions write -1 for them, at the end of the list.
+    """
+    inner, count = int((neighbour >= 0).sum()), len(owner)
+    most = f"which is none: {count} faces make {count // 2} cells at most"
+    has_none = neighbour < (-1 if len(neighbour) == count else 0)
+    has_none[:inner] |= neighbour[:inner] < 0
+    if labels.min() < 0 or labels.max() >= n:
+        bad = labels.min() if labels.min() < 0 else labels.max()
+        raise ValueError(f"{folder / 'faces'}: a face names node {bad}, but there are points 0 to {n - 1}.")
+    for name, cells, wrong, what in (
+        ("neighbour", neighbour, has_none | (neighbour > count // 2), most),
+        ("owner", owner, (owner < 0) | (owner > count // 2), most),
+        ("neighbour", owner, owner[:inner] == neighbour[:inner], "which is on both of its sides"),
+    ):
+        if wrong.any():
+            face = wrong.argmax()
+            raise ValueError(f"{folder / name}: face {face} is of cell {cells[face]}, {what}.")
+
+
+def _check_patches(file: pathlib.Path, boundary: Boundary, faces: Faces) -> None:
+    count, inner = len(faces.owner), len(faces.neighbour)
+    times = np.zeros(count, dtype=np.int64)
+    for patch in boundary:
+        if patch.size < 0 or patch.start < 0 or patch.end > count:
+            raise ValueError(f"{file}: patch {patch.name!r} is faces {patch.start} to {patch.end - 1} of {count}.")
+        times[patch.start : patch.end] += 1
+    wrong = np.flatnonzero(times != (np.arange(count) >= inner))
+    if wrong.size:
+        face, where = int(wrong[0]), "an inner face" if wrong[0] < inner else "an outer face"
+        raise ValueError(
+            f"{file}: {wrong.size} faces are in the wrong number of patches; face {face}, {where}, is in {times[face]}."
+        )

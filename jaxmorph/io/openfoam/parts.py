@@ -1,31 +1,31 @@
-"""Decomposed cases: folders `processor0`, `processor1`, ..., each read and written by itself."""
+"""Decomposed cases, each part read and written by itself; plans for OpenFOAM's motion solver."""
 
-import collections
 import contextlib
-import dataclasses
 import itertools
 import os
 import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
 
-from jaxmorph import Mesh, Periodic
+from jaxmorph import Layer, Mesh, Periodic, Plan, export
 from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.package.arguments import checked, shown
 from jaxmorph._host.package.files import complete, named, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
 from jaxmorph._mesh.exchange import gathered
 
-from .._format import Source, source_of
-from .case import NAME, check_new, content_of, copy_case, file_points, read, regions, write_points
+from .._format import Source, content_of
+from .case import NAME, check_new, copy_case, file_points, read, regions, write_points
 from .file import load, patches
+from .plane import cyclic_pairs
 
+PLAN = "jaxmorph.plan"
+"""The file of a plan, which `native/openfoam` reads in `constant`."""
 REMEDY = "Run decomposePar, or leave --decomposed away"
-
 
 COLLATED = re.compile(r"s\d*(_\d+-\d+)?")
 """The end of the names of folders that hold several parts, after `processor`."""
@@ -34,8 +34,7 @@ AGREE = 1e-5
 """Distance between copies of a shared point, relative to coordinates: single precision."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Side:
+class Side(NamedTuple):
     """The outside of one part of a mesh: what the whole mesh's surface is gathered from.
 
     All ids are the whole mesh's.
@@ -107,9 +106,9 @@ class Decomposed:
 
     def folder(self, k: int) -> pathlib.Path:
         """Returns the folder of part `k`. Raises `ValueError` for a part that is not there."""
-        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < self.count:
+        if k not in range(self.count):
             raise ValueError(f"{self.path}: `k` is {k!r}; parts have the numbers 0 to {self.count - 1}.")
-        return self.path / f"processor{k}"
+        return self.path / f"processor{int(k)}"
 
     def read(self, k: int) -> Mesh:
         """Reads part `k` as `io.read` does; the last one is kept."""
@@ -121,7 +120,7 @@ class Decomposed:
 
     def side(self, k: int) -> Side:
         boundary = patches(load(self._mesh_folder(k), "boundary"))
-        if not any(patch.count for patch in boundary):
+        if not sum(patch.size for patch in boundary):
             raise ValueError(
                 f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose into fewer parts, or by scotch."
             )
@@ -139,7 +138,7 @@ class Decomposed:
             {kind: ids[rows] for kind, rows in corners.items()},
             {name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
             mesh.source.groups,
-            tuple((patch.name, patch.neighbour) for patch in boundary if patch.type == "cyclic"),
+            tuple((a.name, b.name) for a, b in cyclic_pairs(boundary)),
             mesh.source.symmetry,
             mesh.kinds,
         )
@@ -161,13 +160,10 @@ class Decomposed:
         if not sides or not all(isinstance(side, Side) for side in sides):
             raise ValueError(f"`sides` must be what `side(k)` gives of the {len(self)} parts, not {shown(sides)}.")
         nodes, points = self._common_points(sides)
-        faces, patches = (
-            {key: np.searchsorted(nodes, rows) for key, rows in _gathered(sides, name).items()}
-            for name in ("faces", "patches")
-        )
+        faces, members = (_gathered(sides, name, nodes) for name in ("faces", "patches"))
         cells = {kind: corners for kind, corners in faces.items() if len(corners)}
-        known = _said(sides, patches)
-        return Mesh(points, cells, patches, source=Source(self.path, NAME, None, node_ids=nodes, **known))
+        known = _said(sides, members)
+        return Mesh(points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known))
 
     def _common_points(self, sides: Sequence[Side]) -> tuple[np.ndarray, np.ndarray]:
         everywhere, places = (np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points"))
@@ -201,49 +197,42 @@ class Decomposed:
         - `ranks`: the communicator of processes that write together. Default: one process.
         """
         ranks, target = Alone() if ranks is None else ranks, pathlib.Path(path)
+        undivided = self.path / "constant" / self.region
+
+        def begin() -> pathlib.Path | None:
+            self.check_output(target)
+            if ranks.rank:
+                return None
+            new = stack.enter_context(complete(target, folder=True, name_errors=False))
+            with named(target):
+                copy_case(self.path, new, ignore=lambda here, _: ["polyMesh"] * (pathlib.Path(here) == undivided))
+            return new
+
+        def end() -> None:
+            lacks = sorted({*range(len(self))}.difference(*written))
+            if lacks:
+                raise ValueError(
+                    f"{path}: not written, {len(lacks)} of {len(self)} parts were not added, first part {lacks[0]}."
+                )
+
         with contextlib.ExitStack() as stack:
-
-            def begin() -> pathlib.Path | None:
-                self.check_output(target)
-                new = complete(target, folder=True, name_errors=False)
-                return stack.enter_context(new) if ranks.rank == 0 else None
-
-            def copy() -> None:
-                if ranks.rank == 0:
-                    with named(target):
-                        copy_case(self.path, partial, ignore=self._left_out)
-
-            def end() -> None:
-                lacks = sorted({*range(len(self))} - written)
-                if lacks:
-                    raise ValueError(
-                        f"{path}: not written, {len(lacks)} of {len(self)} parts were not added, first part {lacks[0]}."
-                    )
-
-            partial = ranks.bcast(together(ranks, begin))
-            together(ranks, copy)
-            writer = Writer(self, target, partial, ranks, Agreement(ranks), set())
+            writer = Writer(self, target, ranks.bcast(together(ranks, begin)), ranks, Agreement(ranks), set())
             yield writer
-            written = {k for numbers in ranks.allgather(writer.written) for k in numbers}
+            written = ranks.allgather(writer.written)
             together(ranks, end)
 
-    def _left_out(self, here: str, names: list[str]) -> set[str]:
-        return {"polyMesh"} & {*names} if pathlib.Path(here) == self.path / "constant" / self.region else set()
 
-
-def _gathered(sides: Sequence[Side], name: str) -> dict[str, np.ndarray]:
-    return gathered(item for side in sides for item in getattr(side, name).items())
+def _gathered(sides: Sequence[Side], name: str, nodes: np.ndarray) -> dict[str, np.ndarray]:
+    """Joins the ids that all sides have by type or patch, and renumbers them by their place."""
+    return gathered((key, np.searchsorted(nodes, ids)) for side in sides for key, ids in getattr(side, name).items())
 
 
 def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
-    named = [Periodic(*pair) for pair in pairs.values() if all(len(members[name]) for name in pair)]
-    symmetry = dict.fromkeys(itertools.chain.from_iterable(side.symmetry for side in sides))
-    tables = {
-        name: dict(collections.ChainMap(*(dict(getattr(side, name)) for side in sides[::-1])))
-        for name in ("groups", "kinds")
-    }
-    return {"periodic": tuple(named), "symmetry": tuple(symmetry), **tables}
+    """Lists what the sides know; parts have the same patches, of which some are empty."""
+    pairs = [Periodic(*pair) for pair in sides[0].pairs if all(len(members[name]) for name in pair)]
+    symmetry = dict.fromkeys(itertools.chain(*(side.symmetry for side in sides)))
+    kinds = dict(itertools.chain(*(side.kinds.items() for side in sides)))
+    return {"groups": sides[0].groups, "periodic": tuple(pairs), "symmetry": tuple(symmetry), "kinds": kinds}
 
 
 def _count(path: pathlib.Path) -> int:
@@ -254,17 +243,14 @@ def _count(path: pathlib.Path) -> int:
             f"{path}: folders {collated}; collated files are not read: run decomposePar -fileHandler uncollated."
         )
     numbers = {int(name) for name in names if name.isdecimal()}
-    if not numbers:
-        raise ValueError(f"{path}: the case is not decomposed, there is no folder processor0. {REMEDY}.")
-    missing = sorted({*range(len(numbers))} - numbers)
+    missing = sorted({*range(max(len(numbers), 1))} - numbers)
     if missing:
-        lacks = f"processor{missing[0]} is missing among {len(numbers)}"
+        lacks = f"there is no folder processor{missing[0]} among {len(numbers)}"
         raise ValueError(f"{path}: the case is not decomposed, {lacks}. {REMEDY}.")
     return len(numbers)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Writer:
+class Writer(NamedTuple):
     """Takes the moved parts of a decomposed case; `Decomposed.writing` makes it."""
 
     case: Decomposed
@@ -289,13 +275,12 @@ class Writer:
                 return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
             if k is None:
                 raise ValueError("`k` is None; it is the number of the part that `moved` is.")
-            source, mesh = source_of(moved, NAME), self.case._mesh_folder(k)
-            if source is None or source.content.topology.resolve() != mesh.resolve():
+            content, mesh = content_of(moved, NAME), self.case._mesh_folder(k)
+            if content is None or content.topology.resolve() != mesh.resolve():
                 raise ValueError(f"`moved` is not part {k} as `read({k})` gives it: write each part by its own number.")
             if k in self.written:
                 raise ValueError(f"part {k} was written already.")
             self.written.add(k)
-            content = source.content
             return content.shared, file_points(moved), content.point_ids[content.shared]
 
         rows, points, ids = together(self.ranks, shared)
@@ -312,7 +297,7 @@ class Writer:
             points[rows] = agreed
             if moved is not None:
                 with named(self.path):
-                    write_points(self.folder / f"processor{k}", content_of(moved), points)
+                    write_points(self.folder / f"processor{k}", content_of(moved, NAME), points)
 
         together(self.ranks, write)
 
@@ -332,12 +317,70 @@ def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
     **Raises:** `ValueError` for other meshes, and a `pointProcAddressing` that is missing or does
     not fit.
     """
-    if isinstance(mesh.source, Source) and mesh.source.content is None and mesh.source.node_ids is not None:
-        return np.asarray(mesh.source.node_ids)  # the surface of a case, which nothing can be written from
-    source = source_of(mesh, NAME)
-    if source is None:
+    if isinstance(mesh.source, Source) and mesh.source.node_ids is not None:
+        return np.asarray(mesh.source.node_ids)  # the surface of a case
+    content = content_of(mesh, NAME)
+    if content is None:
         raise ValueError("the mesh was not read from an OpenFOAM case; only a case's processors have global numbers.")
-    if source.node_ids is not None:
-        return np.asarray(source.node_ids)
-    content = source.content
     return np.asarray(content.point_ids if content.plane is None else content.point_ids[content.plane.front])
+
+
+@checked
+def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pathlib.Path]:
+    """Writes `constant/jaxmorph.plan` for OpenFOAM's motion solver, and one in each `processor*`.
+
+    ```python
+    mesh = io.read("case")
+    io.export_case("case", mesh, jm.prepare(mesh, "wing", ["inlet", "outlet"]))
+    ```
+
+    **Arguments:**
+
+    - `path`: the folder of the case; of a region `case/constant/REGION`.
+    - `mesh`: what `io.read(path)` returned.
+    - `plan`: what `prepare` made of it, as `jm.export` takes it.
+
+    **Returns:** the files. **Raises:** `ValueError` as `jm.export` does, for a mesh of another
+    source, for a case between wedges, and for parts of another mesh.
+    """
+    place, content = pathlib.Path(path), content_of(mesh, NAME)
+    if not place.is_dir():
+        raise ValueError(f"{path}: no folder of an OpenFOAM case.")
+    if content is None:
+        raise ValueError("`mesh` was not read from an OpenFOAM case: use jm.export(plan, path).")
+    if content.plane is not None and content.plane.kind == "wedge":
+        raise ValueError(f"{path}: a case between wedges; OpenFOAM moves both planes, and a plan moves one.")
+    plan.check_mesh(mesh)
+    region = place.name if place.parent.name == "constant" else ""
+    root = place.parent.parent if region else place
+    files = [root / "constant" / region / PLAN]
+    with named(files[0]):
+        export(plan, files[0], layer=_layer(content))
+    if not (root / "processor0").is_dir():
+        return files
+    case = Decomposed(path)
+    for k in range(len(case)):
+        part = case.read(k)
+        ids = global_nodes(part)
+        rows = ids if content.plane is None else content.plane.file_nodes()[ids]
+        _check_part(case.folder(k), np.asarray(part.points), np.asarray(plan.points), rows)
+        files.append(case.folder(k) / "constant" / region / PLAN)
+        export(plan, files[-1], nodes=rows, layer=_layer(content_of(part, NAME)))
+    return files
+
+
+def _layer(content: Any) -> Layer | None:
+    if content.plane is None:
+        return None
+    first, second = np.abs(content.plane.axes[0]).argmax(axis=1).tolist()
+    return Layer(content.plane.file_nodes(), (first, second))
+
+
+def _check_part(folder: pathlib.Path, part: np.ndarray, whole: np.ndarray, rows: np.ndarray) -> None:
+    away = np.abs(part - whole[rows]).max(axis=1) if rows.max(initial=-1) < len(whole) else np.full(len(part), np.inf)
+    wrong = away > 1e-9 * np.abs(whole).max()  # parts are written as text
+    if wrong.any():
+        raise ValueError(
+            f"{folder}: {wrong.sum()} of {len(part)} points lie elsewhere than in the case, first point {wrong.argmax()}: the "
+            "parts are of another mesh. Run decomposePar -force."
+        )

@@ -1,16 +1,18 @@
 """OpenFOAM's 2-D and axisymmetric cases, one layer of cells between two planes; cyclic patches."""
 
-import dataclasses
+import itertools
 import pathlib
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxmorph._host.package.errors import place_of
+from jaxmorph._mesh.exchange import gathered
 from jaxmorph._mesh.faces import Faces, following
-from jaxmorph._mesh.polyhedra import Polyhedra, spread, triangles
+from jaxmorph._mesh.polyhedra import Polyhedra, triangles
 
-from .file import Patch, load, patches
+from .file import Boundary, FoamPatch, load, patches
 
 FLAT = 1e-6
 """Distance of a node off its plane, as a share of the mesh's extent."""
@@ -20,8 +22,7 @@ ROUNDING = 1e-12
 """Distance of a node off its axis, relative to the mesh's extent, that is written as zero."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Front:
+class Front(NamedTuple):
     """Nodes of two planes with one layer of cells between them; the 2-D mesh is the one in front.
 
     - `kind`: the type of their patches, empty or wedge.
@@ -59,7 +60,7 @@ class Front:
         if self.kind == "empty":
             return self
         axes, origin = _frame((self.front, np.unique(self.back)), points)
-        return dataclasses.replace(self, axes=axes, origin=origin)
+        return self._replace(axes=axes, origin=origin)
 
     def in_plane(self, points: np.ndarray) -> np.ndarray:
         plane = (points[self.front] - self.origin) @ self.axes[0].T
@@ -92,30 +93,29 @@ class Front:
 
 
 def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> Front:
-    first, second = map(np.unique, patches)
-    if len(np.union1d(first, second)) < len(points):
+    planes = [np.unique(nodes) for nodes in patches]
+    if len(np.union1d(*planes)) < len(points):
         raise ValueError("patches of type wedge, but there are nodes off both: there is more than one layer of cells.")
-    axes, _ = _frame((first, second), points)
+    axes, origin = _frame(planes, points)
     # the plane farther around the axis is in front: seen from outside, (x, r) is right-handed
-    front, back = (first, second) if np.cross(axes[1, 1], axes[0, 1]) @ axes[0, 0] > 0 else (second, first)
-    axes, origin = _frame((front, back), points)
-    return _paired("wedge", faces, points, (front, back), axes, origin)
+    turn = 1 if np.cross(axes[1, 1], axes[0, 1]) @ axes[0, 0] > 0 else -1
+    return _paired("wedge", faces, points, planes[::turn], axes[::turn], origin)
 
 
 def _paired(
     kind: str,
     faces: Faces,
     points: np.ndarray,
-    planes: tuple[np.ndarray, np.ndarray],
+    planes: Sequence[np.ndarray],
     axes: np.ndarray,
     origin: np.ndarray,
 ) -> Front:
     """Finds the node behind that an edge joins to each node in front; one in both is its own."""
     front, back = planes
-    on = np.zeros((2, len(points)), dtype=bool)
-    on[0, front], on[1, back] = True, True
-    corner, after = faces.labels, faces.after(faces.labels)
-    across = (on[0] & ~on[1])[corner] & (on[1] & ~on[0])[after]
+    on = np.zeros((2, len(points)), bool)
+    on[0, front] = on[1, back] = True
+    alone, corner, after = on & ~on[::-1], faces.labels, faces.after(faces.labels)
+    across = alone[0, corner] & alone[1, after]
     partner = np.where(on.all(axis=0), np.arange(len(points)), -1)
     partner[corner[across]] = after[across]
     partner = partner[front]
@@ -133,22 +133,22 @@ def _paired(
 
 def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Finds the axis of two planes: unit vectors (2, 2, 3) along and away from it, and a point."""
-    size, middles, normals = np.ptp(points, axis=0).max(), [], []
-    for nodes in patches:
-        middles.append(points[nodes].mean(axis=0))
-        normals.append(np.linalg.svd(points[nodes] - middles[-1], full_matrices=False)[2][-1])
-        if np.abs((points[nodes] - middles[-1]) @ normals[-1]).max() > FLAT * size:
-            raise ValueError("a patch of type wedge does not lie in a plane.")
+    size = np.ptp(points, axis=0).max()
+    middles = np.stack([points[nodes].mean(axis=0) for nodes in patches])
+    arms = [points[nodes] - middle for nodes, middle in zip(patches, middles, strict=True)]
+    normals = np.stack([np.linalg.svd(arm, full_matrices=False)[2][-1] for arm in arms])
+    if max(np.abs(arm @ normal).max() for arm, normal in zip(arms, normals, strict=True)) > FLAT * size:
+        raise ValueError("a patch of type wedge does not lie in a plane.")
     axis = np.cross(*normals)
     if not np.linalg.norm(axis) > 1e-9:
         raise ValueError("two patches of type wedge are parallel; a case in two dimensions has patches of type empty.")
     axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
     sharp = np.round(axis)
     axis = sharp if np.abs(axis - sharp).max() < FLAT else axis
-    heights = [normal @ middle for normal, middle in zip(normals, middles, strict=True)]
-    origin = np.linalg.lstsq(np.stack([*normals, axis]), np.array([*heights, 0.0]), rcond=None)[0]
+    heights = np.append((normals * middles).sum(axis=1), 0)
+    origin = np.linalg.lstsq(np.vstack([normals, axis]), heights, rcond=None)[0]
     origin = np.where(np.abs(origin) < FLAT * size, 0, origin)
-    away = np.array(middles) - origin
+    away = middles - origin
     away -= (away @ axis)[:, None] * axis
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return np.stack([np.tile(axis, (2, 1)), away], axis=1), origin
@@ -158,16 +158,13 @@ def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
     """Finds the two planes of a case with patches of type empty, whose faces are `empty`."""
     low, high = points.min(axis=0), points.max(axis=0)
     away = np.minimum(points - low, high - points).max(axis=0)
-    normals = np.flatnonzero(away <= FLAT * (high - low))
-    if len(normals) > 1:  # one row of cells: the empty faces tell which way
-        rows, which = spread(faces.starts[empty], faces.starts[empty + 1])
-        corners, begins = points[faces.labels[rows]], np.flatnonzero(np.diff(which, prepend=-1))
-        reach = np.maximum.reduceat(corners, begins) - np.minimum.reduceat(corners, begins)
-        normals = normals[reach[:, normals].max(axis=0) <= FLAT * (high - low)[normals]]
+    corners, starts = points[faces.labels], faces.starts[:-1]
+    reach = (np.maximum.reduceat(corners, starts) - np.minimum.reduceat(corners, starts))[empty].max(axis=0)
+    normals = np.flatnonzero(np.maximum(away, reach) <= FLAT * (high - low))
     if len(normals) != 1:
         raise ValueError(
-            f"patches of type empty, but the nodes lie on two planes across {len(normals)} of the axes x, y, z instead of "
-            "one. Cases in one dimension, and planes that are oblique, are not supported."
+            f"patches of type empty, but their faces are two planes across {len(normals)} of the axes x, y, z instead of "
+            "one. Cases in one dimension, and oblique planes, are not supported; other patches have another type."
         )
     normal = int(normals[0])
     axes = np.delete(np.eye(3), normal, axis=0)
@@ -196,31 +193,30 @@ def plane_cells(
             f"patches of type {plane.kind} have {len(front)} faces in front of {faces.count} cells, not one each: "
             "the mesh is not one layer of cells between them. Give these patches another type, such as patch."
         )
-    corners = {"triangle": faces.corners(front[sizes == 3], 3), "quad": faces.corners(front[sizes == 4], 4)}
-    ids = {"triangle": owner[sizes == 3], "quad": owner[sizes == 4]}
+    kinds = (("triangle", 3), ("quad", 4))
+    parts = [(kind, faces.corners(front[sizes == c], c), owner[sizes == c]) for kind, c in kinds]
     cut, whole = front[sizes > 4], None
     if len(cut):
         if plane.kind == "wedge":
             raise ValueError("patches of type wedge with faces of more than four corners are not supported.")
         pieces, piece_of = triangles(faces, cut, points)
-        corners["triangle"] = np.concatenate([corners["triangle"], pieces])
-        ids["triangle"] = np.concatenate([ids["triangle"], faces.owner[cut][piece_of]])
+        parts.append(("triangle", pieces, faces.owner[cut][piece_of]))
         whole = Polyhedra(_edges(faces, chosen, is_front, plane), faces.owner[cut])
-    cells = {kind: np.searchsorted(plane.front, rows) for kind, rows in corners.items() if len(rows)}
-    return cells, ids, whole
+    cells = gathered((kind, np.searchsorted(plane.front, rows)) for kind, rows, _ in parts if len(rows))
+    return cells, gathered((kind, cell) for kind, _, cell in parts), whole
 
 
 def _edges(faces: Faces, chosen: np.ndarray, is_front: np.ndarray, plane: Front) -> Faces:
     """Makes the front's edges, one a face across the layer, with its cell on the left."""
     across = np.delete(np.arange(len(faces.owner)), chosen)
-    rows, face = spread(faces.starts[across], faces.starts[across + 1])
-    here, after = faces.labels[rows], faces.after(faces.labels)[rows]
-    leaves, enters = is_front[here] & ~is_front[after], ~is_front[here] & is_front[after]
-    if not all(np.array_equal(face[ends], np.arange(len(across))) for ends in (leaves, enters)):
+    corners = faces.corners(across, 4)
+    on = is_front[corners]
+    # seen from its cell, a face runs along the front against the sense of the cell's face there:
+    # the edge begins at the face's last corner in front
+    last = np.argmax(on & ~np.roll(on, -1, axis=1), axis=1)
+    ends = np.take_along_axis(corners, np.stack([last, last - 1], axis=1) % 4, axis=1)
+    if (faces.sizes[across] != 4).any() or (on.sum(axis=1) != 2).any() or not is_front[ends].all():
         raise ValueError(f"patches of type {plane.kind}, but there are faces that do not join the two planes.")
-    # seen from its cell, such a face runs along the front against the sense of the cell's face in
-    # the front
-    ends = np.stack([here[leaves], after[enters]], axis=1)
     starts = 2 * np.arange(len(across) + 1)
     return Faces(
         np.searchsorted(plane.front, ends).ravel(), starts, faces.owner[across], faces.all_neighbours()[across]
@@ -231,16 +227,16 @@ MATCH = 1e-4
 """Distance of paired faces, relative to their size: OpenFOAM's own `matchTolerance`."""
 
 
-def cyclic_pairs(boundary: list[Patch]) -> list[tuple[Patch, Patch]]:
+def cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
     """Lists the pairs of cyclic patches, without cyclicAMI and cyclicACMI: these need not match."""
-    by_name = {patch.name: patch for patch in boundary}
-    pairs = [(patch, by_name[patch.neighbour]) for patch in by_name.values() if patch.neighbour in by_name]
-    return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.start < b.start and a.count == b.count > 0]
+    pairs = itertools.combinations(boundary, 2)
+    return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.neighbour == b.name]
 
 
 def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> None:
     """Raises `ValueError` where cyclic patches matched with `old` points, but not with `new`."""
-    pairs = cyclic_pairs(patches(load(topology, "boundary")))
+    every = cyclic_pairs(patches(load(topology, "boundary")))
+    pairs = [(a, b) for a, b in every if a.size == b.size > 0]
     if not pairs or np.array_equal(old, new):
         return
     labels, starts = load(topology, "faces").faces()
@@ -252,14 +248,16 @@ def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> No
             face = int(wrong.argmax())
             raise ValueError(
                 f"the cyclic patches {first.name!r} and {second.name!r} no longer match: {(wrong > MATCH).sum()} of "
-                f"{first.count} pairs of faces miss each other, by up to {wrong[face]:.3g} of the face's size near "
+                f"{first.size} pairs of faces miss each other, by up to {wrong[face]:.3g} of the face's size near "
                 f"({place_of(after[0][0][face])}). Hold both patches fixed, or move both alike."
             )
 
 
-def _faces(points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: Patch) -> tuple[np.ndarray, np.ndarray]:
+def _faces(
+    points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: FoamPatch
+) -> tuple[np.ndarray, np.ndarray]:
     """Computes middles (k, 3) and sizes (k,), roots of areas, of a patch's faces."""
-    begins = np.asarray(starts[patch.start : patch.start + patch.count + 1], dtype=np.int64)
+    begins = np.asarray(starts[patch.start : patch.start + patch.size + 1], dtype=np.int64)
     corners = points[labels[begins[0] : begins[-1]]]
     begins, sizes = begins - begins[0], np.diff(begins)
     middles = np.add.reduceat(corners, begins[:-1]) / sizes[:, None]

@@ -16,11 +16,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..._host.cells.lagrange import Lagrange, lagrange_types
-from ..._host.linear import products
-from ..._kernels.values import Either, namespace
+from .._host.cells.lagrange import lagrange_types, values
+from .._host.linear import products
+from .._kernels.values import Either, namespace
 from . import bernstein
 from .bernstein import Space
+
+Places = Float[np.ndarray, "f k"]
+Columns = list[list[Either]]
+Values = Float[Either, " k"]
 
 FACTORS = {
     "line": (1,),
@@ -67,12 +71,12 @@ class JacobianForm:
         control = np.kron(np.eye(2), self.control)
         return JacobianForm(self.shape, spaces, matrices, (TIME, *self.map_space), control, True)
 
-    def columns(self, x: list[Either]) -> list[list[Either]]:
+    def columns(self, x: list[Either]) -> Columns:
         """Scaled coefficients of the columns of J: a list of components (nodes, k)."""
         matrices = [matrix.astype(x[0].dtype) for matrix in self.matrices]
         return [[bernstein.contracted(matrix, component) for component in x] for matrix in matrices]
 
-    def determinant(self, columns: list[list[Either]]) -> Float[Either, "n k"]:
+    def determinant(self, columns: Columns) -> Float[Either, "n k"]:
         a, b, *rest = columns
         first, second, *last = self.spaces
         product = bernstein.multiplied(first, second, a, b, products.cross)
@@ -106,7 +110,7 @@ class JacobianForm:
         rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in pairs]
         return float(max(row.max() for row in rows))
 
-    def mean(self, coefficients: Either) -> Float[Either, " k"]:
+    def mean(self, coefficients: Either) -> Values:
         """det J's mean over the reference cell: the ratio of the cells' volumes."""
         shares = np.full(bernstein.count(self.space), 1 / bernstein.count(self.space))
         if self.shape == "pyramid":  # a layer at t has the share 3 (1 - t)^2
@@ -115,22 +119,22 @@ class JacobianForm:
             shares = np.kron(np.full(below, 1 / below), layers)
         return bernstein.contracted(shares[None].astype(coefficients.dtype), coefficients)[0]
 
-    def places(self, x: list[np.ndarray], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "k d"]:
+    def places(self, x: list[np.ndarray], at: Places) -> Float[np.ndarray, "k d"]:
         """Maps places among the factors of k cells to space."""
-        weights = bernstein.terms(self.map_space, at) * bernstein.multinomials(self.map_space)[:, None]
+        weights = bernstein.functions(self.map_space, at)
         return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
 
-    def values(self, columns: list[list[Either]], at: Float[Either, "f k"]) -> Float[Either, " k"]:
+    def values(self, columns: Columns, at: Float[Either, "f k"]) -> Values:
         pairs = zip(self.spaces, columns, strict=True)
         weights = [(bernstein.terms(space, at), column) for space, column in pairs]
         return products.determinant([[(b * weight).sum(axis=0) for b in column] for weight, column in weights])
 
-    def inside(self, at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "f k"]:
+    def inside(self, at: Places) -> Places:
         """Moves places off a pyramid's apex, where det J has directions, by a millionth."""
         is_last = np.arange(len(at)) == len(at) - 1
         return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
 
-    def reference(self, places: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "d k"]:
+    def reference(self, places: Places) -> Float[np.ndarray, "d k"]:
         places = places[1:] if self.has_time else places
         if self.shape != "pyramid":
             return places
@@ -142,53 +146,15 @@ def form_of(kind: str, has_time: bool = False) -> JacobianForm:
     if has_time:
         return form_of(kind).moving()
     cell = lagrange_types()[kind]
-    if not cell.is_complete:
-        name, matrix = cell.completion()
-        whole = form_of(name)
-        matrices = tuple(own @ matrix for own in whole.matrices)
-        return dataclasses.replace(whole, matrices=matrices, control=whole.control @ matrix)
     space = tuple((m, cell.order) for m in FACTORS[cell.shape])
-    control = _control(cell, space)
+    at = bernstein.lattice(space)
+    # all entries are multiples of 1 / 3 / 6^6, so that rounding makes them exact
+    control = np.round(3 * 6**6 * np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))) / (3 * 6**6)
     columns = [_derivative(space, control, f, i) for f, (m, _) in enumerate(space) for i in range(m)]
     if cell.shape == "pyramid":
         columns = [*(_divided(*column) for column in columns[:2]), columns[2]]
     spaces, matrices = zip(*columns, strict=True)
     return JacobianForm(cell.shape, spaces, matrices, space, control)
-
-
-def _control(cell: Lagrange, space: Space) -> np.ndarray:
-    """The matrix (n, nodes) from nodes to the map's Bernstein coefficients."""
-    places = cell.reference.T.copy()
-    modes = np.eye(bernstein.count(space))
-    if cell.shape == "pyramid":
-        is_tip = places[2] == 1
-        places[:2] /= np.where(is_tip, 1, 1 - places[2])
-        modes = _pyramid_modes(cell.order)
-    values = (bernstein.terms(space, places) * bernstein.multinomials(space)[:, None]).T @ modes
-    inverse = np.linalg.inv(values)
-    exact = values.astype(np.longdouble)
-    for _ in range(2):  # what is lost by the inversion is found again in higher precision
-        inverse = inverse + (inverse @ (np.eye(len(values)) - exact @ inverse)).astype(float)
-    return modes @ inverse
-
-
-def _pyramid_modes(order: int) -> np.ndarray:
-    """Coefficients (n, modes) of a pyramid's r^i s^j (1 - t)^max(i, j) t^k on the cube."""
-    line = ((1, order),)
-
-    def power(i: int, j: int = 0) -> np.ndarray:  # t^i (1 - t)^j, times (t + 1 - t)^(order - i - j)
-        scaled = np.zeros(order + 1)
-        rest = order - i - j
-        scaled[i : i + rest + 1] = bernstein.multinomials(((1, rest),))
-        return scaled / bernstein.multinomials(line)
-
-    modes = [
-        functools.reduce(np.kron, (power(i), power(j), power(k, max(i, j))))
-        for i in range(order + 1)
-        for j in range(order + 1)
-        for k in range(order + 1 - max(i, j))
-    ]
-    return np.array(modes).T
 
 
 def _derivative(space: Space, control: np.ndarray, factor: int, axis: int) -> tuple[Space, np.ndarray]:

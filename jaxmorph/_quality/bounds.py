@@ -8,13 +8,17 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..._host.cells.topology import DIMENSION, HIGH_ORDER
-from ..._kernels.callback import host_call
-from ..._kernels.values import Either, constant, namespace
-from ..vector import in_blocks
+from .._kernels.callback import host_call
+from .._kernels.values import Either, constant, namespace
 from . import bernstein
 from .bernstein import Space
-from .form import form_of
+from .jacobian_form import form_of
+from .vector import PerCell, in_blocks
+
+Values = Float[np.ndarray, " k"]
+Rows = Int[np.ndarray, " p"]
+Path = Int[np.ndarray, "l p"]
+Places = Float[np.ndarray, "f k"]
 
 ROOM = 1 << 16  # coefficients in a block: they stay in the processor's cache
 DEPTH = 4  # default of `proof`: parts of a sixteenth of a cell's edges where the sign is open
@@ -25,15 +29,13 @@ FEW = 64  # open parts of a cell up to which they are cut beyond the depth, at m
 class LeastValues:
     """Bounds (k,) of k polynomials' least values: `lower`, and the value `upper` at `at`."""
 
-    lower: Float[np.ndarray, " k"]  # beyond round-off
-    upper: Float[np.ndarray, " k"]  # beyond round-off
-    at: Float[np.ndarray, "f k"]  # places among the factors of the space
+    lower: Values  # beyond round-off
+    upper: Values  # beyond round-off
+    at: Places  # places among the factors of the space
     is_flat: np.ndarray  # (k,) both are zero to round-off: no subdivision decides the sign
 
 
-def bounds(
-    space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
-) -> LeastValues:
+def bounds(space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Values, depth: int) -> LeastValues:
     """Bounds polynomials, on parts of a 2^depth-th or less where the sign needs them."""
     k, d = coefficients.shape[1], sum(m for m, _ in space)
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
@@ -44,7 +46,7 @@ def bounds(
     )
 
 
-def blocks(rows: Int[np.ndarray, " p"], coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
+def blocks(rows: Rows, coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
     """Yields rows of so many `coefficients` each, some at a time."""
     size = max(1, ROOM // coefficients)
     return (rows[start : start + size] for start in range(0, len(rows), size))
@@ -59,7 +61,7 @@ class _Search:
     upper: np.ndarray
     at: np.ndarray
 
-    def look(self, coefficients: Float[np.ndarray, "n p"], cell: np.ndarray, path: Int[np.ndarray, "l p"]) -> None:
+    def look(self, coefficients: Float[np.ndarray, "n p"], cell: np.ndarray, path: Path) -> None:
         """Looks at parts of cells, and cuts those of open sign; negative cells are done. The `path`
         to a part has the number that it has among its parent's parts, level by level.
         """
@@ -88,7 +90,7 @@ class _Search:
         return least
 
 
-def _place(space: Space, path: Int[np.ndarray, "l p"], corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
+def _place(space: Space, path: Path, corner: Rows) -> Float[np.ndarray, "f p"]:
     """Places of parts' corners, by barycentric coordinates from the parts outwards."""
     corners = np.unravel_index(corner, [m + 1 for m, _ in space])
     paths, found = np.unravel_index(path, [2**m for m, _ in space]), []
@@ -100,11 +102,7 @@ def _place(space: Space, path: Int[np.ndarray, "l p"], corner: Int[np.ndarray, "
     return np.concatenate(found)
 
 
-def has_least(kind: str, d: int) -> bool:
-    return kind in HIGH_ORDER and DIMENSION[kind] == d
-
-
-def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either, " k"]:
+def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> PerCell:
     """The least det J of curved cells, in the handedness of their volume. `x` are the components of
     the nodes, relative to the first one. Where det J is positive all over, it is the least at a
     corner. Elsewhere the place is that of `proof`: a negative value is found wherever the bounds
@@ -119,7 +117,7 @@ def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> Float[Either
     return form.values(form.columns(x), at)
 
 
-def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Float[np.ndarray, "f k"]:
+def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Places:
     form = form_of(kind)
 
     def found(*x: np.ndarray) -> np.ndarray:

@@ -3,24 +3,28 @@
 import dataclasses
 import functools
 import re
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Array, Bool, Float, Int
 
-from ..._host.cells.topology import DIMENSION, solid
-from ..._host.package.arguments import between, checked, whole
-from ..._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
-from ..._mesh.mesh import Mesh
-from ..quality import check_solid, places, signs_of
-from ..report import Report, place_of
-from ..vector import ByType, by_place, in_blocks, joined
+from .._host.cells.topology import DIMENSION, solid
+from .._host.package.arguments import between, checked, whole
+from .._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
+from .._mesh.mesh import Mesh, PointsLike
 from . import bernstein
-from .form import JacobianForm, form_of, nodes_of
-from .search import DEPTH, ROOM, bounds
+from .bounds import DEPTH, ROOM, bounds
+from .jacobian_form import JacobianForm, form_of, nodes_of
+from .quality import check_solid, places, signs_of
+from .report import Report, place_of
+from .vector import ByType, PerCell, Points, by_place, in_blocks, joined
+
+Values = Float[np.ndarray, " k"]
+Mask = Bool[np.ndarray, " k"]
+Places = Float[np.ndarray, "k d"]
+Numbers = Int[np.ndarray, " k"]
 
 
 def _number_of(mask: str) -> Any:
@@ -58,21 +62,21 @@ class Proof(Report):
     polyhedron whose piece is folded may itself be sound.
     """
 
-    rule: ClassVar[str] = "bounds on det J"
-    measures: ClassVar[tuple[str, ...]] = ("margin", "lower", "upper", "size")
-    rank: ClassVar[str] = "_least"
+    rule = "bounds on det J"
+    measures = ("margin", "lower", "upper", "size")
+    rank = "_least"
 
-    lower: Float[np.ndarray, " k"]
-    upper: Float[np.ndarray, " k"]
-    size: Float[np.ndarray, " k"]
-    is_valid: Bool[np.ndarray, " k"]
-    is_invalid: Bool[np.ndarray, " k"]
-    is_flat: Bool[np.ndarray, " k"]
-    reference: Float[np.ndarray, "k d"]
-    near: Float[np.ndarray, "k d"]
-    time: Float[np.ndarray, " k"] | None
-    counted: Bool[np.ndarray, " k"]
-    ids: Int[np.ndarray, " k"]
+    lower: Values
+    upper: Values
+    size: Values
+    is_valid: Mask
+    is_invalid: Mask
+    is_flat: Mask
+    reference: Places
+    near: Places
+    time: Values | None
+    counted: Mask
+    ids: Numbers
     types: tuple[tuple[str, int], ...]
     depth: int
 
@@ -90,15 +94,15 @@ class Proof(Report):
         return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
 
     @property
-    def _unit(self) -> Float[np.ndarray, " k"]:
+    def _unit(self) -> Values:
         return np.where(self.size > 0, self.size, 1)
 
     @property
-    def _least(self) -> Float[np.ndarray, " k"]:
+    def _least(self) -> Values:
         return np.where(self.is_invalid, self.upper, self.lower) / self._unit
 
     @property
-    def _levels(self) -> Int[np.ndarray, " k"]:
+    def _levels(self) -> Numbers:
         return np.where(self.is_invalid, 0, np.where(self.is_valid, 2, 1))
 
     def raise_if_unproven(self) -> None:
@@ -147,9 +151,9 @@ def _short(share: Any) -> str:
 @checked
 def proof(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    points: PointsLike | None = None,
     *,
-    base: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    base: PointsLike | None = None,
     depth: int = DEPTH,
 ) -> Proof:
     """Proves that cells fold nowhere inside: bounds det J, at `points` or during a motion.
@@ -223,7 +227,7 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     )
 
 
-def _mean(form: JacobianForm, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
+def _mean(form: JacobianForm, points: Points, ids: Int[Either, "c k"]) -> PerCell:
     return form.mean(form.coefficients(nodes_of(ids, points)))
 
 
@@ -253,9 +257,9 @@ TRACED_ROOM = 1 << 22  # coefficients in a block of JAX
 @checked
 def proven_margin(
     mesh: Mesh,
-    points: Real[ArrayLike, "n d"] | Sequence[Any],
+    points: PointsLike,
     *,
-    base: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    base: PointsLike | None = None,
     depth: int = 0,
     sharpness: float | None = None,
 ) -> Float[Array, " k"]:
@@ -295,7 +299,7 @@ def _room(xp: Any, form: JacobianForm, parts: int = 1) -> int:
 
 
 @by_place
-def _undeformed(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> ByType:
+def _undeformed(cells: ByType, points: Points, signs: ByType) -> ByType:
     """Mean det J of undeformed cells, with the proper sign; that sign where the mean is zero."""
     xp, sizes = namespace(points), {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
     for kind, ids in cells.items():
@@ -307,7 +311,7 @@ def _undeformed(cells: ByType, points: Float[Either, "n d"], signs: ByType) -> B
 
 
 @by_place
-def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any) -> Float[Either, " k"]:
+def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any) -> PerCell:
     xp, margins = namespace(ends[0]), {}
     for kind, ids in cells.items():
         if DIMENSION[kind] == ends[0].shape[1]:
@@ -326,8 +330,8 @@ def _margin(
     depth: int,
     sharpness: Any,
     ids: Int[Either, "c k"],
-    size: Float[Either, " k"],
-) -> Float[Either, " k"]:
+    size: PerCell,
+) -> PerCell:
     xp, values = namespace(ends[0]), form.coefficients(nodes_of(ids, *ends)) / size[None]
     for _ in range(depth):
         values = bernstein.halved(form.space, values)

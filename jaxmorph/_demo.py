@@ -4,12 +4,13 @@ import dataclasses
 import pathlib
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph import cases, io, plot  # before matplotlib: it says what to install
+from jaxmorph import cases, io, plot, shapes  # before matplotlib: it says what to install
 
 # isort: split
 from matplotlib.figure import Figure
@@ -38,13 +39,14 @@ REDUCED = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """A method to compare; `file` names its deformed mesh, `title` its picture."""
+    """A method to compare; `file` names its mesh, `title` its picture, `style` is its line's."""
 
     name: str
     method: jm.AbstractMethod | None
     rebuild: bool = False
     file: str = ""
     title: str = ""
+    style: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +76,12 @@ def say(what: str) -> None:
 
 
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
+    """Shows the case: tables on the terminal, pictures and meshes in the folder `output`.
+
+    `points` asks for another mesh size than the paper's. Returns 0, or 1 for an inverted cell.
+    Needs float64: switch JAX's x64 mode on first.
+    """
+    output = pathlib.Path(output)
     mesh = cases.naca0015() if points is None else cases.naca0015(points=points)
     output.mkdir(parents=True, exist_ok=True)
     say("generating the mesh, judging it")
@@ -83,12 +91,11 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
         outcomes.append(measure(mesh, start, study))
     by_file = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
     say("writing meshes")
-    states = {"undeformed": (np.asarray(mesh.points), start)}
-    states |= {name: (outcome.points, outcome.reports[-1]) for name, outcome in by_file.items()}
+    states = [("undeformed", np.asarray(mesh.points), start)]
+    states += [(name, outcome.points, outcome.reports[-1]) for name, outcome in by_file.items()]
     written = []
-    for name, (moved, report) in states.items():
-        values = {"skewness": np.asarray(report.skewness)}
-        written += write(output / f"naca0015-{name}.su2", mesh, moved, values)
+    for name, moved, report in states:
+        written += write(output / f"naca0015-{name}.su2", mesh, moved, {"skewness": np.asarray(report.skewness)})
     figures = [output / "figure5.png", output / "figure6.png"]
     say("drawing airfoil and trailing edge (figure 5)")
     figure5(figures[0], mesh, [by_file["dgm"], by_file["reduced-rbf"]])
@@ -102,18 +109,21 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
 def compare(mesh: jm.Mesh) -> list[Study]:
     points = np.asarray(mesh.points)
     wall, far = points[mesh.patch("airfoil")], points[mesh.patch("farfield")]
-    every = jm.RBF.classic()
+    full = {"color": plot.DARK, "marker": "x", "linewidth": 2, "markersize": 9, "zorder": 3}
+    dgm = {"color": plot.ORANGE, "marker": "s", "linewidth": 2}
+    graph = jm.DelaunayGraph()
     studies = [
-        Study(f"full RBF, {len(wall)} + {len(far)}", every, file="full-rbf"),
-        Study("DGM, ids kept", jm.DelaunayGraph(), file="dgm", title="Delaunay graph mapping"),
-        Study("DGM, ids found again", jm.DelaunayGraph(), rebuild=True),
+        Study(f"full RBF, {len(wall)} + {len(far)}", jm.RBF.classic(), file="full-rbf", style=full),
+        Study("DGM, ids kept", graph, file="dgm", title="Delaunay graph mapping", style=dgm),
+        Study("DGM, ids found again", graph, rebuild=True, style=dgm | {"linestyle": "--"}),
     ]
-    for leaves in LEAVES:
+    for leaves, shade, marker in zip(LEAVES, REDUCED, "o^vD", strict=False):
         rbf = jm.RBF(reduction=jm.KDTree(leaves), fixed_reduction=FAR_FIELD)
-        method = jm.SurfaceReconstruction(rbf, jm.DelaunayGraph())
         count = f"{len(rbf.reduction(wall))} + {len(FAR_FIELD(far))}"
         title, file = (f"Reduced RBF, {count} sources", "reduced-rbf") if leaves == LEAVES[0] else ("", "")
-        studies.append(Study(f"reduced RBF, {count}", method, file=file, title=title))
+        style = {"color": shade, "marker": marker, "linewidth": 2}
+        method = jm.SurfaceReconstruction(rbf, graph)
+        studies.append(Study(f"reduced RBF, {count}", method, file=file, title=title, style=style))
     return studies
 
 
@@ -137,9 +147,7 @@ def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
 
 def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
     """Computes the displacements (m, 2) that turn points nose up about the quarter chord."""
-    angle = -np.deg2rad(degrees)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return (points - QUARTER_CHORD) @ turn.T + QUARTER_CHORD - points
+    return np.asarray(shapes.rotate(points, -np.deg2rad(degrees), QUARTER_CHORD)) - points
 
 
 def near_wall(mesh: jm.Mesh) -> np.ndarray:
@@ -153,22 +161,21 @@ def near_wall(mesh: jm.Mesh) -> np.ndarray:
 
 def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> str:
     undeformed = f"{float(start.mean_skewness):.4f}", f"{float(start.max_skewness):.4f}"
-    last: list[tuple[str, ...]] = [
+    steps = [
+        ("", *(head for angle in ANGLES for head in (f"at {angle:g}", "degrees"))),
+        ("", *("mean", "max") * len(ANGLES)),
+        ("undeformed", *undeformed, *[""] * 4),
+    ]
+    last = [
         ("", "mean", "max", "change", "inverted", "surface", "first", "once"),
         (f"at {ANGLES[-1]:g} degrees", "skew", "skew", "at wall", "cells", "error", "time", "more"),
         ("undeformed", *undeformed, *[""] * 5),
     ]
-    at = [head for angle in ANGLES for head in (f"at {angle:g}", "degrees")]
-    steps: list[tuple[str, ...]] = [
-        ("", *at),
-        ("", *("mean", "max") * len(ANGLES)),
-        ("undeformed", *undeformed, *[""] * 4),
-    ]
     for outcome in outcomes:
         skewness = [f"{number:.4f}" for pair in outcome.skewness for number in pair]
-        rest = f"{outcome.change:.3f}", str(outcome.inverted), f"{outcome.error:.1g}"
-        last.append((outcome.study.name, *skewness[-2:], *rest, f"{outcome.first:.2f}", f"{outcome.again:.3f}"))
+        rest = f"{outcome.change:.3f} {outcome.inverted} {outcome.error:.1g} {outcome.first:.2f} {outcome.again:.3f}"
         steps.append((outcome.study.name, *skewness))
+        last.append((outcome.study.name, *skewness[-2:], *rest.split()))
     return f"""\
 NACA0015 C-grid, {len(mesh.points)} points, {len(mesh.cells["quad"])} cells: rotated nose up by {ANGLES[-1]:g} degrees
 about the quarter chord in {len(ANGLES)} steps, far field fixed; wall + far-field sources.
@@ -225,10 +232,10 @@ def figure6(path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence[Outc
     figure = Figure(figsize=SIZE, dpi=200, layout="constrained")
     axes = figure.subplots(1, 2)
     undeformed = float(start.mean_skewness), float(start.max_skewness)
-    for outcome, style in zip(outcomes, _styles(outcomes), strict=True):
+    for outcome in outcomes:
         for column, axis in enumerate(axes):
             values = [undeformed[column], *(pair[column] for pair in outcome.skewness)]
-            axis.plot([0, *angles], values, label=outcome.study.name, **style)
+            axis.plot([0, *angles], values, label=outcome.study.name, **outcome.study.style)
     for axis, what in zip(axes, ("a   mean skewness", "b   largest skewness"), strict=True):
         axis.set_title(what, fontsize="medium", loc="left")
         axis.set(xlabel="rotation in degrees", xticks=[0, *angles])
@@ -237,17 +244,3 @@ def figure6(path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence[Outc
         axis.spines[["top", "right"]].set_visible(False)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, ncols=2)
     figure.savefig(path)
-
-
-def _styles(outcomes: Sequence[Outcome]) -> list[dict]:
-    styles, shades, markers = [], iter(REDUCED), iter("o^vD")
-    for outcome in outcomes:
-        method = outcome.study.method
-        if isinstance(method, jm.SurfaceReconstruction):
-            styles.append({"color": next(shades), "marker": next(markers), "linewidth": 2})
-        elif isinstance(method, jm.DelaunayGraph):
-            dashes = "--" if outcome.study.rebuild else "-"
-            styles.append({"color": plot.ORANGE, "marker": "s", "linestyle": dashes, "linewidth": 2})
-        else:
-            styles.append({"color": plot.DARK, "marker": "x", "linewidth": 2, "markersize": 9, "zorder": 3})
-    return styles

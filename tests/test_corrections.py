@@ -1,19 +1,22 @@
-"""Boundary layers on walls that are not convex: where the published correction inverts cells, and NearWall does not."""
+"""Corrections: boundary layers on walls that are not convex, the nearest node's offset, functions of many scales."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, few
+from cases import body, few, motion, moved_by, planned, surface_values, whole_and_part
 from meshes import cusped
 from oracles import corner_areas
 from runs import over, runs
 from scipy.spatial.distance import cdist
 
 import jaxmorph as jm
-from jaxmorph import cases
+from jaxmorph import cases, shapes
+from jaxmorph._host.sources.hierarchy import farthest_first
 from jaxmorph._host.surface.neighbours import near_walls
-from jaxmorph.cases._structured import c_grid
+from jaxmorph._methods.corrections import LocalFactors
+from jaxmorph._methods.sparse import Reach
+from jaxmorph.cases._meshes import c_grid
 
 PUBLISHED, NEAR_WALL = jm.DelaunayGraph(), jm.NearWall()
 
@@ -81,63 +84,6 @@ def test_the_defect_and_the_cure(section, points, extremes, motion):
     assert ratios[1] > 0.7
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("points", [SMALL, pytest.param(WHOLE, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("leaves", [1, pytest.param(8, marks=pytest.mark.nightly)])
-def test_the_convex_airfoil_does_not_get_worse(leaves, points):
-    """Mean and largest skewness of the paper's case, with and without NearWall."""
-    mesh = cases.naca0015(points=points)
-    moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
-    u = turned(mesh.points[moving], 0.25, 15)
-    values = []
-    for correction in (PUBLISHED, NEAR_WALL):
-        plan = jm.prepare(mesh.points, moving, fixed, method=few_sources(correction, leaves=leaves, extremes=False))
-        report = jm.quality(mesh, jm.deform(plan, u))
-        assert int(report.inverted) == 0
-        values.append((float(report.mean_skewness), float(report.max_skewness)))
-    np.testing.assert_allclose(values[1], values[0], atol=0.01)
-
-
-def viscous_wing(span=2.0, stations=13):
-    """A swept and tapered wing of hexahedra between two planes, its lower wall concave, its first cell 1e-5 chords."""
-    section = cases.naca4("6409", points=2000, first_cell=1e-5)
-    n, quads = len(section.points), section.cells["quad"]
-    eta = np.linspace(0, 1, stations)[:, None]
-    x = (1 - 0.3 * eta) * section.points[:, 0] + 0.5 * eta
-    z = (1 - 0.3 * eta) * section.points[:, 1]
-    points = np.stack([x, np.broadcast_to(span * eta, x.shape), z], axis=-1).reshape(-1, 3)
-    hexahedra = np.concatenate([np.hstack([quads + k * n, quads + (k + 1) * n]) for k in range(stations - 1)])
-    ids = {name: section.patch(name) + n * np.arange(stations)[:, None] for name in ("airfoil", "farfield")}
-    patches = {name: nodes.ravel() for name, nodes in ids.items()}
-    return jm.Mesh(points, {"hexahedron": hexahedra}, patches)
-
-
-@pytest.mark.slow
-def test_viscous_wing():
-    """Bending by 30 % of the span and 15 degrees of twist, with about 50 + 20 sources."""
-    mesh = viscous_wing()
-    moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
-    base = mesh.points[moving]
-    eta = base[:, 1] / 2
-    bend = (0.6 * eta**2)[:, None] * [0, 0, 1]
-    arm = base[:, [0, 2]] - np.column_stack([0.25 + 0.425 * eta, 0 * eta])
-    twist = np.insert(turned(arm, 0, 15 * eta), 1, 0, axis=1)
-    coarse = jm.RBF(reduction=jm.KDTree(8, extremes=True), fixed_reduction=jm.KDTree(4))
-    worst = {}
-    for correction in (PUBLISHED, NEAR_WALL):
-        plan = jm.prepare(mesh.points, moving, fixed, method=jm.SurfaceReconstruction(coarse, correction))
-        for name, u in (("bend", bend), ("twist", twist)):
-            points = jm.deform(plan, u)
-            np.testing.assert_allclose(np.asarray(points)[moving], base + u, atol=1e-15)
-            report = jm.quality(mesh, points)
-            worst[name, correction is NEAR_WALL] = float(report.min_jacobian_ratio)
-            if correction is NEAR_WALL:
-                assert int(report.inverted) == 0
-    for name in ("bend", "twist"):
-        assert worst[name, True] > 0.85
-        assert worst[name, True] > worst[name, False] + 0.1
-
-
 def passage(gap, columns=60, rows=40, first_cell=1e-5):
     """The channel between two parallel arcs, finest at both: a blade and the next one."""
     x = np.linspace(0, 1, columns + 1)
@@ -165,14 +111,6 @@ def test_layers_of_close_walls_end_between_them(gap, width):
     assert 0.1 < ratios.min() < 0.4  # 0.4 is what is left of the gap
 
 
-def strip(n=40):
-    """Points above a flat wall at y = 0, under a fixed wall at y = 1."""
-    x = np.linspace(0, 1, 11)
-    wall, lid = np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 1])
-    inner = np.column_stack([np.full(n, 0.53), np.geomspace(1e-6, 0.9, n)])
-    return np.concatenate([wall, lid, inner]), np.arange(11), np.arange(11, 22)
-
-
 @pytest.mark.parametrize("width", [0.1, 0.3])
 def test_the_formula_written_out(width):
     """Wendland's C2 between the wall's mean, by Franke and Little's squared weights, and the correction, alone outside."""
@@ -197,42 +135,6 @@ def test_the_formula_written_out(width):
     outside = (chi[:, 0] == 0) & below
     assert outside.any()
     np.testing.assert_allclose(moved[outside], alone[outside], rtol=0, atol=1e-15)
-
-
-@pytest.mark.slow
-def test_derivatives_with_respect_to_displacement_and_base_points():
-    points, moving, fixed = strip()
-    rng = np.random.default_rng(3)
-    u = 0.05 * rng.normal(size=(11, 2))
-    plan = jm.prepare(points, moving, fixed, method=NEAR_WALL)
-
-    def move(points, u):
-        return jm.deform(jm.refit(plan, points), u)
-
-    # along the wall too; nodes and inner points alike, by less than a tenth of the lowest cell
-    dpoints, du = 1e-7 * rng.normal(size=points.shape), 1e-7 * rng.normal(size=u.shape)
-    _, derivative = jax.jvp(move, (jnp.asarray(points), jnp.asarray(u)), (jnp.asarray(dpoints), jnp.asarray(du)))
-    forward, backward = (np.asarray(move(points + s * dpoints, u + s * du)) for s in (0.01, -0.01))
-    np.testing.assert_allclose(derivative, (forward - backward) / 0.02, atol=1e-12)
-    cotangent = jnp.asarray(rng.normal(size=points.shape))
-    _, transpose = jax.vjp(move, jnp.asarray(points), jnp.asarray(u))
-    back = sum(float(jnp.vdot(a, b)) for a, b in zip(transpose(cotangent), (dpoints, du), strict=True))
-    assert back == pytest.approx(float(jnp.vdot(derivative, cotangent)), rel=1e-9)
-
-
-@pytest.mark.nightly
-def test_same_field_on_a_mesh_refined_along_the_wall():
-    """The layer depends on sources, not on how many nodes the wall has: its blend has no scale of its own."""
-    fields = []
-    for n in (41, 81):
-        x = np.linspace(0, 1, n)
-        wall, lid = np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 1])
-        points = np.concatenate([wall, lid, [[0.31, 0.05], [0.52, 0.1]]])
-        u = np.column_stack([0 * x, 0.05 * np.sin(np.pi * x) ** 2])
-        plan = jm.prepare(points, np.arange(n), np.arange(n, 2 * n), method=few_sources(NEAR_WALL, leaves=1))
-        fields.append(np.asarray(jm.deform(plan, u) - points)[-2:])
-    np.testing.assert_allclose(fields[0], fields[1], atol=1e-3)
-    assert np.abs(fields[0]).max() > 0.02
 
 
 @pytest.mark.slow
@@ -275,3 +177,146 @@ def test_a_reconstruction_takes_the_displacement_where_its_correction_does():
     u = np.random.default_rng(0).normal(size=(len(mesh.moving), 2))
     field = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RBF.classic())
     np.testing.assert_allclose(field.offset(u), 0, rtol=0, atol=1e-9)  # it takes all of them
+
+
+def nearest_by_hand(mesh, values, radius):
+    """Displacements (n, d): each point takes that of its nearest boundary node, times Wendland's function of the distance."""
+    apart = np.linalg.norm(mesh.points[:, None] - mesh.points[mesh.boundary][None], axis=2)
+    nearest = apart.argmin(axis=1)
+    x = np.minimum(apart.min(axis=1) / radius[nearest], 1)
+    return ((1 - x) ** 4 * (4 * x + 1))[:, None] * values[nearest]
+
+
+@over("dimension", [2], nightly=[3])
+def test_alone_it_is_its_formula(dimension):
+    mesh = body(dimension)
+    u, values = surface_values(mesh)
+    plan = planned(mesh, jm.LocalCorrection(2.0))
+    expected = mesh.points + nearest_by_hand(mesh, values, np.full(len(values), 2.0))
+    np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-12)
+    assert plan.reach == pytest.approx(2.0)
+
+
+def test_it_carries_what_a_reduced_field_misses_as_far_as_the_sources_are_apart():
+    mesh = body(2)
+    u, values = surface_values(mesh)
+    coarse_plan = planned(mesh, few())
+    coarse = np.asarray(jm.deform(coarse_plan, u)) - mesh.points
+    radius = []
+    for wall in (mesh.moving, mesh.fixed):
+        own = mesh.points[np.intersect1d(coarse_plan.sources, wall)]
+        gaps = np.linalg.norm(mesh.points[wall][:, None] - own[None], axis=2).min(axis=1)
+        radius.append(np.full(len(wall), gaps.max()))
+    moved = moved_by(mesh, jm.SurfaceReconstruction(few(), jm.LocalCorrection()), u)
+    expected = mesh.points + coarse + nearest_by_hand(mesh, values - coarse[mesh.boundary], np.concatenate(radius))
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_nothing_is_corrected_where_every_node_is_a_source():
+    """The radius is zero there: so are weights and derivatives, on the node and off it."""
+    nodes = Reach(jnp.zeros(1, int), jnp.ones(1, bool))
+
+    def weight(x, radius, surface):
+        return jm.LocalCorrection().place(x, nodes, LocalFactors(radius, jnp.array(True)), surface).weights.sum()
+
+    for x in np.eye(2):
+        value, slopes = jax.value_and_grad(weight, (0, 1, 2))(jnp.asarray(x), jnp.zeros(1), jnp.asarray([[1.0, 0.0]]))
+        assert value == 0
+        assert all((slope == 0).all() for slope in slopes)
+
+
+@over("correction", [jm.Multiscale()], nightly=[jm.LocalCorrection(0.5)])
+def test_points_beyond_the_hull_of_the_boundary_are_moved(correction):
+    """A graph would refuse them."""
+    points = np.random.default_rng(0).uniform(-1, 1, (60, 2))
+    inner = np.flatnonzero(np.abs(points).max(axis=1) < 0.7)
+    plan = jm.prepare(points, inner, method=jm.SurfaceReconstruction(few(1), correction))
+    turn = np.asarray(shapes.rotate(jnp.asarray(points), 0.3, (0.0, 0.0))) - points
+    np.testing.assert_allclose(jm.deform(plan, turn[inner]), points + turn, rtol=0, atol=1e-10)
+
+
+def wendland(x):
+    return np.where(x < 1, (1 - x) ** 4 * (4 * x + 1), 0)
+
+
+def by_hand(surface, sources, values, points):
+    """The method as the paper tells it: the node farthest from those before gets a function for what they leave of its value."""
+    field, left = np.zeros((len(points), values.shape[1])), values.copy()
+    before = list(sources)
+    while True:
+        gap = np.linalg.norm(surface[:, None] - surface[before], axis=2).min(axis=1)
+        node = gap.argmax()
+        if gap[node] == 0:
+            return field
+        coefficient = left[node].copy()
+        left -= wendland(np.linalg.norm(surface - surface[node], axis=1) / gap[node])[:, None] * coefficient
+        field += wendland(np.linalg.norm(points - surface[node], axis=1) / gap[node])[:, None] * coefficient
+        before.append(node)
+
+
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.nightly)])
+def test_as_the_paper_tells_it(dimension):
+    mesh = body(dimension)
+    plan, coarse_plan = planned(mesh, jm.SurfaceReconstruction(few(), jm.Multiscale())), planned(mesh, few())
+    u, values = surface_values(mesh)
+    coarse = np.asarray(jm.deform(coarse_plan, u)) - mesh.points
+    missed = values - coarse[mesh.boundary]
+    order, sources = np.asarray(plan.images.rows), np.asarray(coarse_plan.surface.ids)  # a method's rows go by place
+    missed, surface = missed[order], mesh.points[mesh.boundary][order]
+    missed[sources] = 0
+    expected = mesh.points + coarse + by_hand(surface, sources, missed, mesh.points)
+    np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-12)
+
+
+def test_order_and_radii_on_a_line():
+    """Nine nodes between two that are there: halves, quarters, eighths; so are the radii."""
+    points = np.column_stack([np.linspace(0, 8, 9), np.zeros(9)])
+    order, nearest = farthest_first(points, np.array([0, 8]), np.arange(9))
+    radius = np.linalg.norm(points - points[nearest], axis=1)
+    assert order[0] == 4
+    assert set(order[1:3]) == {2, 6}
+    np.testing.assert_array_equal(radius, [0, 1, 2, 1, 4, 1, 2, 1, 0])
+
+
+def test_the_order_does_not_depend_on_the_unit():
+    points = np.random.default_rng(0).normal(size=(60, 3))
+    none, own = np.zeros(0, dtype=np.int64), np.arange(60)
+    order, nearest = farthest_first(points, none, own)
+    for size in (2.0**-20, 2.0**20):
+        again = farthest_first(size * points, none, own)
+        assert (again[0] == order).all()
+        assert (again[1] == nearest).all()
+
+
+@over("method", slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)], ids=["alone", "whole"])
+def test_mirror_images_move_alike(method):
+    """The field of the whole surface, images included, is symmetric: nodes on the plane have no motion across it."""
+    part, role, *_ = whole_and_part(2, 1)
+    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
+    plan = jm.prepare(part, moving, fixed, method=method, symmetry=jm.Plane([1, 0], [0, 0]))
+    u = motion(part)[moving]
+    u[part[moving, 0] == 0, 0] = 0
+    surface = plan.surface
+    own = jnp.zeros((len(surface.nodes), 2)).at[: len(moving)].set(u)
+    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.images.vectors(own))
+    displacement = np.asarray(field.evaluate(plan.points, plan.volume.placed))
+    on = part[:, 0] == 0
+    assert (on & (role == 0)).sum() > 3
+    assert np.abs(displacement[on & (role == 0), 1]).max() > 1e-3
+    np.testing.assert_allclose(displacement[on, 0], 0, atol=1e-14)
+
+
+@pytest.mark.slow
+def test_nodes_that_coincide():
+    """A cut of two nodes at each place, which stays closed or opens a little: each goes where it is told."""
+    mesh = body(2)
+    points = np.concatenate([mesh.points, mesh.points[mesh.moving[:5]]])
+    moving = np.concatenate([mesh.moving, len(mesh.points) + np.arange(5)])
+    u = motion(points[moving])
+    u[-5:] += 1e-3
+    plan = jm.prepare(points, moving, mesh.fixed, method=jm.SurfaceReconstruction(few(), jm.Multiscale()))
+    moved = np.asarray(jm.deform(plan, u))
+    assert (moved[moving] == points[moving] + u).all()
+    assert np.isfinite(moved).all()
+    assert np.abs(moved - points).max() < 0.2

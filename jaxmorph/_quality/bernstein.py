@@ -16,7 +16,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..._kernels.values import Either, namespace
+from .._kernels.values import Either, namespace
+from .vector import contracted
 
 Space = tuple[tuple[int, int], ...]
 
@@ -77,6 +78,21 @@ def terms(space: Space, places: Either) -> Either:
     return product
 
 
+def functions(space: Space, places: Either) -> Either:
+    """The Bernstein polynomials (n, k) at places (d, k): they weigh coefficients."""
+    return terms(space, places) * multinomials(space)[:, None]
+
+
+@functools.cache
+def lattice(space: Space) -> np.ndarray:
+    """The places (d, n) at even steps that belong to the coefficients."""
+    places = np.zeros((0, 1))
+    for dimension, degree in space:
+        own = indices(dimension, degree)[:, 1:].T / max(degree, 1)
+        places = np.concatenate([np.repeat(places, own.shape[1], axis=1), np.tile(own, places.shape[1])])
+    return places
+
+
 @functools.cache
 def children(dimension: int) -> np.ndarray:
     """The corners (2^dimension, corners, corners) of a simplex's parts, barycentric. The parts have
@@ -95,25 +111,16 @@ def children(dimension: int) -> np.ndarray:
 
 @functools.cache
 def halving(dimension: int, degree: int) -> np.ndarray:
-    """The matrix (2^dimension n, n) from a factor's coefficients to its parts'. A coefficient on a
-    part is the blossom at the part's corners, each as often as its index says: de Casteljau's
-    algorithm. No entry is negative, each row adds up to 1, and all are multiples of powers of 1/2.
+    """The matrix (2^dimension n, n) from a factor's coefficients to its parts', by interpolation. No
+    entry is negative, each row adds up to 1, and all are multiples of 2^-degree: rounding makes
+    them exact.
     """
-    matrix = np.ones((2**dimension, 1, 1))
-    for high in range(1, degree + 1):
-        rows = indices(dimension, high)
-        up = rows_of_products(((dimension, high - 1),), ((dimension, 1),))
-        which, new = (rows > 0).argmax(axis=1), np.zeros((2**dimension, len(rows), len(rows)))
-        before = np.empty(
-            len(rows), dtype=np.int64
-        )  # the row whose index is less by one at the first corner that it has
-        for corner in range(dimension + 1):
-            before[up[corner]] = np.where(which[up[corner]] == corner, np.arange(up.shape[1]), before[up[corner]])
-        for corner in range(dimension + 1):
-            share = children(dimension)[:, which, corner]
-            new[:, :, up[corner]] += share[:, :, None] * matrix[:, before]
-        matrix = new
-    return matrix.reshape(-1, matrix.shape[-1])
+    space = ((dimension, degree),)
+    own = np.concatenate([1 - lattice(space).sum(axis=0, keepdims=True), lattice(space)])
+    places = np.einsum("cn,pcd->dpn", own, children(dimension)).reshape(dimension + 1, -1)
+    halves = functions(space, places[1:]).T.reshape(2**dimension, own.shape[1], -1)
+    exact = np.linalg.solve(functions(space, lattice(space)).T, halves)
+    return (np.round(exact * 2**degree) / 2**degree).reshape(-1, own.shape[1])
 
 
 def halved(space: Space, coefficients: Either) -> Either:
@@ -126,13 +133,6 @@ def halved(space: Space, coefficients: Either) -> Either:
     shape = [size for factor in space for size in (2 ** factor[0], len(indices(*factor)))]
     values, axes = values.reshape(*shape, k), range(2 * len(space))
     return values.transpose(*axes[1::2], *axes[::2], len(axes)).reshape(coefficients.shape[0], -1)
-
-
-def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
-    """Multiplies values by a matrix along an axis, which comes first; in full precision."""
-    if namespace(values) is np:
-        return np.tensordot(matrix, values, (1, axis))
-    return namespace(values).tensordot(matrix, values, (1, axis), precision="highest")
 
 
 def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product: Any) -> list[Any]:

@@ -1,1 +1,0 @@
-"""Methods that solve an equation on the cells of the mesh."""

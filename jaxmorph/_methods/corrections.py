@@ -1,0 +1,329 @@
+"""Corrections of a coarse field: a graph of the surface, a layer over walls, the nearest node."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .._host.linear.products import cofactors, dot
+from .._host.package.cores import Beside
+from .._host.package.rounding import Tree, first_largest, nearest_of
+from .._host.surface.graph import Graph, graph_of, locate
+from .._host.surface.neighbours import digest, near_walls
+from .._kernels.values import Either, as_jax, namespace, norm, root
+from .base import (
+    AbstractField,
+    AbstractMethod,
+    AbstractPlacing,
+    Control,
+    Flag,
+    Point,
+    Rows,
+    Scalar,
+    check_kind,
+    number_or_none,
+    or_one,
+)
+from .blocks import map_points
+from .rbf.basis import WendlandC2
+from .sparse import InterpolatedField, Interpolation, Reach, Searched, lost_unless, squared_distance
+from .surface import Surface
+
+
+class DelaunayGraph(AbstractPlacing):
+    """Moves each point with the simplex of surface nodes that holds it (eq. 8).
+
+    The graph stands on the undeformed surface and carries displacements, so that the map is one
+    linear operator for any motion. A surface node follows itself alone; the first of duplicate
+    nodes (moving before fixed) stands in the graph. The graph is discontinuous in the base
+    coordinates: nodes on one circle or sphere can be joined in several ways. Coordinates are
+    rounded first, far below the distance of nodes, so that round-off does not choose.
+
+    **Raises:** `prepare` raises a `ValueError` for points outside of the surface's convex hull.
+    """
+
+    def connect(self, surface: Surface, points):
+        rows = surface.rows(len(points))
+        vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
+        inside = np.flatnonzero(rows == len(surface.points))
+        if inside.size:
+            vertices[inside] = locate(begun_graph(surface).result(), points, inside)
+        return None, vertices
+
+    def fit(self, ids, surface, points):
+        return None
+
+    def place(self, x, ids, factors, surface):
+        e = barycentric(x, [surface[i] for i in ids], ids[0] == ids[1])
+        return Interpolation(ids, jnp.stack(e))
+
+    def field(self, ids, factors, surface, u):
+        return InterpolatedField(u)
+
+
+def begun_graph(surface: Surface) -> Beside[Graph]:
+    """Starts the graph of a surface in the background, once."""
+    return surface.once("graph", lambda: Beside(graph_of, surface.points))
+
+
+def barycentric(x: Point, corners: list[Point], at_node) -> list[Scalar]:
+    edges = [corner - corners[0] for corner in corners[1:]]
+    rows = cofactors(edges)
+    whole = jnp.where(at_node, 1, dot(rows[0], edges[0]))
+    parts = [jnp.where(at_node, 0, dot(row, x - corners[0]) / whole) for row in rows]
+    return [1 - sum(parts, start=jnp.zeros_like(whole)), *parts]
+
+
+NEIGHBOURS = 6  # wall nodes that a point averages; one more node sets the distance at which weights vanish
+REACH = 0.5  # width of the layer, relative to the largest distance from a wall's node to its nearest source
+CHORD = 0.25  # width of the layer of a wall without matched sources, relative to its mean chord
+SLIGHTLY = 1e-6  # relative difference that keeps the maximum of equal lengths from having a kink
+
+
+class NearWall(AbstractPlacing):
+    """Replaces a correction near the wall by the displacement of the wall itself.
+
+    u = chi u_wall + (1 - chi) u_correction. Here chi is Wendland's C2 function of the distance to
+    the wall over `width`. The displacement u_wall is a mean over the nearest wall nodes, weighted
+    by inverse distance (Franke and Little's weights, which end continuously). A Delaunay graph lays
+    chords over a concave or flat wall. Points above a chord then move differently from wall nodes
+    under it, by more than the thickness of a boundary layer's first cell. Points that follow the
+    nearest wall keep their place in the layer. The map is one fixed sparse operator, exact at the
+    surface's nodes.
+
+    **Arguments:**
+
+    - `correction`: any method. Default `DelaunayGraph()`.
+    - `width`: width of the layer in the mesh's units. It ends before half of the gap to another
+      wall. Default None: for each wall half of the largest distance from one of its nodes to the
+      nearest matched node, a source that the coarse field reproduces. A wall without matched nodes
+      has a quarter of its mean chord: of half of its length, in 3-D half of its area over its span.
+    """
+
+    correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
+    width: Scalar | None = eqx.field(default=None, converter=number_or_none("width", 0))
+
+    def __check_init__(self):
+        check_kind(self.correction, AbstractMethod, "correction", "jm.DelaunayGraph()")
+
+    @property
+    def exact(self) -> bool:
+        return self.correction.exact
+
+    @property
+    def needs_cells(self) -> bool:
+        return self.correction.needs_cells
+
+    @property
+    def linear(self) -> bool:
+        return self.correction.linear
+
+    def connect(self, surface: Surface, points):
+        extent = Extent.seen(surface)
+        width = layer_width(self.width, jax.tree.map(np.asarray, extent), np.asarray(surface.points))
+        row_of_point = surface.rows(len(points))
+        reached = row_of_point < len(surface.points)
+        inside = np.flatnonzero(~reached)
+        wall = np.asarray(extent.wall)
+        near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1, surface.once)
+        correction, correction_at_points = self.correction.connect(surface, points)
+        # a node of the surface has itself alone
+        nodes = np.where(reached, row_of_point, 0)[:, None].repeat(NEIGHBOURS + 2, axis=1)
+        nodes[inside[near]], reached[inside[near]] = rows, True
+        return Layered(correction, extent), Layered(correction_at_points, WallRow(*as_jax((nodes, reached))))
+
+    def fit(self, ids, surface, points):
+        width = layer_width(self.width, ids.wall, surface)
+        return Layered(self.correction.fit(ids.correction, surface, points), width)
+
+    def carry(self, ids, factors, surface, points):
+        correction = self.correction.carry(ids.correction, factors.correction, surface, points)
+        return Layered(correction, factors.wall)
+
+    def place(self, x, ids, factors, surface):
+        correction = self.correction.place(x, ids.correction, factors.correction, surface)
+        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
+
+    def carry_place(self, x, ids, factors, surface, placed):
+        correction = self.correction.carry_place(x, ids.correction, factors.correction, surface, placed.correction)
+        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
+
+    def field(self, ids, factors, surface, u):
+        correction = self.correction.field(ids.correction, factors.correction, surface, u)
+        return NearWallField(correction, InterpolatedField(u))
+
+    def check(self, ids, factors, u):
+        self.correction.check(ids.correction, factors.correction, u)
+
+
+class Layered(eqx.Module):
+    """Ids or factors of the correction, and those of the wall: `Extent`, `WallRow`, or widths."""
+
+    correction: PyTree
+    wall: PyTree
+
+
+class WallPlace(eqx.Module):
+    """A point's place in the correction, the wall's part of its motion, and the share outside."""
+
+    correction: PyTree
+    wall: Interpolation
+    outside: Float[Array, "*n"]
+
+
+class Extent(eqx.Module):
+    """Walls, as rows of the surface."""
+
+    wall: Int[Array, " b"]  # each row's wall
+    pairs: Int[Array, "w 2 2"]  # each wall's row that is farthest from the matched ones, with the nearest; its two ends
+    share: Float[Array, " w"]  # each wall's mean chord, relative to the distance of its ends; zero with matched rows
+
+    @classmethod
+    def seen(cls, surface: Surface) -> "Extent":
+        return surface.once(("extent", digest(surface.matched)), lambda: cls._searched(surface))
+
+    @classmethod
+    def _searched(cls, surface: Surface) -> "Extent":
+        wall, ends, share = surface.walls
+        share, points, pairs = share.copy(), surface.points, np.stack([0 * ends, ends], axis=1)
+        for label in np.unique(wall):
+            here, chosen = np.flatnonzero(wall == label), surface.matched[wall[surface.matched] == label]
+            matched = nearest_of(points[here], points[chosen], chosen) if len(chosen) else here
+            farthest = first_largest(np.linalg.norm(points[here] - points[matched], axis=1))
+            pairs[label, 0] = here[farthest], matched[farthest]
+            share[label] = 0 if len(chosen) else share[label]
+        return cls(*as_jax((wall.astype(np.int32), pairs.astype(np.int32), share)))
+
+
+def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
+    xp = namespace(surface)
+    if width is not None:
+        return xp.full(len(surface), xp.asarray(width, surface.dtype))
+    gap, span = norm(surface[extent.pairs[..., 0]] - surface[extent.pairs[..., 1]]).T
+    return xp.maximum(REACH * gap, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
+
+
+class WallRow(eqx.Module):
+    """Wall nodes of a point near a wall: nearest nodes in order, then one of another wall."""
+
+    nodes: Int[Array, "*n k"]
+    reached: Bool[Array, "*n"]
+
+
+class NearWallField(AbstractField):
+    correction: AbstractField
+    wall: InterpolatedField
+
+    @property
+    def block_size(self) -> None:
+        return None  # the correction makes its own blocks
+
+    def __call__(self, x, ids: WallPlace):
+        return self.wall(x, ids.wall) + ids.outside * self.correction(x, ids.correction)
+
+    def evaluate(self, points, ids: WallPlace):
+        correction = map_points(self.correction, points, ids.correction)
+        return map_points(self.wall, points, ids.wall) + ids.outside[:, None] * correction
+
+
+def _blend(x: Point, row: WallRow, width: Float[Array, " b"], surface: Rows) -> tuple[Interpolation, Scalar]:
+    """Returns the wall's part at x, chi u_wall, and 1 - chi."""
+    nearest, other = row.nodes[:-1], row.nodes[-1]
+    distance = norm(surface[nearest] - x[None])
+    # the last node was the farthest when it was found: of nodes as far as it is, it alone decides,
+    # so there is no kink
+    reach = jnp.maximum(distance[-1], (1 - SLIGHTLY) * distance.max()) * (1 + 2 * SLIGHTLY)
+    at_node = distance[0] == 0
+    safe = jnp.where(at_node, 1, distance)
+    weights = jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2  # Franke and Little, times safe[0]
+    weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
+    layer = or_one(width[nearest[0]])
+    gap = norm(surface[other] - x)
+    alone = (other == nearest[0]) | (gap == 0)
+    halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
+    # the layer ends at its width or half way, whichever is nearer, without a kink
+    fourth = (distance[0] / layer) ** 4 + halfway**4
+    chi = jnp.where(row.reached & (width[nearest[0]] > 0), WendlandC2(1.0)(root(fourth)), 0)
+    return Interpolation(nearest[:-1], chi * (weights / weights.sum()), row.reached), 1 - chi
+
+
+SEARCHED = 1.25  # search distance in radii: beyond 1 another node may come nearer than the nearest node
+SPACING = 2.0  # the automatic radius, relative to the width of the layer of `NearWall`
+
+
+class LocalIds(eqx.Module):
+    extent: Extent
+    searched: Searched
+
+
+class LocalFactors(eqx.Module):
+    radius: Float[Array, " b"]
+    is_certain: Flag
+
+
+class LocalCorrection(AbstractPlacing):
+    """Moves a point with the nearest surface node, by a share that fades with distance.
+
+    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. So
+    Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
+    Computational Physics 228 and 229, 2009 and 2010). The field is exact at the surface's nodes. It
+    needs no system and no graph, so the mesh may reach beyond the hull of its boundary. The field
+    jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of
+    nodes that are equally near the first counts. Between two walls closer than twice the radius it
+    may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold where the
+    offset is a good part of the radius. The `radius` R is in the mesh's units. By default it is for
+    each wall the largest distance from one of its nodes to the nearest source, or half of the mean
+    chord of a wall without sources. Rendall and Allen take a multiple of the largest offset, which
+    would not be linear in `u`.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where
+    another node has come within the radius of a point, and is nearer than the point's own node by a
+    quarter of the radius. Traced code answers NaN there.
+    """
+
+    radius: Scalar | None = eqx.field(default=None, converter=number_or_none("radius", 0))
+
+    def connect(self, surface: Surface, points):
+        extent = Extent.seen(surface)
+        distance = SEARCHED * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
+        to_surface = Tree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
+        reached, nodes = np.isfinite(to_surface), np.zeros(len(points), dtype=np.int32)
+        nodes[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
+        rows = surface.rows(len(points))
+        on_surface = rows < len(surface.points)
+        nodes[on_surface] = rows[on_surface]
+        searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
+        return LocalIds(extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
+
+    def control(self, ids):
+        return Control() if self.radius is None else Control(reach=float(self.radius))
+
+    def fit(self, ids: LocalIds, surface, points):
+        radius = self._radius(ids.extent, surface)
+        return LocalFactors(radius, ids.searched.certain(radius.max(), surface, points))
+
+    def carry(self, ids, factors, surface, points):
+        return factors
+
+    def place(self, x, ids: Reach, factors: LocalFactors, surface):
+        radius = factors.radius[ids.nodes]
+        fades = radius > 0
+
+        def is_lost():
+            squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors.radius)
+            nearest = jnp.where(squared < reaches**2, jnp.sqrt(squared) + (SEARCHED - 1) * reaches, jnp.inf).min()
+            listed = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
+            return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
+
+        lost = lost_unless(factors.is_certain, is_lost)
+        squared = jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1)
+        weights = WendlandC2(1.0)(squared / jnp.where(fades, radius, 1) ** 2)
+        return ids.weighted(jnp.where(fades, weights, 0), lost)
+
+    def field(self, ids, factors, surface, u):
+        return InterpolatedField(u)
+
+    def _radius(self, extent: Extent, surface):
+        width = layer_width(self.radius, extent, surface)
+        return width if self.radius is not None else SPACING * width

@@ -1,1 +1,0 @@
-"""Bounds on det J of whole cells, by Bernstein coefficients."""

@@ -1,0 +1,494 @@
+"""gmsh's .msh, versions 1, 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
+
+import codecs
+import dataclasses
+import pathlib
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxmorph._host.cells.orders import GMSH, reordered
+from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._host.cells.topology import NODES as CORNERS
+from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
+
+from ._format import FilePoints, MeshLike, Source, content_of, faults_of, of_grid, patch_faces
+from ._text import Section, decoded, replaced
+
+NAME = "gmsh"
+NODES, ELEMENTS = ("Nodes", "ParametricNodes", "NOD"), ("Elements", "ELM")
+"""Sections of nodes and of elements; the last name of each is from version 1."""
+TYPES = {1: "line", 2: "triangle", 3: "quad", 4: "tetra", 5: "hexahedron", 6: "wedge", 7: "pyramid", 15: "vertex"}
+TYPES |= {
+    **{8: "line3", 9: "triangle6", 10: "quad9", 11: "tetra10", 12: "hexahedron27", 13: "wedge18", 14: "pyramid14"},
+    **{16: "quad8", 17: "hexahedron20", 18: "wedge15", 19: "pyramid13", 26: "line4", 21: "triangle10", 36: "quad16"},
+    **{29: "tetra20", 90: "wedge40", 92: "hexahedron64", 118: "pyramid30", 27: "line5", 23: "triangle15"},
+    **{37: "quad25", 30: "tetra35", 91: "wedge75", 93: "hexahedron125", 119: "pyramid55"},
+}
+"""Types of cells by gmsh's numbers."""
+NUMBERS = {kind: number for number, kind in TYPES.items()}
+ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
+"""Byte orders, and the number 1 in four bytes."""
+SPARSE = 10
+"""Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
+WHOLE = 2.0**53
+"""Numbers of a text beyond it may not be whole."""
+
+_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
+_VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
+_COMMENTS = re.compile(rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE)
+
+Names = dict[tuple[int | None, int], str]
+"""Names of physical groups by dimension and tag; None: of any dimension."""
+Groups = dict[tuple[int, int], list[int]]
+"""Tags of the physical groups of an entity, by its dimension and tag."""
+Nodes = tuple[np.ndarray, np.ndarray]
+"""Tags of nodes, and the place of each one's x."""
+
+
+class MeshFormat(NamedTuple):
+    """A file's version (1, 2, 4.0, 4.1), text or binary, byte order and bytes of a size.
+
+    In version 2.0 itself, without `has_levels`, names of groups may come without a dimension.
+    """
+
+    version: float
+    is_text: bool
+    order: str = "<"
+    size: int = 8
+    has_levels: bool = True
+
+
+class ElementBlock(NamedTuple):
+    """Elements of one type: node tags (k, corners), and the rows of each physical group."""
+
+    kind: str
+    corners: np.ndarray
+    groups: dict[int, Any]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GmshPoints(FilePoints):
+    """A file's points, its section of nodes, the place of each node's x (`Stream`), and its tag."""
+
+    section: Section
+    form: MeshFormat
+    places: np.ndarray
+    tags: np.ndarray
+
+    def moved(self, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
+        data = self.section.text
+        if self.form.is_text:
+            words = (self.places[:, None] // 8 + np.arange(3)).ravel()
+            return replaced(data, slice(self.section.start, self.section.stop), points.ravel(), at=words)
+        copy = bytearray(data)
+        triples(copy)[self.places] = points.astype(f"{self.form.order}f8").view("V24").ravel()
+        return iter([copy])
+
+
+def triples(data: Any) -> np.ndarray:
+    """Views 24 bytes, three doubles, at every byte where they may begin, as one element each."""
+    return np.ndarray((max(memoryview(data).nbytes - 23, 0),), "V24", data, strides=(1,))
+
+
+class _Found:
+    def __init__(self, form: MeshFormat):
+        self.form, self.content = form, None
+        self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
+
+    def take(self, name: str, section: Section) -> None:
+        if name == "PhysicalNames":
+            self.names = physical_names(section, self.form)
+        elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
+            self.groups |= entities(Stream(section, self.form, np.float64), name != "Entities")
+        elif name in NODES:
+            if self.content is not None:
+                raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
+            stream = Stream(section, self.form, np.float64)
+            tags, places = nodes(stream, name == "ParametricNodes")
+            points = triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
+            self.content = GmshPoints(points, section, self.form, places, tags)
+        elif name in ELEMENTS:
+            self.blocks = elements(Stream(section, self.form, np.int64), self.groups)
+        elif name not in ("MeshFormat", "Comments"):
+            self.others[f"${name[:40]}"] = None
+
+
+def read(path: pathlib.Path) -> Parts:
+    """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
+
+    A group without a name is `physical_` and its tag. Of duplicate names the first of the highest
+    dimension stays, others add their dimension and tag.
+    """
+    found = _read(path)
+    content = found.content
+    if content is None or not len(content.tags) or not found.blocks:
+        raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
+    with faults_of(path):
+        blocks = _numbered(found.blocks, content.tags)
+    grid, patches, notes = grid_of(content.points, blocks, found.names)
+    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
+    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known), patches)
+
+
+def grid_of(points: np.ndarray, blocks: list[ElementBlock], names: Names) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+    """Makes a grid, patches of the groups of lower dimension, and a note on the others."""
+    groups = list(_groups(blocks, names))
+    cells = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in blocks]
+    top = max(DIMENSION.get(kind, 0) for kind, _ in cells)
+    notes = tuple(regions_note(patch.name for level, patch in groups if level == top))
+    return Grid(points, cells, {}, {}), [patch for level, patch in groups if level < top], notes
+
+
+def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Patch]]:
+    """Yields dimension and nodes of each group, of the highest dimension first."""
+    own = (((DIMENSION.get(block.kind, 0), tag), block, rows) for block in blocks for tag, rows in block.groups.items())
+    nodes = gathered((key, block.corners[rows].ravel()) for key, block, rows in own)
+    for (level, tag), members in sorted(nodes.items(), key=lambda item: -item[0][0]):
+        name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
+        yield level, Patch(name, f"{LEVELS[level]}_{tag}", members)
+
+
+def _read(path: pathlib.Path) -> _Found:
+    data = path.read_bytes()
+    start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
+    found = _Found(_format(path, data, start))
+    for name, section in sections(path, data, start):
+        try:
+            found.take(name, section)
+        except (ValueError, IndexError, OverflowError) as error:
+            if str(path) in str(error):
+                raise
+            raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
+    return found
+
+
+def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
+    """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place."""
+    head, words, rest = (data[start : start + 400] + b"\n\n").split(b"\n", 2)
+    if head.strip() == b"$NOD":
+        return MeshFormat(1.0, True)
+    if head.strip() != b"$MeshFormat":
+        mark = " The file begins with a byte order mark: save it without." if data.startswith(codecs.BOM_UTF8) else ""
+        number, first = 1 + data.count(b"\n", 0, start), head.decode(errors="replace").strip()[:40]
+        raise ValueError(f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not {first!r}.{mark}")
+    found = _VERSION.match(words)
+    if found is None:
+        said = words.decode(errors="replace").strip()[:40]
+        raise ValueError(f"{path}: .msh of version {said!r}; 1, 2, 4.0 and 4.1 are read, then 0 or 1, and 4 or 8.")
+    version, binary, size = (float(word) for word in found.groups())
+    order = ORDERS.get(rest[:4]) if binary else "<"
+    if order is None:
+        raise ValueError(f"{path}: a binary .msh file without the number 1 that tells its byte order.")
+    is_last = version > 4
+    return MeshFormat(version if is_last else version // 1, not binary, order, int(size) if is_last else 8, version > 2)
+
+
+def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
+    while (at := data.find(b"$", at)) >= 0:
+        start = data.find(b"\n", at) + 1
+        name = data[at + 1 : start].strip()
+        stop = data.find((b"$END" if name in (b"NOD", b"ELM") else b"$End") + name, start)
+        if start == 0 or stop < 0:
+            raise ValueError(f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is cut short.")
+        yield name.decode(errors="replace"), Section(path, data, start, stop)
+        at = stop + 4 + len(name)
+
+
+def physical_names(section: Section, form: MeshFormat) -> Names:
+    count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
+    if count.strip() != b"%d" % len(rows):
+        raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
+    names: Names = {}
+    for k, row in enumerate(rows, start=1):
+        match = _NAME.fullmatch(row)
+        if match is None or (form.has_levels and match[1] is None):
+            raise section.error("a dimension, a tag and a name expected.", k)
+        names[int(match[1]) if match[1] else None, int(match[2])] = decoded(match[4] or match[3])
+    return names
+
+
+def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock]:
+    """Replaces the tags of nodes by their places: by a table, by a search if tags are sparse."""
+    # Either way a tag that is none gives some place, so the tag at the place is compared.
+    least, most = int(tags.min()), int(tags.max())
+    is_dense = most - least <= SPARSE * len(tags)
+    order = np.argsort(tags)
+    table = np.zeros(most - least + 1 if is_dense else 0, np.int64)
+    if is_dense:
+        table[tags - least] = np.arange(len(tags))
+    numbered = []
+    for block in blocks:
+        corners = np.clip(block.corners, least, most)
+        ids = table[corners - least] if is_dense else order[np.searchsorted(tags, corners, sorter=order)]
+        wrong = block.corners[tags[ids] != block.corners]
+        if len(wrong):
+            raise ValueError(f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in $Nodes.")
+        numbered.append(block._replace(corners=ids))
+    return numbered
+
+
+class Stream:
+    """Goes through a section's numbers; those of a text are taken as bytes of `dtype`."""
+
+    def __init__(self, section: Section, form: MeshFormat, dtype: type):
+        self.section, self.version, self.rows = section, form.version, None
+        self.data, self.at, self.stop = section.text, section.start, section.stop
+        kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
+        kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
+        self.types = {key: np.dtype(form.order + kind) for key, kind in kinds.items()}
+        if form.is_text:
+            self.rows = section.rows(dtype)
+            self.data, self.at, self.stop = self.rows.values, 0, self.rows.values.nbytes
+            self.types = dict.fromkeys(kinds, np.dtype(dtype))
+
+    def width(self, kinds: str) -> int:
+        return sum(self.types[kind].itemsize for kind in kinds)
+
+    def skip(self, count: int, kinds: str) -> int:
+        """Goes over records of numbers of some kinds; returns where they begin."""
+        start, size = self.at, count * self.width(kinds)
+        if count < 0 or size > self.stop - start:
+            raise ValueError(f"the section ends before the {count} entries that it announces")
+        self.at += size
+        return start
+
+    def take(self, kind: str, count: int, records: str = "") -> np.ndarray:
+        """Reads whole numbers, the first of each of the `records`, or side by side."""
+        dtype, start = self.types[kind], self.skip(count, records or kind)
+        values = np.ndarray((count,), dtype, self.data, start, (self.width(records or kind),))
+        if dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < WHOLE)).all():
+            raise ValueError("a number that is not whole where a tag or a count is expected")
+        return values.astype(np.int64)
+
+    def one(self, kind: str) -> int:
+        return int(self.take(kind, 1)[0])
+
+    def announced(self) -> int:
+        if self.rows is not None:
+            return self.one("n")
+        start, self.at = self.at, self.section.text.index(b"\n", self.at, self.stop) + 1
+        return int(self.section.text[start : self.at])
+
+    def end(self) -> None:
+        """Raises `ValueError` where there is more: a binary section ends by one line end."""
+        rest = self.section.text[self.at : self.stop]
+        if self.at != self.stop if self.rows is not None else rest.strip() or not rest:
+            raise ValueError("there is more, or less, than the section announces")
+
+
+def entities(stream: Stream, is_partitioned: bool) -> Groups:
+    """Reads the physical groups of entities, or of the pieces into which a partition cuts them."""
+    groups: Groups = {}
+    if is_partitioned:
+        stream.one("n")
+        stream.skip(2 * stream.one("n"), "i")  # ghost entities
+    for dimension, count in enumerate(stream.take("n", 4).tolist()):
+        for _ in range(count):
+            tag = stream.one("i")
+            if is_partitioned:
+                stream.skip(2, "i")  # the entity that it is a piece of
+                stream.skip(stream.one("n"), "i")
+            stream.skip(3 if dimension == 0 and stream.version > 4 else 6, "d")
+            groups[dimension, tag] = np.abs(stream.take("i", stream.one("n"))).tolist()
+            if dimension:
+                stream.skip(stream.one("n"), "i")  # its boundary
+    stream.end()
+    return groups
+
+
+def nodes(stream: Stream, is_parametric: bool) -> Nodes:
+    """Reads the nodes of `$Nodes`, of version 2's `$ParametricNodes`, or of version 1's `$NOD`."""
+    if stream.version < 4:
+        total = stream.announced()
+        blocks = [_with_parameters(stream) for _ in range(total)] if is_parametric else [_records(stream, total)]
+    else:
+        count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
+        blocks = [_of_entity(stream) for _ in range(count)]
+    stream.end()
+    tags, places = (np.concatenate([np.zeros(0, np.int64), *column]) for column in zip(*blocks, strict=True))
+    if len(tags) != total:
+        raise ValueError(f"{len(tags)} nodes, and {total} announced")
+    if (np.diff(tags) <= 0).any() and (again := total - len(np.unique(tags))):
+        raise ValueError(f"{again} tags of nodes come a second time")
+    return tags, places
+
+
+def _entity(stream: Stream) -> tuple[int, int, int]:
+    """Reads an entity's dimension and tag (in version 4.0 swapped), and a number."""
+    first, second, third = stream.take("i", 3).tolist()
+    return (first, second, third) if stream.version > 4 else (second, first, third)
+
+
+def _of_entity(stream: Stream) -> Nodes:
+    """Reads one entity's nodes; as many parameters as its dimension may follow each."""
+    dimension, _, is_parametric = _entity(stream)
+    count = stream.one("n")
+    if dimension not in range(4) or is_parametric not in (0, 1):
+        raise ValueError(f"a block of nodes of dimension {dimension}, parametric {is_parametric}")
+    parameters = "d" * dimension * is_parametric
+    if stream.version < 4.1:
+        return _records(stream, count, parameters)
+    tags, width = stream.take("n", count), stream.width(f"ddd{parameters}")
+    return tags, stream.skip(count, f"ddd{parameters}") + width * np.arange(count)
+
+
+def _records(stream: Stream, count: int, parameters: str = "") -> Nodes:
+    """Reads nodes of which each has its tag before its coordinates."""
+    kinds, start = f"iddd{parameters}", stream.at
+    return stream.take("i", count, kinds), start + stream.width("i") + stream.width(kinds) * np.arange(count)
+
+
+def _with_parameters(stream: Stream) -> Nodes:
+    """Reads a node: tag, coordinates, entity (dimension, tag), parameters (curve 1, surface 2)."""
+    node, dimension = _records(stream, 1), int(stream.take("i", 2)[0])
+    if dimension not in range(4):
+        raise ValueError(f"a node on an entity of dimension {dimension}")
+    stream.skip(dimension % 3, "d")
+    return node
+
+
+def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
+    if stream.version < 4:
+        tables = gathered(_lines(stream) if stream.rows else _old_blocks(stream))
+        return [_of_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
+    count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
+    blocks = [_block(stream, groups) for _ in range(count)]
+    stream.end()
+    if sum(len(block.corners) for block in blocks) != total:
+        raise ValueError(f"not the {total} elements that $Elements announces")
+    return blocks
+
+
+def _block(stream: Stream, groups: Groups) -> ElementBlock:
+    dimension, tag, number = _entity(stream)
+    count, (kind, corners) = stream.one("n"), _kind(number)
+    if DIMENSION.get(kind, 0) != dimension:
+        raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
+    rows = stream.take("n" if stream.version > 4 else "i", count * (1 + corners)).reshape(count, 1 + corners)
+    return ElementBlock(kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ()), slice(None)))
+
+
+def _kind(number: int) -> tuple[str, int]:
+    """Finds the type of a number, and how many nodes it has."""
+    if number not in TYPES:
+        raise ValueError(
+            f"elements of type {number}; elements of order 1 to 4 are read, from order 3 on with all inner nodes: "
+            "Mesh.SecondOrderIncomplete=0 makes them"
+        )
+    return TYPES[number], CORNERS.get(TYPES[number], 1)
+
+
+def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields types, and two tags and nodes (k, 2 + c): of version 2 in text, and of version 1.
+
+    Lines are number, type, tags and nodes. In version 2 the number of tags comes before them, in
+    version 1 that of nodes behind two tags.
+    """
+    rows = stream.rows
+    assert rows is not None
+    if not len(rows.counts) or rows.counts[0] != 1 or rows.values[0] != len(rows.counts) - 1:
+        raise stream.section.error(f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0)
+    values, counts, first = rows.values, rows.counts[1:], rows.first[1:]
+    message = "an element has a number, a type, and numbers of tags or of nodes."
+    rows.refuse(1 + np.flatnonzero(counts < (5 if stream.version < 2 else 4)), lambda k: message)
+    if stream.version < 2:  # two tags and the number of nodes become the number of tags and two tags
+        places = first[:, None] + np.arange(2, 5)
+        values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
+    types = values[first + 1]
+    for number in dict.fromkeys(types.tolist()):
+        kind, corners = _kind(number)
+        chosen = np.flatnonzero(types == number)
+        start, tags, stop = first[chosen, None], values[first[chosen, None] + 2], (first + counts)[chosen, None]
+        wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
+        rows.refuse(1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags.")
+        table = values[np.minimum(start + np.arange(3, 5), len(values) - 1)] * (np.arange(2) < tags)
+        yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
+
+
+def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields types, and two tags and nodes (k, 2 + c), of the blocks of version 2, binary."""
+    left = stream.announced()
+    while left > 0:
+        number, count, tags = stream.take("i", 3).tolist()
+        if count < 0 or tags < 0:
+            raise ValueError(f"{count} elements with {tags} tags")
+        kind, corners = _kind(number)
+        rows = stream.take("i", count * (1 + tags + corners)).reshape(count, 1 + tags + corners)
+        padded = np.pad(rows[:, 1 : 1 + tags], ((0, 0), (0, 2)))
+        yield kind, np.concatenate([padded[:, :2], rows[:, 1 + tags :]], axis=1)
+        left -= count
+    stream.end()
+    if left:
+        raise ValueError("more elements than announced")
+
+
+def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
+    """Finds groups by tags of group (0: none) and entity; elements of two groups are read once."""
+    physical = np.abs(table[:, 0])
+    tags = np.unique(physical[physical > 0]).tolist()
+    groups = {tag: np.flatnonzero(physical == tag) for tag in tags}
+    if len(tags) < 2:
+        return ElementBlock(kind, corners, groups)
+    # An element's key is its entity and corners. Equal keys are one element, kept where it comes
+    # first; `new` is the row of each old element among the kept ones.
+    keys = np.column_stack([table[:, 1], corners, physical])
+    first, which = np.unique(keys[:, :-1], axis=0, return_index=True, return_inverse=True)[1:]
+    if len(first) == len(keys) or len(np.unique(keys, axis=0)) < len(keys):
+        return ElementBlock(kind, corners, groups)  # what stands twice in one group is told as a fault
+    order = np.sort(first)
+    new = np.searchsorted(order, first)[which.ravel()]
+    return ElementBlock(kind, corners[order], {tag: new[rows] for tag, rows in groups.items()})
+
+
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
+    """Raises `ValueError` for patches that a new file cannot have.
+
+    Boundary faces cannot express them, or their name ends before its end.
+    """
+    if content_of(mesh, NAME) is not None:
+        return
+    for name in mesh.patches:
+        if any(mark in name for mark in '"\r\n') or not name:
+            message = f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or a line break."
+            raise ValueError(message)
+    patch_faces(mesh)
+
+
+def write(path: pathlib.Path, mesh: MeshLike) -> None:
+    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
+
+    In a new file a patch becomes a physical group, with the boundary faces between its nodes as
+    elements.
+    """
+    content = content_of(mesh, NAME)
+    with path.open("wb") as file:
+        file.writelines(_new(mesh) if content is None else content.moved(content.in_file(np.asarray(mesh.points))))
+
+
+def _new(mesh: MeshLike) -> Iterator[bytes]:
+    """Yields a new file in pieces; an element has its group's tag as group and as entity."""
+    points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
+    blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
+    level = DIMENSION[blocks[0][0]] - 1
+    names = [f'{level} {tag} "{name}"\n' for tag, name in enumerate(markers, start=1)]
+    for tag, faces in enumerate(markers.values(), start=1):
+        blocks += [(kind, tag, corners) for kind, corners in faces.items() if len(corners)]
+    yield b"$MeshFormat\n2.2 1 8\n" + np.array(1, "<i4").tobytes() + b"\n$EndMeshFormat\n"
+    if names:
+        yield f"$PhysicalNames\n{len(names)}\n{''.join(names)}$EndPhysicalNames\n".encode()
+    rows = np.zeros(len(points), [("tag", "<i4"), ("x", "<f8", 3)])
+    rows["tag"] = 1 + np.arange(len(points))
+    rows["x"][:, : points.shape[1]] = points
+    yield f"$Nodes\n{len(points)}\n".encode() + rows.tobytes() + b"\n$EndNodes\n"
+    yield f"$Elements\n{sum(len(corners) for *_, corners in blocks)}\n".encode()
+    first = 1
+    for kind, tag, corners in blocks:
+        table = np.full((len(corners), 3 + corners.shape[1]), tag, "<i4")
+        table[:, 0] = first + np.arange(len(corners))
+        table[:, 3:] = 1 + reordered(kind, corners, None, GMSH)
+        yield np.array([NUMBERS[kind], len(corners), 2], "<i4").tobytes() + table.tobytes()
+        first += len(corners)
+    yield b"\n$EndElements\n"

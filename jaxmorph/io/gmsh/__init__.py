@@ -1,1 +1,0 @@
-"""gmsh's files: their sections, what they hold, and the files themselves."""
