@@ -343,9 +343,10 @@ class SmoothFaces(Faceted):
         weight = norm(areas)[:, None] / jnp.where(squared > 0, squared, jnp.inf)
         total, weights = _summed(faces, len(vertices), weight[..., None] * _unit(areas, 0)[:, None], weight)
         # Round an inner vertex each neighbour comes first once and last once: ids cancel out.
-        turns = jnp.asarray([[1, -1]], faces.dtype) + 0 * faces
         if size == 3:
             turns = jnp.roll(faces, -1, axis=1) - jnp.roll(faces, 1, axis=1)
+        else:
+            turns = jnp.asarray([[1, -1]], faces.dtype) + 0 * faces
         is_rim = jnp.zeros(len(vertices), faces.dtype).at[faces].add(turns) != 0
         unit = _unit(total, CANCELLED * weights)
         return jnp.where(is_rim[:, None], self._beyond(vertices, unit, is_rim), unit)
