@@ -204,7 +204,7 @@ test_what_is_not_a_symmetry_plane = refusals(
     (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
     (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
     (lambda: jm.Plane.through(body(2).points, body(2).moving), r"do not lie in one plane: node \d+ at"),
-    (lambda: jm.Plane.through(body(2).points, [5]), "1 nodes do not determine a plane"),
+    (lambda: jm.Plane.through(body(2).points, np.array([5])), "1 nodes do not determine a plane"),
     (upper(2, -0.01), r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance"),
     (upper(1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
     (upper(-1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),

@@ -104,8 +104,8 @@ MOST = 6  # most planes of one patch: the sides of a box
 def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> tuple[Plane, ...]:
     """Finds the planes of a patch, such as front and back, by boundary faces (e, corners). The
     plane with most of the nodes comes first, then the plane with most of the remaining nodes. There
-    are none if `MOST` planes do not hold all nodes, or if other planes hold as many nodes: one cell
-    wide and high, nodes do not decide which sides are meant.
+    are none if `MOST` planes do not hold all nodes, or if other planes hold as many nodes. In a
+    duct one cell wide and high, nodes do not decide which sides are meant.
     """
     planes = _candidates(points, nodes, faces)
     on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(-1, len(nodes))
