@@ -66,12 +66,6 @@ def overset_blocks():
     return {"wing.00000": grid[:3], "wing.00001": grid[2:], "tip.00000": grid, "far.00000": grid}
 
 
-def overset_nodes():
-    """Nodes of the file of `write_overset`, in its order."""
-    blocks = overset_blocks().items()
-    return np.concatenate([part.reshape(-1, 3, order="F") + OVERSET[zone] for zone, part in blocks])
-
-
 def overset_floors():
     """Faces of the lowest side of each zone, four corners each, and the zone of each face."""
     floors = [np.array(floor_faces(part)) + OVERSET[name] for name, part in overset_blocks().items()]
@@ -84,16 +78,16 @@ def floor_faces(grid):
     return [grid[i + a, j + b, 0] for i, j in faces for a, b in turns]
 
 
-def write_overset(path):
-    """Three cubes that overlap, as cgns_utils joins them: two with a floor, in three zones, and one without."""
-    parts = overset_blocks()
+def write_overset(path, names=("wing", "tip", "far")):
+    """Three cubes that overlap, as cgns_utils joins them: two with a floor, in three zones, and one without. Returns the nodes."""
+    parts = {zone: part for zone, part in overset_blocks().items() if zone.split(".")[0] in names}
     with h5py.File(path, "w", track_order=True) as file:
         base = cgns.base(file, 3, 3)
-        for name in ("wing", "tip", "far"):
+        for name in names:
             own = {zone: part for zone, part in parts.items() if zone.startswith(name)}
             conditions = {} if name == "far" else {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane"}
             write_zones(base, own, conditions, f"_{name}", OVERSET[next(iter(own))])
-    return overset_nodes()
+    return np.concatenate([part.reshape(-1, 3, order="F") + OVERSET[zone] for zone, part in parts.items()])
 
 
 def write_unstructured(path, names=None):

@@ -82,7 +82,9 @@ for kind, (name, options) in GRIDS.items():
         mesh.writeGrid(str(folder / "moved"))
 
 # grids that overlap: each process has the nodes of the other, and faces of its half of the zones
-nodes = meshes.overset_nodes()
+nodes = np.concatenate(
+    [part.reshape(-1, 3, order="F") + meshes.OVERSET[zone] for zone, part in meshes.overset_blocks().items()]
+)
 grid = MultiUSMesh(str(folder / "overset.cgns"), {key: {"useRotations": False} for key in ("wing", "tip")}, comm)
 share = np.array_split(np.arange(len(nodes)), comm.size)[-1 - comm.rank][::-1]
 grid.setExternalMeshIndices((3 * share[:, None] + np.arange(3)).ravel())

@@ -162,14 +162,14 @@ def test_one_inverted_cell_and_a_skewness_of_zero_are_written_as_they_are_said(t
 SURFACE = "--moving wall --fixed far"
 WRONG = {
     "--moving wing --fixed far --rotate 1": "no patch is called 'wing'.*'wall', 'far'",
-    "--moving wall --rotate 1": "--fixed is missing.*this mesh has: wall, far",
+    "--moving wall --rotate 1": "in patch 'far' .24.: their nodes follow.* Name them by --fixed",
     "--fixed far --rotate 1": "--moving is missing.*this mesh has: wall, far",
     "--moving wall --fixed wall --rotate 1": "wall cannot be both",
     f"{SURFACE} --displacement far.dat": "far.dat: 24 of its 24 node ids are not of the moving patches",
     f"{SURFACE} --displacement ring.su2": "ring.su2, line",
-    f"{SURFACE} --translate 1 2 3": "--translate needs 2 numbers for a mesh in 2-D, found: 1 2 3",
-    f"{SURFACE} --rotate 1 --axis 0 0 1": "--axis is for meshes in 3-D",
-    f"{SURFACE} --rotate 1 --sources 2": "--sources must be 3 or more in 2-D, found 2",
+    f"{SURFACE} --translate 1 2 3": r"--translate: `by` has shape \(3,\); positions in 2-D need \(2,\)",
+    f"{SURFACE} --rotate 1 --axis 0 0 1": "--rotate: `axis` is for positions in 3-D",
+    f"{SURFACE} --rotate 1 --sources 2": "`count` must be 3 or more in 2-D, not 2",
 }
 WRONG = {f"deform ring.su2 out.su2 {flags}": f"^jaxmorph deform: .*{message}" for flags, message in WRONG.items()}
 WRONG |= {
@@ -179,7 +179,7 @@ WRONG |= {
     "defrom": r"there is no command defrom; did you mean deform\?",
     "deform ring.su2 a.su2 --movng wall": r"there is no flag --movng; did you mean --moving\?",
     "quality ring.su2 --max-skewnes=1": r"there is no flag --max-skewnes; did you mean --max-skewness\?",
-    "deform ring.su2 a.su2 --method elastic": r"no method 'elastic'; did you mean elasticity\? \(methods: default, ",
+    "deform ring.su2 a.su2 --method elastic": r"--method: invalid choice: 'elastic' \(choose from '?default",
     "deform ring.su2 a.su2 --moving wall --fixed --qqq": "flag --qqq; a patch of this name .* =, as in --moving=--qqq",
     "deform ring.su2 a.su2 --moving wall -fixed far": r"there is no flag -fixed; did you mean --fixed\?",
 }
@@ -283,11 +283,11 @@ def test_sliding_and_periodic_patches_on_the_command_line(tmp_path, capsys):
     refused(capsys, odd, "name pairs of patches")
 
 
-def test_patches_left_out_of_the_hull_are_named(tmp_path, capsys):
+def test_nodes_out_of_the_hull_are_told(tmp_path, capsys):
     file, _, _ = _box(tmp_path)
     arguments = ["--moving", "z0", "--fixed", "x0", "--free", "[xyz]1", "y0", "--translate", "0", "0", "0.1"]
     words = ["deform", str(file), str(tmp_path / "out.su2"), *arguments, "--method", "graph"]
-    refused(capsys, words, "outside of the convex hull.*x1, y0, y1, z1")
+    refused(capsys, words, "outside of the convex hull")
 
 
 def test_a_symmetry_patch_that_is_not_plane(tmp_path, capsys):
@@ -367,7 +367,6 @@ AT_ONCE = {
     f"deform in.su2 out.su2 {MOVE} --chunk 0": "--chunk: a whole number of 1 or more",
     f"deform in.su2 out.su2 {MOVE} --zone 0": "--zone: a whole number of 1 or more",
     f"deform in.su2 out.su2 {MOVE} --sources 9 --method graph": "graph has no sources to choose",
-    f"deform in.su2 out.su2 {MOVE} --chunk 9 --method laplacian": "--chunk is not for laplacian",
     f"deform in.su2 out.su2 {MOVE} --picture a.gif": "--picture a.gif: the name should end in .png or .html",
     f"deform in.su2 out.su2 {MOVE} --picture none/a.png": "--picture none/a.png: there is no folder none",
     f"deform in.su2 out.su2 {MOVE} --save-job out.su2": "--save-job out.su2 is the file of OUT",
@@ -392,11 +391,6 @@ AT_ONCE = {
     "sensitivity in.su2 in.su2 out.su2 --moving wall": "should end in .csv or .npz",
     "sensitivity in.su2 bad.toml out.csv --moving wall --set a=1": "--set without --job",
     "su2 def none.cfg": "none.cfg: No such file",
-    "su2 def bad.toml": "an option NAME= value expected",
-    "su2 def kind.cfg": "DV_KIND= TRANSLATIN is not taken",
-    "su2 def number.cfg": "DV_VALUE= a number expected, found 'x'",
-    "su2 def nomesh.cfg": "none.su2: No such file",
-    "su2 def good.cfg -o in.su2": "--output in.su2 is the file of MESH_FILENAME",
     "su2 def good.cfg --sensitivity bad.toml": "--sensitivity is for su2 dot",
     "su2 dot good.cfg --sensitivity none.csv": "none.csv: No such file",
     "quality none.su2": "none.su2: No such file",
@@ -405,7 +399,7 @@ AT_ONCE = {
     "quality in.su2 --max-skewness nan": "--max-skewness: invalid number value: 'nan'",
     "info none.su2": "none.su2: No such file",
     "info in.xyzzy": "unknown file ending",
-    "demo nothing": "there is no demo 'nothing' (demos: naca0015)",
+    "demo nothing": "argument CASE: invalid choice: 'nothing'",
     "demo -o in.su2": "in.su2: is a file",
 }
 """Requests that no mesh can fulfil, and what is told; `in.su2` is no mesh."""
@@ -427,11 +421,7 @@ print(json.dumps(told))
 
 def test_what_no_mesh_can_fulfil_is_told_at_once(tmp_path):
     """Before JAX is imported and the mesh is read, whatever the command."""
-    settings = "MESH_FILENAME= in.su2\nDV_KIND= {}\nDV_PARAM= (1, 0, 0)\nDV_MARKER= (wall)\nDV_VALUE= {}\n"
-    files = {"in.su2": "no mesh", "bad.toml": "[", "case/a": "", "folder.su2/a": ""}
-    files |= {"good.cfg": settings.format("TRANSLATION", 1), "kind.cfg": settings.format("TRANSLATIN", 1)}
-    files |= {"number.cfg": settings.format("TRANSLATION", "x")}
-    files |= {"nomesh.cfg": settings.format("TRANSLATION", 1).replace("in.su2", "none.su2")}
+    files = {"in.su2": "no mesh", "good.cfg": "", "bad.toml": "[", "case/a": "", "folder.su2/a": ""}
     for name, content in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(content)

@@ -142,7 +142,7 @@ BAD_JOBS = [
     ("rotate = 5", r"job.toml: a job has no rotate: it belongs to .* below a \[\[moving\]\]"),
     ("output = 'out.su2'", "job.toml: file is missing: the mesh that the job moves"),
     ("method = ['rbf', 'other.su2']", r"job.toml: method is one value, found \['rbf', 'other.su2'\]"),
-    ("method = '--json'", "job.toml: argument --method: there is no method '--json' .methods: default, "),
+    ("method = '--json'", "job.toml: argument --method: invalid choice: '--json' .choose from"),
     ("dtype = 'float16'", "job.toml: argument --dtype: invalid choice: 'float16'"),
     ("set = 5", "job.toml: set is a table of names and numbers, found 5"),
     ("set = {a = 'x'}", "job.toml: argument --set: 'a=x' is not NAME=NUMBER"),
@@ -152,7 +152,7 @@ BAD_JOBS = [
     (f"{TEXT_OF_PATCH}rotate = {200 * '['}{200 * ']'}", r"job.toml: rotate is one value, found \[\[\[.{,50}$"),
     (f"{TEXT_OF_PATCH}box = {{ low = {9000 * '['}{9000 * ']'} }}", "job.toml: box is nested too deep"),
     (f"steps = {5000 * '1'}", "job.toml: not TOML"),
-    ('file = "ring\\u0000.su2"\noutput = "out.su2"', r"'ring\\x00.su2': a name of a file holds no null byte"),
+    ('file = "ring\\u0000.su2"\noutput = "out.su2"', r"IN 'ring\\x00.su2': a name of a file holds no null byte"),
     ("allow_inverted = 1", "job.toml: allow_inverted is true or false, found 1"),
 ]
 

@@ -108,7 +108,7 @@ def test_patches_that_move_a_common_node_differently_are_told():
     up, down = ("--translate", "0", "0.05"), ("--translate", "0", "-0.05")
     with pytest.raises(ValueError, match=r"one and two move 2 common nodes differently, by up to 0.1: nodes 8, 9,"):
         path_of(mesh, ["--moving", "one", *up, "--moving", "two", *down])
-    with pytest.raises(ValueError, match=r"one\+three and three move \d+ common nodes differently"):
+    with pytest.raises(ValueError, match=r"one\+three and one\+three then three move \d+ common nodes differently"):
         path_of(mesh, ["--moving", "one", "three", *up, "--moving", "three", "--rotate", "5"])
 
 
@@ -179,13 +179,14 @@ def test_a_box_moves_what_is_inside_by_bernstein_polynomials(brick):
 
 BOX = '--box {{"low":[0,0,0],"high":[1,1,{}],"points":[2,2,2],"moved":[{}]}}'
 WRONG = {
-    "--translate 1 0": "--translate needs 3 numbers for a mesh in 3-D, found: 1 0",
-    "--rotate 1 --axis 0 0 0": "--axis needs a direction",
-    "--bend 5 --along 0 1 0": "--bend needs --axis X Y Z",
+    "--translate 1 0": r"--translate: `by` has shape \(2,\); positions in 3-D need \(3,\)",
+    "--rotate 1 --axis 0 0 0": "--rotate: `axis` has length 0; it must be a direction",
+    "--rotate 1": "--rotate: `axis` is missing: a rotation in 3-D needs",
+    "--bend 5 --along 0 1 0": "--bend: `axis` is missing",
     "--translate 1 0 0 --translate 1 0 0": "--translate twice for one --moving",
-    "--twist 5": "--twist needs --along X Y Z for a mesh in 3-D",
-    "--bend 5 --axis 1 0 0 --along 1 1 0": "--bend needs --axis and --along at right angles",
-    "--twist 5 --along 1 0 0 --about 3 0 0": "--twist needs a --length above 0, or nodes that lie ahead of --about",
+    "--twist 5": "--twist: the direction --along X Y Z is missing",
+    "--bend 5 --axis 1 0 0 --along 1 1 0": "--bend: `axis` and `along` must be at right angles",
+    "--twist 5 --along 1 0 0 --about 3 0 0": "--twist: `length` is -1.0; it must be above 0",
     '--box {"low":[0,0,0]}': "--box: low and high or corners, points and a list moved expected, found low",
     BOX.format(0, ""): "--box: low must be below high",
     BOX.format(1, '{"at":[2,0,0],"by":[0,0,1]}'): r"--box: at = \[2, 0, 0\] is none of the control points",

@@ -42,7 +42,8 @@ def disc(order: int, kind: str, *, is_complete: bool = True) -> None:
         dimension = 3
     else:  # a quarter of a ring, extruded
         gmsh.option.setNumber("Mesh.RecombineAll", kind == "hexahedron")
-        p = [occ.addPoint(*at, 0) for at in ((0, 0), (1, 0), (2, 0), (0, 2), (0, 1))]
+        for at in ((0, 0), (1, 0), (2, 0), (0, 2), (0, 1)):
+            occ.addPoint(*at, 0)
         lines = occ.addLine(2, 3), occ.addCircleArc(3, 1, 4), occ.addLine(4, 5), occ.addCircleArc(5, 1, 2)
         face = occ.addPlaneSurface([occ.addCurveLoop(lines)])
         made = occ.extrude([(2, face)], 0, 0, 0.7, [2], recombine=True)
@@ -57,7 +58,6 @@ def disc(order: int, kind: str, *, is_complete: bool = True) -> None:
         inner = next(t for t in sides if gmsh.model.getType(2, t) == "Cylinder" and occ.getMass(2, t) < 1.5)
         gmsh.model.addPhysicalGroup(3, [made[1][1]], name="fluid")
         dimension = 3
-        assert p
     gmsh.model.addPhysicalGroup(dimension - 1, [inner], name="wall")
     gmsh.model.addPhysicalGroup(dimension - 1, [tag for tag in sides if tag != inner], name="far")
     gmsh.model.mesh.generate(dimension)

@@ -6,7 +6,6 @@ import stat
 import threading
 
 import pytest
-from runs import refused
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -134,10 +133,6 @@ def test_a_name_that_ends_as_a_folder_is_no_file(tmp_path):
     with pytest.raises(ValueError, match=r"a\.su2/: ends as a folder does, but a file is written"):
         io.write(f"{tmp_path}/a.su2/", small())
     assert not list(tmp_path.iterdir())
-
-
-def test_the_command_line_writes_no_file_to_a_name_that_ends_as_a_folder(capsys):
-    refused(capsys, ["deform", "a.su2", "b.su2/", "--moving", "body"], "b.su2/: ends as a folder does")
 
 
 @posix

@@ -301,4 +301,4 @@ def test_the_command_line_moves_a_wall_onto_a_file(tmp_path, capsys, monkeypatch
     assert "distance from scan.npz" in said
     moved = io.read("out.su2")
     assert float(other.distance(moved.points[moved.patch("airfoil")]).max()) < 1e-12
-    assert (tmp_path / "out.png").stat().st_size > 1000
+    assert (tmp_path / "out_distance_scan.png").stat().st_size > 1000

@@ -193,7 +193,7 @@ test_first_mistakes = refusals(
         lambda: jm.deform(ring_plan(), 0.1),
         r"`u` must be an array of real numbers \(m, d\), not 0.1. Call deform\(plan, u\)",
     ),
-    (lambda: jm.Mesh(np.zeros((3, 2), bool)), "`points` holds bool; coordinates are real"),
+    (lambda: jm.Mesh(np.zeros((3, 2), bool)), "`points` must be an array of real numbers"),
     (lambda: jm.deform(MESH, U), r"deform\(plan, u\)"),
     (lambda: jm.shard(ring_plan(), jax.devices()[:1] * 2), r"`devices` has .* more than once, among 2"),
 )

@@ -20,7 +20,7 @@ from .._host.cells.topology import (
     canonical_type,
     filling,
 )
-from .._host.package.arguments import native, shown
+from .._host.package.arguments import has_type, native, real_array, shown
 
 PREFIX = "patch:"
 """Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
@@ -369,18 +369,11 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
 
 def floats(points) -> Any:
     """Returns coordinates as floats; a JAX array stays one, for quality traces through points."""
-    if isinstance(points, type):
-        raise ValueError(f"`points` is {shown(points)}; coordinates are real numbers (n, d).")
-    try:
-        points = points if hasattr(points, "shape") else np.asarray(points)
-    except ValueError:
-        raise ValueError(f"`points` are rows of several lengths: {shown(points)}; expected (n, 2) or (n, 3).") from None
-    if np.ma.is_masked(points):
-        raise ValueError(f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of them.")
-    points = points.data if isinstance(points, np.ma.MaskedArray) else points
-    if not (np.issubdtype(points.dtype, np.integer) or _is_floating(points.dtype)):
+    if isinstance(points, np.ndarray) or not has_type(points):
+        return native(real_array("points", points, (None, 2), (None, 3)))
+    if points.dtype.kind not in "fiuV":  # JAX's short floats have no letter of their own
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
-    return points.astype(float) if np.issubdtype(points.dtype, np.integer) else native(points)
+    return points.astype(float) if points.dtype.kind in "iu" else points
 
 
 def ids_of(values) -> np.ndarray:
@@ -390,12 +383,3 @@ def ids_of(values) -> np.ndarray:
     if ids.dtype.kind not in "iu":
         raise ValueError(f"ids must be integers, not {ids.dtype}.")
     return native(ids) if ids.dtype.kind == "i" else ids.astype(np.int64)
-
-
-def _is_floating(dtype: Any) -> bool:
-    """Checks for real numbers of any precision; only JAX knows some of the short ones."""
-    if isinstance(dtype, np.dtype) and dtype.kind != "V":
-        return np.issubdtype(dtype, np.floating)
-    import jax.numpy as jnp
-
-    return jnp.issubdtype(dtype, np.floating)

@@ -34,7 +34,8 @@ def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None)
     new.points = _points(mesh, np.asarray(new.points))
     point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
     new.point_data.update(point_arrays)
-    new.cell_data.update(_of_cells(mesh, cell_arrays, vtk.kinds_of(new)))
+    if cell_arrays:
+        new.cell_data.update(_of_cells(mesh, cell_arrays, vtk.kinds_of(new)))
     return new
 
 
@@ -49,7 +50,8 @@ def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays |
         new.SetPoints(vtk.points_of(_points(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)))
     point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
     vtk.add_arrays(new.GetPointData(), point_arrays)
-    vtk.add_arrays(new.GetCellData(), _of_cells(mesh, cell_arrays, vtk.kinds_of(vtk.unstructured(new))))
+    if cell_arrays:
+        vtk.add_arrays(new.GetCellData(), _of_cells(mesh, cell_arrays, vtk.kinds_of(vtk.unstructured(new))))
     return new
 
 

@@ -133,9 +133,8 @@ class Mesh(Module):
         """Numbers of cells by type in the file; cut cells count as `polyhedron` or `polygon`."""
         counts = exchange.numbers_of_cells(self.cells)
         if self.polyhedra is not None:
-            cut = np.isin(self.cell_ids, self.polyhedra.cut)
-            pieces = np.split(cut, np.cumsum(list(counts.values()))[:-1])
-            counts = {kind: int((~is_piece).sum()) for kind, is_piece in zip(counts, pieces, strict=True)}
+            is_whole = ~np.isin(self.cell_ids, self.polyhedra.cut)
+            counts = {kind: int(is_whole[first:][: counts[kind]].sum()) for kind, first in self._firsts.items()}
             counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(self.polyhedra.cut)
         return {kind: count for kind, count in counts.items() if count}
 
@@ -321,7 +320,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
 
 def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Points (p, d) of the lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
+    """Points (p, d) of lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
     # A point between corners is known by these and their weights, in ascending order: cells that
     # share a face agree on it. The corners come first.
     points, shapes = np.asarray(mesh.points), {kind: SHAPES[kind] for kind in mesh.cells}

@@ -121,7 +121,7 @@ class NearWall(AbstractPlacing):
 
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
-        width = layer_width(self.width, jax.tree.map(np.asarray, extent), np.asarray(surface.points))
+        width = layer_width(self.width, jax.tree.map(np.asarray, extent), np.asarray(surface.points, float))
         row_of_point = surface.rows(len(points))
         reached = row_of_point < len(surface.points)
         inside = np.flatnonzero(~reached)
@@ -286,7 +286,7 @@ class LocalCorrection(AbstractPlacing):
 
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
-        distance = SEARCHED * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
+        distance = SEARCHED * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points, float)).max()
         to_surface = Tree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
         reached, nodes = np.isfinite(to_surface), np.zeros(len(points), dtype=np.int32)
         nodes[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))

@@ -40,9 +40,9 @@ class Surface:
       plane, or None without cells.
     - `cells`: the mesh's cells and symmetry planes, or None for points alone, or a part of a mesh.
     - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed.
-    - `listed` (b,): for each row its place among the nodes as the caller lists them, or None where
-      rows go in that order. A reduction sees points so: `motions` of `Greedy` have a row for each.
-    - `hidden` (b,): mask of moving rows inside a body, or None without any.
+    - `listed` (b,): for each row its place among the nodes as the caller lists them. A reduction
+      sees points so: `motions` of `Greedy` have a row for each.
+    - `hidden` (b,): mask of moving rows inside a body.
     - `values`: what was made `once`, by key.
     """
 
@@ -50,13 +50,13 @@ class Surface:
     nodes: np.ndarray
     moving: int
     images: np.ndarray
+    faces: ByKind | None
+    is_open: bool | None
+    cells: Cells | None
+    in_planes: np.ndarray
+    listed: np.ndarray
+    hidden: np.ndarray
     matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-    faces: ByKind | None = None
-    is_open: bool | None = None
-    cells: Cells | None = None
-    in_planes: np.ndarray | None = None
-    listed: np.ndarray | None = None
-    hidden: np.ndarray | None = None
     values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
     @property
@@ -82,8 +82,7 @@ class Surface:
     @property
     def seen(self) -> np.ndarray:
         """Moving rows that are not inside a body."""
-        rows = np.arange(self.moving)
-        return rows if self.hidden is None else rows[~self.hidden[rows]]
+        return np.flatnonzero(~self.hidden[: self.moving])
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Chooses sources among moving, then fixed nodes, with images; no two are too close."""
@@ -100,7 +99,7 @@ class Surface:
         # other's images: all nodes lie on one side of a plane.
         originals = rows[self.images[rows] == rows]
         closest = reduction.closest(self.points[originals])
-        listed = originals if self.listed is None else originals[np.argsort(self.listed[originals])]
+        listed = originals[np.argsort(self.listed[originals])]
         chosen = np.sort(listed[reduction.beside(self.points[listed], others)])
         far = self._on_far_walls(reduction, originals, others)
         chosen = drop_close(self.points, np.append(chosen, far), closest) if len(far) else chosen

@@ -45,14 +45,6 @@ def pad_rows(leaf: Array, layout: Layout | None) -> Array:
     return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (padding, *leaf.shape[1:]))]) if padding else leaf
 
 
-def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
-    """Finds the rows of points `ids` on this device, within `over_points`.
-
-    The device has `count` rows; a point of another device gets a row from `count` on.
-    """
-    return ids if layout is None else rows_from(jax.lax.axis_index(AXIS) * count, ids, count)
-
-
 def rows_from(start: Int[Array, ""], ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
     """Finds `ids` among the `count` rows from `start` on; absent ones get a row from `count` on."""
     here = ids - start

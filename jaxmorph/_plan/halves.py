@@ -110,8 +110,7 @@ class SurfaceHalf:
             raise ValueError(f"`points` has shape {given.shape}; the surface has {plan.points.shape[1]} dimensions.")
         if not len(given):
             raise ValueError("the piece has no points.")
-        place = self._places(nodes, given)
-        surface = self._surface
+        surface, place = self._surface, self._places(nodes, given)
         self._check_sides(surface, given, place)
         x, count, base = given.astype(plan.points.dtype), len(given), np.asarray(plan.points)
         x[place[place >= 0]] = base[place >= 0]
@@ -122,9 +121,8 @@ class SurfaceHalf:
         planes = plan.boundary.planes
         on_plane = np.array([plane.holds(together)[:count] for plane in planes], bool).reshape(len(planes), count).T
         own = dataclasses.replace(plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32)))
-        volume = VolumePart(as_jax(x), as_jax(on_plane), ids, None)
-        placed = _placed(plan.method, own, volume.points, ids)
-        volume = dataclasses.replace(volume, placed=placed)
+        base = as_jax(x)
+        volume = VolumePart(base, as_jax(on_plane), ids, _placed(plan.method, own, base, ids))
         return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
 
     def judged(self, pieces: Iterable[tuple[Mesh, np.ndarray]], comm: Any = None) -> "SurfaceHalf":
@@ -143,11 +141,8 @@ class SurfaceHalf:
             return self
         near = []
         for mesh, nodes in pieces:
-            of_walls, cells = (
-                np.flatnonzero(np.isin(nodes, self.moving)),
-                solid(mesh.linear.cells, mesh.points.shape[1]),
-            )
-            rows, cells = near_cells(cells, of_walls, len(mesh.points))
+            of_walls = np.flatnonzero(np.isin(nodes, self.moving))
+            rows, cells = near_cells(solid(mesh.linear.cells, mesh.points.shape[1]), of_walls, len(mesh.points))
             near.append((np.asarray(nodes)[rows], np.asarray(mesh.points)[rows], cells))
         parts = [near] if comm is None else comm.gather(near)
         method = None if parts is None else self._judged([piece for part in parts for piece in part]).plan.method
@@ -159,9 +154,8 @@ class SurfaceHalf:
         starts = np.cumsum([0, *(len(ids) for ids, _, _ in pieces)])
         ids = np.concatenate([ids for ids, _, _ in pieces])
         points = np.concatenate([points for _, points, _ in pieces])
-        _, first, row = np.unique(
-            np.where(ids < 0, -2 - np.arange(len(ids)), ids), return_index=True, return_inverse=True
-        )
+        own = np.where(ids < 0, -2 - np.arange(len(ids)), ids)
+        _, first, row = np.unique(own, return_index=True, return_inverse=True)
         together: dict[str, list[np.ndarray]] = {}
         for start, (_, _, cells) in zip(starts, pieces, strict=False):
             for kind, corners in cells.items():

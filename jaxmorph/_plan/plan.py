@@ -22,7 +22,7 @@ from .._methods.base import AbstractField, AbstractMethod, Point, Rows
 from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.shares import share_of
-from .devices import Layout, over_points, rows_here
+from .devices import AXIS, Layout, over_points, rows_from
 
 Own = Float[Array, "o d"]
 """Coordinates or displacements of the moving, fixed and guided nodes."""
@@ -275,7 +275,9 @@ def deform_surface(plan: Plan, vectors: Own) -> Float[Array, "n d"]:
     layout = plan.layout
 
     def moved_here(shared: Shared, volume: VolumePart) -> Float[Array, "n d"]:
-        return move(shared, volume, rows_here(layout, shared.nodes, len(volume.points)))
+        count, nodes = len(volume.points), shared.nodes
+        here = nodes if layout is None else rows_from(jax.lax.axis_index(AXIS) * count, nodes, count)
+        return move(shared, volume, here)
 
     moved = over_points(layout, moved_here, shared_by(plan, vectors), plan.volume)
     return moved if layout is None else moved[: layout.count]

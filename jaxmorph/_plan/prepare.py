@@ -209,18 +209,20 @@ def surface_of(boundary: Boundary, order: np.ndarray | None = None) -> tuple[Sur
     faces = None if faces is None else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
     normals = np.array([plane.normal for plane in planes]).reshape(-1, points.shape[1])
     cells = None if boundary.cells is None else Cells(boundary.cells, normals, on_plane)
-    in_planes = (own >= moving + len(boundary.fixed)) & on_plane[nodes[own]].any(axis=1)
     everything = points[nodes[order]]
     if len(copies.matrices) > 1:
         everything = np.asarray(images.points(jnp.asarray(points[nodes])))
     surface = Surface(
-        *(everything, np.where(copies.kind == 0, nodes[own], -1), int((own < moving).sum()), copies.first),
+        points=everything,
+        nodes=np.where(copies.kind == 0, nodes[own], -1),
+        moving=int((own < moving).sum()),
+        images=copies.first,
         faces=faces,
         is_open=boundary.is_open,
         cells=cells,
-        in_planes=in_planes if in_planes.any() else None,
+        in_planes=(own >= moving + len(boundary.fixed)) & on_plane[nodes[own]].any(axis=1),
         listed=own,
-        hidden=np.isin(nodes[own], boundary.hidden) if len(boundary.hidden) else None,
+        hidden=np.isin(nodes[own], boundary.hidden),
     )
     return surface, images
 

@@ -111,8 +111,8 @@ def children(dimension: int) -> np.ndarray:
 
 @functools.cache
 def halving(dimension: int, degree: int) -> np.ndarray:
-    """The matrix (2^dimension n, n) from a factor's coefficients to its parts', by interpolation. No
-    entry is negative, each row adds up to 1, and all are multiples of 2^-degree: rounding makes
+    """The matrix (2^dimension n, n) from a factor's coefficients to its parts', by interpolation.
+    No entry is negative, each row adds up to 1, and all are multiples of 2^-degree: rounding makes
     them exact.
     """
     space = ((dimension, degree),)

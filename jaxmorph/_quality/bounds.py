@@ -35,59 +35,42 @@ class LeastValues:
     is_flat: np.ndarray  # (k,) both are zero to round-off: no subdivision decides the sign
 
 
-def bounds(space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Values, depth: int) -> LeastValues:
-    """Bounds polynomials, on parts of a 2^depth-th or less where the sign needs them."""
-    k, d = coefficients.shape[1], sum(m for m, _ in space)
-    search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k)))
-    search.look(coefficients, np.arange(k), np.zeros((0, k), dtype=int))
-    lower, upper = search.lower - round_off, search.upper + round_off
-    return LeastValues(
-        lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off)
-    )
-
-
 def blocks(rows: Rows, coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
     """Yields rows of so many `coefficients` each, some at a time."""
     size = max(1, ROOM // coefficients)
     return (rows[start : start + size] for start in range(0, len(rows), size))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Search:
-    space: Space
-    depth: int
-    round_off: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    at: np.ndarray
+def bounds(space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Values, depth: int) -> LeastValues:
+    """Bounds polynomials, on parts of a 2^depth-th or less where the sign needs them."""
+    k, d, corners = coefficients.shape[1], sum(m for m, _ in space), bernstein.corners(space)
+    lower, upper, at = np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k))
 
-    def look(self, coefficients: Float[np.ndarray, "n p"], cell: np.ndarray, path: Path) -> None:
+    def look(values: Float[np.ndarray, "n p"], cell: np.ndarray, path: Path) -> None:
         """Looks at parts of cells, and cuts those of open sign; negative cells are done. The `path`
         to a part has the number that it has among its parent's parts, level by level.
         """
-        least, level, slack = coefficients.min(axis=0), len(path), self.round_off[cell]
-        lowest = self._compare(coefficients, cell, path)
+        corner, lowest, before = values[corners].argmin(axis=0), values[corners].min(axis=0), upper.copy()
+        np.minimum.at(upper, cell, lowest)
+        rows = np.flatnonzero((lowest == upper[cell]) & (lowest < before[cell]))
+        at[:, cell[rows]] = _place(space, path[:, rows], corner[rows])
         # where a corner is zero to round-off, closer bounds cannot be positive: only what may be
         # negative is of interest
+        least, level, slack = values.min(axis=0), len(path), round_off[cell]
         is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
-        is_open &= ~(self.upper[cell] < -slack)
-        if level >= self.depth:
-            is_open &= (level < 2 * self.depth) & (np.bincount(cell[is_open], minlength=len(self.lower))[cell] <= FEW)
-        np.minimum.at(self.lower, cell[~is_open], least[~is_open])
-        rows, parts = np.flatnonzero(is_open), 2 ** len(self.at)
+        is_open &= ~(upper[cell] < -slack)
+        if level >= depth:
+            is_open &= (level < 2 * depth) & (np.bincount(cell[is_open], minlength=k)[cell] <= FEW)
+        np.minimum.at(lower, cell[~is_open], least[~is_open])
+        rows = np.flatnonzero(is_open)
         rows = rows[np.argsort(cell[rows], kind="stable")]  # parts of a cell are counted together
-        for some in blocks(rows, bernstein.count(self.space) * parts):
-            below = np.vstack([np.tile(path[:, some], parts), np.repeat(np.arange(parts), len(some))])
-            self.look(bernstein.halved(self.space, coefficients[:, some]), np.tile(cell[some], parts), below)
+        for some in blocks(rows, bernstein.count(space) * 2**d):
+            below = np.vstack([np.tile(path[:, some], 2**d), np.repeat(np.arange(2**d), len(some))])
+            look(bernstein.halved(space, values[:, some]), np.tile(cell[some], 2**d), below)
 
-    def _compare(self, coefficients: np.ndarray, cell: np.ndarray, path: np.ndarray) -> Float[np.ndarray, " p"]:
-        values = coefficients[bernstein.corners(self.space)]
-        corner, least = values.argmin(axis=0), values.min(axis=0)
-        before = self.upper.copy()
-        np.minimum.at(self.upper, cell, least)
-        rows = np.flatnonzero((least == self.upper[cell]) & (least < before[cell]))
-        self.at[:, cell[rows]] = _place(self.space, path[:, rows], corner[rows])
-        return least
+    look(coefficients, np.arange(k), np.zeros((0, k), dtype=int))
+    is_flat = (np.abs(lower) <= round_off) & (np.abs(upper) <= round_off)
+    return LeastValues(lower - round_off, upper + round_off, at, is_flat)
 
 
 def _place(space: Space, path: Path, corner: Rows) -> Float[np.ndarray, "f p"]:

@@ -134,7 +134,7 @@ def _tangents(derivatives: np.ndarray, x: Vector) -> list[Vector]:
 
 
 def linear_cells_at_nodes(kind: str, x: Vector) -> tuple[str, Vector]:
-    """Linear cells of the tangents at high-order nodes: s k cells, node by node; or k linear ones."""
+    """Linear cells of the tangents at high-order nodes: s k cells, node by node; or k linear."""
     xp, shape = namespace(x[0]), SHAPES[kind]
     if shape == kind:
         return kind, x

@@ -1,18 +1,17 @@
 """`jaxmorph deform --decomposed`: an OpenFOAM case part by part, in one process or an MPI run."""
 
-import dataclasses
+import functools
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.extend import Alone, together
 
-from ._deform import check, say_motion, write_job
+from ._deform import say_motion, write_job
 from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
@@ -50,11 +49,11 @@ def deform_parts(request: Deform, out: Output) -> int:
     half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
     with out.progress("choosing the share of the fit"):
         half = half.judged(((part, io.global_nodes(part)) for part in map(case.read, share)), ranks)
-    parts = MovingParts(half, path, largest, request)
+    part = functools.partial(_part, request, case, half, path, largest)
     try:
         with case.writing(request.output, ranks) as writer:
             with out.progress("moving and judging the parts") as stage:
-                verdict = _moved(parts, case, ranks, writer, stage)
+                verdict = _moved(part, len(case), ranks, writer, stage)
             _say_warnings_of_all(out, ranks)
             say_verdict(verdict, out, is_straight=half.plan.is_linear, steps=len(path))
             out.say(faces_between_parts=verdict.between, parts=verdict.parts)
@@ -67,15 +66,17 @@ def deform_parts(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _moved(parts: "MovingParts", case: io.Decomposed, ranks: Any, writer: Any, stage: Stage) -> jm.Verdict:
+def _moved(
+    part: Callable[[int], tuple[jm.Mesh, jm.Verdict]], count: int, ranks: Any, writer: Any, stage: Stage
+) -> jm.Verdict:
     verdicts: dict[int, jm.Verdict] = {}
-    for first in range(0, len(case), ranks.size):
-        k = first + ranks.rank if first + ranks.rank < len(case) else None
-        moved = together(ranks, lambda k=k: None if k is None else parts.moved(case, k))
-        if k is not None and moved is not None:
-            verdicts[k] = moved[1]
-        writer.add(k, None if moved is None else moved[0])
-        stage.done(min(1.0, (first + ranks.size) / len(case)))
+    for first in range(0, count, ranks.size):
+        k = first + ranks.rank
+        mesh, verdict = together(ranks, lambda k=k: part(k) if k < count else (None, None))
+        if verdict is not None:
+            verdicts[k] = verdict
+        writer.add(None if mesh is None else k, mesh)
+        stage.done(min(1.0, (first + ranks.size) / count))
     return jm.Verdict.together(_by_part(ranks.allgather(verdicts)))
 
 
@@ -123,7 +124,6 @@ def _case(request: Deform) -> io.Decomposed:
 
 
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray]:
-    check(request, surface)
     patches = patches_of(request, surface)
     moves = motion(request, surface, patches.nodes)
     path = moves.path(np.asarray(surface.points)[patches.nodes], request.step_count)
@@ -137,32 +137,23 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     return half, path
 
 
-@dataclasses.dataclass(frozen=True)
-class MovingParts:
-    """The shared state of all parts: surface, path of its nodes, `largest` number of nodes."""
+def _part(
+    request: Deform, case: io.Decomposed, half: jm.SurfaceHalf, path: np.ndarray, largest: int, k: int
+) -> tuple[jm.Mesh, jm.Verdict]:
+    """Moves and judges a part by the path (k, m, d) of the surface.
 
-    half: jm.SurfaceHalf
-    path: Float[np.ndarray, "k m d"]
-    largest: int
-    request: Deform
-
-    def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, jm.Verdict]:
-        """Moves and judges a part.
-
-        Copies of a node fill it up to the size of the largest part, so that all share compiled
-        code.
-        """
-        mesh, half, method = case.read(k), self.half, self.request.method
-        ids, base = io.global_nodes(mesh), np.asarray(mesh.points)
-        is_inner = ~np.isin(ids, half.surface_nodes)
-        rows = np.append(np.arange(len(ids)), np.full(self.largest - len(ids), is_inner.argmax()))
-        nodes = np.where((np.arange(self.largest) < len(ids)) & ~is_inner[rows], ids[rows], -1)
-        try:
-            plan = half.attach(base.astype(method.dtype)[rows], nodes)
-        except jm.MeshError as error:
-            raise ValueError(f"processor{k}: {error.renumbered(rows)}") from None
-        here = np.flatnonzero(np.isin(ids, half.moving))
-        path = self.path[:, half.rows(ids[here])]
-        ends = tuple(moved(plan, self.path, base, here, path))
-        way = Way(self.request.output, mesh, ends, plan.is_linear)
-        return mesh.moved(ends[-1]), way.judge(self.request.gates.limits, part=k)
+    Copies of a node fill it up to the size of the `largest` part, so that all share compiled code.
+    """
+    mesh, method = case.read(k), request.method
+    ids, base = io.global_nodes(mesh), np.asarray(mesh.points)
+    is_inner = ~np.isin(ids, half.surface_nodes)
+    rows = np.append(np.arange(len(ids)), np.full(largest - len(ids), is_inner.argmax()))
+    nodes = np.where((np.arange(largest) < len(ids)) & ~is_inner[rows], ids[rows], -1)
+    try:
+        plan = half.attach(base.astype(method.dtype)[rows], nodes)
+    except jm.MeshError as error:
+        raise ValueError(f"processor{k}: {error.renumbered(rows)}") from None
+    here = np.flatnonzero(np.isin(ids, half.moving))
+    ends = tuple(moved(plan, path, base, here, path[:, half.rows(ids[here])]))
+    way = Way(request.output, mesh, ends, plan.is_linear)
+    return mesh.moved(ends[-1]), way.judge(request.gates.limits, part=k)

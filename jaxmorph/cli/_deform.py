@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,14 +57,9 @@ class Attempt:
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
-    def with_fewest_steps(self, plan: jm.Plan, done: Callable[[float], None]) -> "Attempt":
+    def with_fewest_steps(self, plan: jm.Plan) -> "Attempt":
         wall, least = self.base[self.patches.nodes], self.request.gates.min_jacobian_ratio or 0.0
-        solves = itertools.count(1)
-
-        def moves(share: float) -> np.ndarray:
-            done(min(next(solves) / (MOST * (MOST + 1) / 2), 1))
-            return self.motion.at(wall, share)
-
+        moves = lambda share: self.motion.at(wall, share)  # noqa: E731
         found = jm.fewest_steps(plan, self.patches.mesh, moves, min_jacobian_ratio=least, max_steps=MOST)
         request = dataclasses.replace(self.request, steps=found.count)
         return dataclasses.replace(self, request=request, reached=found.fraction)
@@ -96,7 +92,8 @@ def deform(request: Deform, out: Output) -> int:
 
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
-    check(request, mesh)
+    io.check_output(request.output, mesh)
+    check_picture(request.picture, mesh)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
     patches = patches_of(request, mesh)
     attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
@@ -104,8 +101,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
     if request.steps == AUTO:
-        with out.progress("seeking the fewest steps") as stage:
-            attempt = attempt.with_fewest_steps(plan, stage.done)
+        with out.progress("seeking the fewest steps"):
+            attempt = attempt.with_fewest_steps(plan)
             request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
@@ -126,8 +123,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
     request, judging = attempt.request, in_background(attempt.judge, way)
     off = distances(request, way.mesh, way.stored)
     with out.progress("inspecting the motion"):
-        known = way.stored[nodes] if request.step_count == 1 and plan.points.dtype == way.stored.dtype else None
-        inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes, moved=known)
+        inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes)
         for warning in inspection.warnings:
             out.warn(warning)
         boundary = jm.boundary_quality(plan, way.stored[nodes]).renumbered(nodes)
@@ -138,11 +134,39 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()})
     write_job(request, attempt.motion, out)
-    draw(request.picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    picture = request.picture
+    draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    if picture is not None:
+        for name, wall in off.items():
+            file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
+            _draw_distances(file, *wall)
+            out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad:
         bad[-1] += _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
+
+
+def _draw_distances(file: Path, wall: jm.Facets, *distances: np.ndarray) -> None:
+    """Draws the distances of a wall's nodes from its target, before and after, in one scale."""
+    import matplotlib.pyplot as plt
+
+    points, faces = np.asarray(wall.points), np.asarray(wall.faces)
+    figure = plt.figure(figsize=(10, 4))
+    for k, off in enumerate(distances):
+        axes: Any = figure.add_subplot(1, 2, 1 + k, projection="3d" if points.shape[1] == 3 else None)
+        axes.set_title(f"distance {('before', 'after')[k]}, up to {off.max():.3g}")
+        if points.shape[1] == 2:
+            drawn = axes.scatter(*points.T, c=off, s=8)
+        else:
+            drawn = axes.plot_trisurf(*points.T, triangles=faces, antialiased=False)
+            drawn.set_array(off[faces].mean(axis=1))
+        drawn.set_clim(0.0, max(distances[0].max(), 1e-300))
+        axes.set_aspect("equal")
+        figure.colorbar(drawn, ax=axes, shrink=0.7)
+    with complete(file) as partial:
+        figure.savefig(partial, format="png", dpi=120)
+    plt.close(figure)
 
 
 def _tell(
@@ -178,18 +202,6 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
         ("max wall angle", 0, float(angle.max()), steepest),
         ("min first-cell height", 1, float(height.min()), lowest),
     ]
-
-
-def check(request: Deform, mesh: Mesh) -> None:
-    """Raises `ValueError` or `ImportError` for what is sure to fail, before any work."""
-    if not request.decomposed:
-        io.check_output(request.output, mesh)
-    for group in request.groups:
-        if group.lattice is not None:
-            io.check_lattice_output(group.lattice)
-        if group.patches and not len(mesh.patch(*group.patches)):
-            raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
-    check_picture(request.picture, mesh)
 
 
 def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:

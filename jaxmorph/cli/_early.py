@@ -9,7 +9,6 @@ from typing import Any
 from jaxmorph import METHODS
 from jaxmorph._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
 from jaxmorph.extend import input_path, output_path, patch_names
-from jaxmorph.integrations import su2
 
 from ._job import job_of
 from ._parser import Folder, Lattice, MeshFile, NewMesh, Picture, Written, flag_of, kind_of, values_of
@@ -136,15 +135,12 @@ def is_given(group: MotionFlags, name: str) -> bool:
 
 
 def _check_deform(request: Deform, *_: Files) -> None:
-    whole, method = request.decomposed, request.method.method
     for name in ("picture", "chunk", "zone"):
-        if whole and getattr(request, name) is not None:
+        if request.decomposed and getattr(request, name) is not None:
             raise ValueError(f"--{name} and --decomposed cannot be combined. Remove one of the two.")
     for name in ("chunk", "decomposed"):
         if getattr(request, name) and request.steps == AUTO:
             raise ValueError(f"--{name} needs a number of --steps: {AUTO} judges the whole mesh after each trial.")
-        if getattr(request, name) and METHODS[method].needs_cells:
-            raise ValueError(f"--{name} is not for {method}, which solves for all nodes at once.")
     _check_motions(request)
 
 
@@ -177,8 +173,6 @@ def _check_sensitivity(request: SensitivityRequest, inputs: Files, _: Files) -> 
 def _check_export(request: ExportRequest, *_: Files) -> None:
     if request.method.dtype == "float32":
         raise ValueError("--dtype float32: a plan in a file is in double precision. Leave the flag away.")
-    if METHODS[request.method.method].needs_cells:
-        raise ValueError(f"--method {request.method.method} solves on the cells, which a plan in a file does not hold.")
     plans = f"plans of a case are {request.file}/constant/jaxmorph.plan."
     if is_folder(request.file) and request.output is not None:
         raise ValueError(f"{request.output}: leave OUT out; {plans}")
@@ -186,17 +180,11 @@ def _check_export(request: ExportRequest, *_: Files) -> None:
         raise ValueError("OUT is missing: name the file of the plan, such as wing.plan.")
 
 
-def _check_su2(request: SU2, inputs: Files, outputs: Files) -> None:
+def _check_su2(request: SU2, *_: Files) -> None:
     if request.action == "def" and request.sensitivity is not None:
         raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
     if request.action == "dot" and request.picture is not None:
         raise ValueError("--picture is for su2 def, and su2 dot moves no mesh.")
-    options = su2.checked_options(request.file, definition=request.definition)
-    _check_mesh(options.mesh_file)
-    inputs.append(("MESH_FILENAME", options.mesh_file))
-    if request.action == "def":
-        _check_new_mesh(request.output or options.output)
-        outputs += [] if request.output else [("OUT", options.output)]
 
 
 def _check_quality(request: Quality, *_: Files) -> None:
@@ -211,4 +199,4 @@ OF_COMMAND: dict[Any, Callable[[Any, Files, Files], None]] = {
     SU2: _check_su2,
     Quality: _check_quality,
 }
-"""Checks of commands beside those of their files; some add the files that a file names."""
+"""Checks of commands beside those of their files."""

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -30,9 +31,6 @@ def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
 
 def method_of(request: MethodFlags, wall: np.ndarray) -> jm.AbstractMethod | None:
     """Makes the method for moving points (m, d); None for the default."""
-    d = wall.shape[1]
-    if request.sources is not None and request.sources <= d:
-        raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {request.sources}.")
     if request.method == "default" and request.sources is None:
         return None
     method = jm.METHODS[request.method].make(float(np.ptp(wall, axis=0).max()))
@@ -75,47 +73,24 @@ class Patches:
         """The boundary in working precision; `ValueError` for faces that no flag names."""
         mesh = self.mesh.moved(np.asarray(self.mesh.points).astype(self.request.dtype, copy=False))
         slides = {"symmetry": self.symmetry, "periodic": self.periodic, "sliding": self.sliding}
-        with self._explaining():
-            boundary = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
+        boundary = jm.Boundary(mesh, self.moving, self.fixed, free=self.free, **slides)
         if boundary.left is not None and boundary.left.patches:
             names = "--fixed, --moving, --symmetry, --sliding or --periodic, or by --free"
             raise ValueError(f"{boundary.left} Name them by {names}.")
         return boundary
-
-    @contextlib.contextmanager
-    def _explaining(self) -> Iterator[None]:
-        try:
-            yield
-        except jm.MeshError as error:
-            lists = {*self.moving, *self.fixed, *self.symmetry, *self.sliding}
-            left = [name for name in self.mesh.patches if name not in lists]
-            left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
-            others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
-            raise ValueError(f"{error}{others}") from None
 
     @property
     def method(self) -> jm.AbstractMethod | None:
         return method_of(self.request, np.asarray(self.mesh.points)[self.nodes])
 
     def chunks(self, size: int | None = None) -> Chunks:
-        """Cuts the mesh into chunks of `size` inner nodes; yields the nodes and plan of each chunk.
-
-        Raises `ValueError` for nodes at fault, with their patches; faults of the boundary and of
-        the method at once.
-        """
-        boundary, method = self.boundary, self.method
-
-        def plans() -> Chunks:
-            with self._explaining():
-                yield from jm.prepare_in_chunks(boundary, method=method, size=size)
-
-        return plans()
+        """Yields nodes and plan of each chunk of `size` inner nodes, or of the whole mesh."""
+        return jm.prepare_in_chunks(self.boundary, method=self.method, size=size)
 
     def half(self) -> jm.SurfaceHalf:
-        """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
-        known = {"nodes": io.global_nodes(self.mesh), "faces": self.mesh.cells}
-        with self._explaining():
-            return jm.prepare_surface(self.boundary, method=self.method, **known)
+        """Prepares the surface of a mesh in parts, which `mesh` is."""
+        faces: Any = self.mesh.cells
+        return jm.prepare_surface(self.boundary, method=self.method, nodes=io.global_nodes(self.mesh), faces=faces)
 
 
 def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
@@ -124,8 +99,8 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
     Without names, symmetry patches and periodic pairs are those of the file. Raises `ValueError`
     for patches that are missing, empty, or both moving and fixed.
     """
-    flags, has = request.boundary, ", ".join(mesh.patches) or "none"
-    _check_names(request, mesh, has)
+    flags = request.boundary
+    _check_names(request, mesh)
     moving, symmetry, sliding, free = (
         mesh.patch_names(*names) for names in (request.moving, flags.symmetry, flags.sliding, flags.free)
     )
@@ -134,18 +109,12 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
     elsewhere = {*moving, *symmetry, *sliding, *repeating}
     fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
     symmetry += tuple(_planes_of_file(mesh, {*elsewhere, *fixed, *free}))
-    if not fixed and not sliding:
-        _check_none_left(mesh, {*elsewhere, *symmetry, *free}, has)
     return Patches(mesh, request.method, moving, fixed, symmetry, sliding, periodic, free)
 
 
-def _check_none_left(mesh: jm.Mesh, lists: set[str], has: str) -> None:
-    if any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
-        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {has}.")
-
-
-def _check_names(request: PlanRequest, mesh: jm.Mesh, has: str) -> None:
+def _check_names(request: PlanRequest, mesh: jm.Mesh) -> None:
     if not request.moving:
+        has = ", ".join(mesh.patches) or "none"
         raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {has}.")
     for option, names in (("--moving", request.moving), ("--fixed", request.boundary.fixed)):
         if names and not len(mesh.patch(*names)):
@@ -153,8 +122,6 @@ def _check_names(request: PlanRequest, mesh: jm.Mesh, has: str) -> None:
     both = sorted({*mesh.patch_names(*request.moving)} & {*request.boundary.fixed})
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
-    if not len(mesh.cells):
-        raise ValueError(f"{request.file}: the mesh has no cells.")
 
 
 def _planes_of_file(mesh: jm.Mesh, lists: set[str]) -> Iterator[str]:

@@ -19,7 +19,6 @@ from jaxmorph.extend import finite_array
 
 from ._early import is_given, lattice_files
 from ._output import coordinates, some
-from ._parser import flag_of
 from ._requests import Deform, MotionFlags, Table
 
 Points = Float[np.ndarray, "m d"]
@@ -140,64 +139,37 @@ def _name(flags: MotionFlags, others: Mapping[str, Any]) -> str:
 
 def _group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) -> MotionGroup:
     patch = MovingPatch(flags, mesh, mesh.patch(*flags.patches), request.boundary.symmetry)
-    parts = {name.replace("_", "-"): make(patch) for name, make in PARTS.items() if is_given(flags, name)}
-    chain, values = (
-        shapes.Chain({name: part[0] for name, part in parts.items()}),
-        {name: part[1] for name, part in parts.items()},
-    )
-    return MotionGroup(flags, mesh.patch_names(*flags.patches), chain, values, np.searchsorted(moving, patch.nodes))
+    if not len(patch.nodes):
+        raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
+    made, values = {}, {}
+    for name in (name for name in PARTS if is_given(flags, name)):
+        key = name.replace("_", "-")
+        try:
+            made[key], values[key] = PARTS[name](patch)
+            made[key](patch.points, values[key])  # raises for what does not fit the patch
+        except ValueError as error:
+            raise ValueError(f"--{key}: {str(error).removeprefix(f'--{key}: ')}") from None
+    rows = np.searchsorted(moving, patch.nodes)
+    return MotionGroup(flags, mesh.patch_names(*flags.patches), shapes.Chain(made), values, rows)
 
 
 class MovingPatch(NamedTuple):
-    """A group with its nodes; the methods are what motions need, each told whose flag needs it."""
-
     group: MotionFlags
     mesh: Mesh
     nodes: np.ndarray
-    symmetry: tuple[str, ...] = ()
+    symmetry: tuple[str, ...]
 
     @property
     def points(self) -> Points:
-        return np.asarray(self.mesh.points)[self.nodes]
+        return np.asarray(self.mesh.points, float)[self.nodes]
 
     @property
     def dimension(self) -> int:
         return self.mesh.points.shape[1]
 
-    def vector(self, name: str) -> np.ndarray:
-        values, d = getattr(self.group, name) or np.zeros(self.dimension), self.dimension
-        if len(values) != d:
-            found = " ".join(f"{value:g}" for value in values)
-            raise ValueError(f"{flag_of(name)} needs {d} numbers for a mesh in {d}-D, found: {found}.")
-        return np.array(values)
-
-    def argument(self, name: str, option: str) -> Any:
-        """Returns what a motion needs: a point, a direction of length 1, or a length."""
-        given = getattr(self.group, name)
-        if name == "about":
-            return self.vector(name)
-        if name == "length":
-            return self.length(option)
-        if name == "axis" and self.dimension == 2:
-            if given is not None:
-                raise ValueError("--axis is for meshes in 3-D; this one is in 2-D.")
-            return None
-        if given is None and self.dimension == 3:
-            raise ValueError(f"{option} needs {flag_of(name)} X Y Z for a mesh in 3-D.")
-        vector = np.array([1.0, 0.0]) if given is None else self.vector(name)
-        if not vector.any():
-            raise ValueError(f"{flag_of(name)} needs a direction, found zeros.")
-        return vector / np.linalg.norm(vector)
-
-    def length(self, option: str) -> float:
-        """Measures the line of a bend or twist, by default to the end of the surface."""
-        ahead = (self.points - self.vector("about")) @ self.argument("along", option)
-        length = float(ahead.max()) if self.group.length is None else self.group.length
-        if length <= 0:
-            raise ValueError(
-                f"{option} needs a --length above 0, or nodes that lie ahead of --about; found {length:g}."
-            )
-        return length
+    @property
+    def about(self) -> np.ndarray:
+        return np.array(self.group.about or np.zeros(self.dimension))
 
 
 def _displacement(patch: MovingPatch) -> Parametrised:
@@ -245,13 +217,13 @@ def _box(patch: MovingPatch) -> Parametrised:
 
 
 def _scale(patch: MovingPatch) -> Parametrised:
-    about, given = patch.vector("about"), patch.group.scale or ()
-    factors = given[0] if len(given) == 1 else patch.vector("scale")
+    about, given = patch.about, patch.group.scale or []
+    factors = given[0] if len(given) == 1 else np.array(given)
     return shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors)), factors
 
 
 def _translate(patch: MovingPatch) -> Parametrised:
-    return shapes.Function(shapes.translate, np.zeros(patch.dimension)), patch.vector("translate")
+    return shapes.Function(shapes.translate, np.zeros(patch.dimension)), np.array(patch.group.translate)
 
 
 TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
@@ -263,14 +235,19 @@ TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
 
 
 def _turned(name: str, patch: MovingPatch) -> Parametrised:
-    function, needs = TURNS[name]
-    if name == "twist" and patch.dimension == 2:
-        raise ValueError("--twist is for meshes in 3-D; this one is in 2-D.")
-    found = [patch.argument(need, flag_of(name)) for need in needs]
-    if name == "bend" and found[3] is not None and abs(found[3] @ found[1]) > 1e-3:
-        raise ValueError("--bend needs --axis and --along at right angles.")
+    """Makes a motion by an angle; the line of a twist or bend ends where the surface does."""
+    (function, needs), flags = TURNS[name], patch.group
+    along: Any = flags.along or ([1.0, 0.0] if patch.dimension == 2 else None)
+    length = flags.length
+    if "along" in needs and along is None:
+        raise ValueError("the direction --along X Y Z is missing.")
+    if "length" in needs and length is None:
+        length = ((patch.points - patch.about) @ along).max() / np.linalg.norm(along)
+    given = {"about": patch.about, "along": along, "axis": flags.axis, "length": length}
+    found = [None if given[need] is None else np.array(given[need], float) for need in needs]
+    function(patch.points, 0.0, *found)  # checks directions and lengths, which a trace does not know
     turn = jax.jit(lambda x, angle: function(x, jnp.radians(angle), *found))
-    return shapes.Function(turn, 0.0), getattr(patch.group, name)
+    return shapes.Function(turn, 0.0), getattr(flags, name)
 
 
 def _bumps(rows: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
@@ -280,9 +257,9 @@ def _bumps(rows: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
 def _class_functions(weights: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
     if len(weights) < 3:
         raise ValueError(
-            f"--cst: a side has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
+            f"a side has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
         )
-    exponents = finite_array("--cst: exponents", table.get("exponents", [0.5, 1.0]), (2,)).tolist()
+    exponents = finite_array("exponents", table.get("exponents", [0.5, 1.0]), (2,)).tolist()
     return shapes.CST(len(weights) - 2, tuple(exponents), chord=chord), weights
 
 
@@ -294,18 +271,28 @@ SIDED: dict[str, tuple[str, tuple[int | None, ...], Callable]] = {
 
 
 def _on_sides(name: str, patch: MovingPatch) -> Parametrised:
-    flag, (more, shape, make), source = flag_of(name), SIDED[name], getattr(patch.group, name)
+    (more, shape, make), source = SIDED[name], getattr(patch.group, name)
     table = read(str(source), source.read_bytes()) if isinstance(source, Path) else source
     if set(table) - {*SIDES, more, *CHORD} or not set(table) & set(SIDES):
         listed, known = ", ".join(table) or "nothing", ", ".join((more, *CHORD))
-        raise ValueError(f"{flag}: upper or lower expected, and perhaps {known}; found {listed}.")
-    chord = _chord(flag, table, patch)
+        raise ValueError(f"upper or lower expected, and perhaps {known}; found {listed}.")
+    chord = _chord(table, patch)
     upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
-    rows = {side: finite_array(f"{flag}: {side}", table[side], shape) for side in SIDES if side in table}
-    made = {side: make(numbers, table, chord) for side, numbers in rows.items()}
-    masks = {"upper": upper, "lower": ~upper}
-    chain = shapes.Chain({side: shapes.Part(part, masks[side]) for side, (part, _) in made.items()})
-    return chain, {side: values for side, (_, values) in made.items()}
+    made, values = {}, {}
+    for side, mask in zip(SIDES, (upper, ~upper), strict=True):
+        if side in table:
+            one, values[side] = make(finite_array(side, table[side], shape), table, chord)
+            made[side] = shapes.Part(one, mask)
+    return shapes.Chain(made), values
+
+
+def _chord(table: Table, patch: MovingPatch) -> shapes.Chord:
+    ends = {end: finite_array(end, table[end], (patch.dimension,)) for end in CHORD if end in table}
+    if not ends and patch.dimension == 2:
+        return shapes.Chord.along(patch.points)
+    if not {"nose", "tail"} <= set(ends):
+        raise ValueError(f"a chord has a nose and a tail, and up in 3-D; found {', '.join(ends) or 'none'}.")
+    return shapes.Chord(**ends)
 
 
 PARTS: dict[str, Callable[[MovingPatch], Parametrised]] = {
@@ -322,14 +309,3 @@ PARTS: dict[str, Callable[[MovingPatch], Parametrised]] = {
     "translate": _translate,
 }
 """Makers of shapes by field of a group, in the order in which the shapes are applied."""
-
-
-def _chord(flag: str, table: Table, patch: MovingPatch) -> shapes.Chord:
-    ends = {name: finite_array(f"{flag}: {name}", table[name], (patch.dimension,)) for name in CHORD if name in table}
-    if {"nose", "tail"} <= set(ends):
-        return shapes.Chord(**ends)
-    if ends:
-        raise ValueError(f"{flag}: a chord has a nose and a tail; found {', '.join(ends)} alone.")
-    if patch.dimension == 2:
-        return shapes.Chord.along(patch.points)
-    raise ValueError(f"{flag}: a wall in 3-D needs its chord: nose, tail and up, three numbers each.")

@@ -54,8 +54,8 @@ class Stage:
 class Output:
     """Output of one command: text as it comes, or with `as_json` facts, printed at the end."""
 
-    def __init__(self, command: str, *, as_json: bool = False, verbose: bool = False):
-        self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, verbose
+    def __init__(self, command: str, *, as_json: bool = False):
+        self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, False
         self.is_silent = False
         """True in all processes of an MPI run but one, which prints for all."""
         self.facts: dict[str, Any] = {"command": command}

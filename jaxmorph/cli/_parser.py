@@ -5,7 +5,7 @@ import dataclasses
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_args
 
@@ -46,21 +46,8 @@ def positive(word: str) -> int:
     return int(word)
 
 
-def written(name: str) -> Path:
-    path = Path(name)  # which forgets a slash at the end
-    if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
-        raise argparse.ArgumentTypeError(f"{name}: ends as a folder does, but a file is written. Remove the /.")
-    return path
-
-
 SETTINGS: dict[Any, dict[str, Any]] = {
-    Path: {"type": Path, "metavar": "FILE"},
-    MeshFile: {"type": Path},
-    NewMesh: {"type": written},
-    Written: {"type": written, "metavar": "FILE"},
-    Picture: {"type": written, "metavar": "FILE"},
-    Lattice: {"type": written, "metavar": "FILE.vts"},
-    Folder: {"type": Path},
+    **{kind: {"type": Path, "metavar": "FILE"} for kind in FILES},
     int: {"type": positive, "metavar": "N"},
     float: {"type": number, "metavar": "X"},
     Angle: {"type": number, "metavar": "DEG"},
@@ -189,18 +176,6 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-def one_of(kind: str, words: Iterable[str]) -> Callable[[str], str]:
-    known = tuple(words)
-
-    def chosen(word: str) -> str:
-        if word not in known:
-            listed = f"({kind}s: {', '.join(known)})"
-            raise argparse.ArgumentTypeError(f"there is no {kind} {word!r}{meant(word, known)} {listed}")
-        return word
-
-    return chosen
 
 
 def flag_of(name: str) -> str:

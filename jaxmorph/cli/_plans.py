@@ -155,7 +155,7 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
             _write_nodes(request, plan, given, out)
         else:
             with out.progress(f"pulling back through {count(job.step_count, 'step')}"):
-                plans = plan if job.step_count == 1 else jm.march(plan, moves.path(wall, job.step_count))[0]
+                plans, _ = jm.march(plan, moves.path(wall, job.step_count))
                 gradient = shapes.pullback(moves.shape, plans, moves.parameters, given)
             _write_variables(request, moves, gradient, out)
     elif moves is None:  # of the moving nodes: the volume is not needed

@@ -24,7 +24,6 @@ from ._parser import (
     Written,
     flag,
     number,
-    one_of,
     part,
     positional,
     positive,
@@ -36,7 +35,6 @@ MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d .
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
 BY_SKEWNESS = "draw the mesh by its skewness: .png, in 3-D also a page (.html)"
-NAMES, DEMOS = [*jm.METHODS], ["naca0015"]
 
 AUTO = "auto"  # as many steps as it takes
 OUTPUT = ("--output", "-o")
@@ -135,7 +133,9 @@ class MotionFlags:
     box: Path | Table | None = flag("a free-form deformation box, see below", **TABLE)
     hicks_henne: Path | Table | None = flag("bumps of Hicks and Henne on an airfoil's sides, see below", **TABLE)
     cst: Path | Table | None = flag("class and shape functions to add to its sides, see below", **TABLE)
-    lattice: Lattice | None = flag("the box's lattice for ParaView: FILE_before.vts, FILE_after.vts")
+    lattice: Lattice | None = flag(
+        "the box's lattice for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts"
+    )
     scale: list[float] | None = flag("factor, or a factor for each coordinate", metavar="S")
     twist: Angle | None = flag("degrees by which the end of the line --along turns about the line, 3-D only")
     bend: Angle | None = flag("degrees of the arc of the line --along, towards the cross product of --axis and --along")
@@ -179,8 +179,7 @@ class MethodFlags:
     method: str = flag(
         "one of the methods listed below",
         metavar="NAME",
-        choices=NAMES,
-        type=one_of("method", NAMES),
+        choices=[*jm.METHODS],
         default="default",
     )
     sources: int | None = flag("about how many nodes of the moving patches are sources", everyday=True)
@@ -357,9 +356,7 @@ class Convert(Spoken):
 
 @dataclasses.dataclass(frozen=True)
 class Demo:
-    case: str = positional(
-        "naca0015 (default)", "CASE", nargs="?", default="naca0015", choices=DEMOS, type=one_of("demo", DEMOS)
-    )
+    case: str = positional("naca0015 (default)", "CASE", nargs="?", default="naca0015", choices=["naca0015"])
     output: Folder = flag(
         "where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo")
     )

@@ -87,8 +87,8 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     fault = next(iter(config.constants), "" if config.names else "no design variable")
     if fault:
         raise ValueError(f"{request.file}: {fault} has no derivative: the wall does not depend on DV_VALUE.")
-    output = request.output or config.options.beside(config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat"))
-    output = output if output.suffix else output.with_suffix(".dat")
+    own = config.options.beside(config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat"))
+    output = request.output or (own if own.suffix else own.with_suffix(".dat"))
     with out.progress("reading the sensitivities"):
         sensitivities = su2.read_sensitivity(config, request.sensitivity)
     files = {"CONFIG": request.file, "MESH_FILENAME": config.mesh.source.path, "--sensitivity": sensitivities.path}

@@ -1,7 +1,7 @@
 """Pieces of a mesh in the processes of an MPI run: shared nodes, and the boundary of the whole."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -109,14 +109,12 @@ def surface_of(comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[st
 
     All processes get equal results, and raise together.
     """
-    x, planes = boundary.points, boundary.planes
+    x = boundary.points
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
     extent = np.concatenate([x, *comm.allgather(x[ends])])  # a plane holds nodes to a share of the whole mesh's size
-    guided = np.zeros(len(x), bool)
-    for plane in planes:
-        if sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1:
-            guided |= plane.holds(extent)[: len(x)]
-    guided |= np.isin(ids, np.concatenate([ids[:0], *(corners.ravel() for corners in (faces or {}).values())]))
+    guided = np.isin(ids, np.concatenate([ids[:0], *map(np.ravel, (faces or {}).values())]))
+    for plane in _parallel(boundary.planes):
+        guided |= plane.holds(extent)[: len(x)]
     shares = comm.allgather([(ids[rows], x[rows]) for rows in (boundary.moving, boundary.fixed, guided)])
     # A node that several lists have belongs to the first: what moves, what is fixed, the rest.
     lists = [share[role] for role in range(3) for share in shares]
@@ -130,3 +128,9 @@ def surface_of(comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[st
     outermost = np.concatenate(comm.allgather(x[ends[~guided[ends]]]))
     points = np.concatenate([places[first[order]], outermost])
     return WholeSurface(points, np.append(names[order], np.full(len(outermost), -1)), *counts.tolist())
+
+
+def _parallel(planes: Sequence[jm.Plane]) -> list[jm.Plane]:
+    """Selects the planes that are not the only one of their direction."""
+    cosines = np.abs([[plane.normal @ other.normal for other in planes] for plane in planes])
+    return [plane for plane, row in zip(planes, cosines, strict=True) if (row > 0.5).sum() > 1]

@@ -94,8 +94,7 @@ class MovedMesh(TracedComponent):
     option_names = ("plan", "mesh", "raise_if_inverted")
 
     def setup(self) -> None:
-        plan, mesh = self.options["plan"], self.options["mesh"]
-        self._is_inverted = None
+        mesh, self._is_inverted = self.options["mesh"], None
         if not self.options["raise_if_inverted"]:
             return
         if mesh is None:
@@ -104,10 +103,6 @@ class MovedMesh(TracedComponent):
                 "raise_if_inverted=False."
             )
             return
-        if tuple(mesh.points.shape) != tuple(plan.points.shape):
-            raise ValueError(
-                f"`mesh` has points {tuple(mesh.points.shape)}, the plan {tuple(plan.points.shape)}: pass the mesh that it is of."
-            )
         judged = jm.Mesh(mesh.points, solid(mesh))
         self._is_inverted = jax.jit(lambda points: jm.inverted(judged, points).any())
 

@@ -146,9 +146,9 @@ def deflection(reach: Float[Array, " r"]) -> Float[Array, " r"]:
 def _at_tips(
     surface: Surface, pairs: np.ndarray, chord: np.ndarray, closest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds sources (k,) beside sharp tips in 2-D; the tips (g, 3) that get a source behind them,
-    each with a node on either side; and the places (h, 2) of all tips. `pairs` are all edges of the
-    moving walls, `chord` (e,) is that of each edge's wall.
+    """Finds sources (k,) beside sharp tips in 2-D, and tips (g, 3) that get a source behind them,
+    each with a node on either side. Also the places (h, 2) of all tips. `pairs` are all edges of
+    the moving walls, `chord` (e,) is that of each edge's wall.
     """
     held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)

@@ -49,7 +49,6 @@ WEIGHTS = ("aExp", "bExp", "alpha")
 WITHOUT = ("LdefFact", "errTol", "evalMode", "zeroCornerRotations", "cornerAngle", "restartFile", "bucketSize")
 """Options without a counterpart here."""
 FILE = ("gridFile", "fileType")
-KINDS = {kind.lower(): kind for kind in ("CGNS", "OpenFOAM", "PLOT3D")}
 
 
 def checked(options: Any) -> dict[str, Any]:
@@ -60,9 +59,8 @@ def checked(options: Any) -> dict[str, Any]:
     for name, value in values.items():
         if value is not None:
             _check(name, value)
-    values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
-    if values.get("gridFile") is None or values["fileType"] is None:
-        raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(KINDS.values())}.")
+    if values.get("gridFile") is None:
+        raise ValueError("`gridFile` must be the name of a grid; its ending tells what it is.")
     return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {"told": tuple(values)}
 
 

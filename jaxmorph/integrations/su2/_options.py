@@ -272,12 +272,10 @@ def _definition(options: Options) -> Listed:
     entries = [_defined(options, text) for text in filter(split, options.text("DEFINITION_DV").split(";"))]
     if not entries:
         raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
-    (first, *others) = (markers for _, markers in entries)
-    for other in others:
-        if other != first:
-            both = f"{' '.join(first)} and {' '.join(other)}"
-            raise options.error("DEFINITION_DV", f"variables of different markers, {both}")
-    return [variable for variable, _ in entries], first
+    markers = dict.fromkeys(" ".join(words) for _, words in entries)
+    if len(markers) > 1:
+        raise options.error("DEFINITION_DV", f"variables of different markers, {' and '.join(markers)}")
+    return [variable for variable, _ in entries], entries[0][1]
 
 
 def _defined(options: Options, text: str) -> tuple[Variable, Words]:

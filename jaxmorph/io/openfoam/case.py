@@ -242,9 +242,7 @@ def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -
         return
     file = path / content.place / name
     # the first of the folders that is not there yet appears complete, else the file does
-    new = next(
-        (folder for folder in (path, *reversed(file.relative_to(path).parents)) if not (path / folder).exists()), None
-    )
+    new = next((folder for folder in reversed(file.relative_to(path).parents) if not (path / folder).exists()), None)
     target = file if new is None else path / new
     with complete(target, folder=target != file) as partial:
         inner = partial / file.relative_to(target)
