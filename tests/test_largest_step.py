@@ -99,18 +99,13 @@ def test_a_plan_that_is_not_linear_is_refused_and_judged_step_by_step(tmp_path):
     u = np.asarray(jm.shapes.rotate(base, np.deg2rad(170), [0.0, 0.0])) - base
     with pytest.raises(ValueError, match=r"InverseDistance is not\. Its nodes leave straight lines.*fewest_steps"):
         jm.largest_step(plan, 0 * u, u, mesh)
+    curved = jm.prepare(mesh, "wall", sliding="far")
+    assert not curved.is_linear
+    with pytest.raises(ValueError, match="nodes slide along curved walls"):
+        jm.largest_step(curved, 0 * u, u, mesh)
     search = jm.ValidSteps(plan, mesh, lambda step: step * u)
     for step in (0.1, 0.3, 0.5, 0.7):
         assert bool(search.holds(jnp.array(step))) == (int(jm.quality(mesh, jm.deform(plan, step * u)).inverted) == 0)
-
-
-@pytest.mark.slow
-def test_nodes_that_slide_along_a_curve_are_refused_too(tmp_path):
-    mesh = write_ring(tmp_path / "ring.su2")
-    plan = jm.prepare(mesh, "wall", sliding="far")
-    assert not plan.is_linear
-    with pytest.raises(ValueError, match="nodes slide along curved walls"):
-        jm.largest_step(plan, np.zeros((24, 2)), np.ones((24, 2)), mesh)
 
 
 @pytest.mark.slow

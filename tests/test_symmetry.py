@@ -95,51 +95,41 @@ def test_two_parallel_planes(dimension):
     assert (np.abs(moved - points)[inside, 1] < 0.5 * near[inside]).all()
 
 
-def body_in_a_channel():
-    """Returns a mesh with cells that are thin at both walls, its body, its ends, the walls' planes, and a motion across it."""
+@pytest.mark.nightly
+def test_thin_layers_beside_two_parallel_planes():
+    """Cells at both walls keep their shape although they move by thousands of their height; the transpose, and pieces."""
     half = np.concatenate([[0], 1e-5 * 2.0 ** np.arange(13), np.linspace(0.1, 0.5, 6)])
     x, y = np.linspace(0, 3, 31), np.concatenate([half, 1 - half[-2::-1]])
-    points = lattice(x, y)
-    ids = np.arange(len(points)).reshape(len(x), len(y))
-    quads = blocks(ids)
+    points, quads = lattice(x, y), blocks(np.arange(len(x) * len(y)).reshape(len(x), len(y)))
     inside = np.all(np.abs(points - [1.5, 0.5]) < [0.45, 0.15], axis=1)
-    mesh = jm.Mesh(points, {"quad": quads[~inside[quads].any(axis=1)]})
-    used, number = np.unique(mesh.cells["quad"], return_inverse=True)
+    used, number = np.unique(quads[~inside[quads].any(axis=1)], return_inverse=True)
     points = points[used]
     mesh = jm.Mesh(points, {"quad": number.reshape(-1, 4)})
     body = np.flatnonzero(np.all(np.abs(points - [1.5, 0.5]) < [0.6, 0.25], axis=1))
     ends = np.flatnonzero((points[:, 0] == 0) | (points[:, 0] == 3))
-    planes = [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])]
-    return mesh, body, ends, planes, np.tile([0.05, 0.1], (len(body), 1))
-
-
-@pytest.mark.nightly
-def test_thin_layers_beside_two_parallel_planes():
-    """Cells keep their shape although they move by thousands of their height."""
-    mesh, body, ends, planes, u = body_in_a_channel()
-    plan, points = jm.prepare(mesh, body, ends, symmetry=planes), mesh.points
-    moved = np.asarray(jm.deform(plan, u))
+    planes, u = [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])], np.tile([0.05, 0.1], (len(body), 1))
+    boundary = jm.Boundary(mesh, body, ends, symmetry=planes)
+    plan = jm.prepare(boundary)
+    moved, w = np.asarray(jm.deform(plan, u)), np.random.default_rng(0).normal(size=points.shape)
     assert jm.quality(mesh, moved).min_jacobian_ratio > 0.3
     on = (points[:, 1] == 0) | (points[:, 1] == 1)
     assert (moved[on, 1] == points[on, 1]).all()
     assert np.abs(moved - points)[on, 0].max() > 0.01  # they slide
     assert plan.is_linear
-
-
-@pytest.mark.nightly
-def test_transpose_and_pieces_between_two_parallel_planes():
-    mesh, body, ends, planes, u = body_in_a_channel()
-    plan, points = jm.prepare(mesh, body, ends, symmetry=planes), mesh.points
-    moved, w = np.asarray(jm.deform(plan, u)), np.random.default_rng(0).normal(size=points.shape)
     assert np.vdot(jm.pullback(plan, u, w), u) == pytest.approx(np.vdot(w, moved - points), rel=1e-10)
-    half = jm.prepare_surface(jm.Boundary(mesh, body, ends, symmetry=planes))
     rows = np.arange(0, len(points), 3)
-    np.testing.assert_allclose(jm.deform(half.attach(points[rows], rows), u), moved[rows], rtol=0, atol=1e-14)
+    part = jm.prepare_surface(boundary).attach(points[rows], rows)
+    np.testing.assert_allclose(jm.deform(part, u), moved[rows], rtol=0, atol=1e-14)
+
+
+def half():
+    """The right half of a body in 2-D: points, moving and fixed nodes, and those on the plane."""
+    part, role, *_ = whole_and_part(2, 1)
+    return part, np.flatnonzero(role == 1), np.flatnonzero(role == 2), np.flatnonzero(part[:, 0] == 0)
 
 
 def test_a_marched_symmetric_mesh():
-    part, role, *_ = whole_and_part(2, 1)
-    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
+    part, moving, fixed, _ = half()
     plan = jm.prepare(part, moving, fixed, method=METHODS["reconstruction"], symmetry=jm.Plane([1, 0], [0, 0]))
     path = np.stack([motion(part)[moving], 2 * motion(part)[moving]])
     for end in check_steps(plan, path):
@@ -148,9 +138,8 @@ def test_a_marched_symmetric_mesh():
 
 def test_a_plane_anywhere():
     """At another place and angle the same mesh moves the same; `Plane.through` finds it from the nodes on it."""
-    part, role, *_ = whole_and_part(2, 1)
-    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
-    u, on = motion(part)[moving], np.flatnonzero(part[:, 0] == 0)
+    part, moving, fixed, on = half()
+    u = motion(part)[moving]
     straight = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])), u)
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
     points = part @ turn.T + [5.0, -3.0]
@@ -204,10 +193,9 @@ def whole(*planes):
 
 def upper(normal, shift):
     """The half of a body, with its plane moved by `shift`, or to the nodes next to it."""
-    part, role, *_ = whole_and_part(2, 1)
+    part, moving, fixed, _ = half()
     at = np.sort(part[part[:, 0] != 0, 0])[0] if shift is None else shift
-    plane = jm.Plane([normal, 0], [at, 7])
-    return lambda: jm.prepare(part, np.flatnonzero(role == 1), np.flatnonzero(role == 2), method=GRAPH, symmetry=plane)
+    return lambda: jm.prepare(part, moving, fixed, method=GRAPH, symmetry=jm.Plane([normal, 0], [at, 7]))
 
 
 test_what_is_not_a_symmetry_plane = refusals(
@@ -216,7 +204,7 @@ test_what_is_not_a_symmetry_plane = refusals(
     (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
     (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
     (lambda: jm.Plane.through(body(2).points, body(2).moving), r"do not lie in one plane: node \d+ at"),
-    (lambda: jm.Plane.through(body(2).points, [5]), "1 nodes do not determine a plane"),
+    (lambda: jm.Plane.through(body(2).points, np.array([5])), "1 nodes do not determine a plane"),
     (upper(2, -0.01), r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance"),
     (upper(1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
     (upper(-1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
@@ -240,9 +228,8 @@ def test_nodes_beyond_a_plane_are_counted():
 @pytest.mark.slow
 def test_a_symmetry_plane_of_a_float32_mesh():
     """Turned and moved away from the origin, its nodes lie on no plane to better than 1e-7 of their coordinates."""
-    part, role, *_ = whole_and_part(2, 1)
-    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
-    u, on = motion(part)[moving], np.flatnonzero(part[:, 0] == 0)
+    part, moving, fixed, on = half()
+    u = motion(part)[moving]
     turn, shift = np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([5.0, -3.0])
     points = (part @ turn.T + shift).astype(np.float32)
     plane = jm.Plane(turn[:, 0], shift)

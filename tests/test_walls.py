@@ -1,5 +1,7 @@
 """Which surface nodes make one wall, by faces and without them."""
 
+import functools
+
 import numpy as np
 import pytest
 from meshes import circle, sphere
@@ -85,31 +87,29 @@ def extruded(outline, stations, span):
     return np.concatenate(layers)
 
 
-@pytest.mark.parametrize("stations", [2, 5, 8])
-def test_blades_closer_than_their_stations_are_two_walls(stations):
-    """Without faces: sections of one blade follow each other across their planes, those of two blades lie beside each other."""
+def blades(stations):
+    """Sections of one blade follow each other across their planes, those of two blades lie beside each other."""
     blade = faults.cascade(around=120, layers=10)
     outline = blade.points[blade.patch("blade")]
-    points = np.concatenate([extruded(outline + np.array([0, shift]), stations, 4.0) for shift in (0, 0.5)])
-    label = walls(points, len(points))
-    assert [len(set(each)) for each in np.split(label, 2)] == [1, 1]
-    assert label.max() == 1
+    return [extruded(outline + np.array([0, shift]), stations, 4.0) for shift in (0, 0.5)]
 
 
-def test_circles_are_walls_of_their_own():
-    """Without faces: in 2-D a closed curve is a whole wall, and none goes on to a curve beside it."""
-    curve = circle(40)
-    label = walls(np.concatenate([curve, curve + np.array([2.5, 0]), 9 * curve]), 80)
-    assert [len(set(each)) for each in np.split(label, [40, 80])] == [1, 1, 1]
-    assert label.max() == 2
-
-
-def test_bodies_without_structure():
-    """A body within a far field, both fixed, and one node of neither."""
-    ball = sphere(900)
-    label = walls(np.concatenate([ball[:1] * 0.1, ball, 4 * ball]), 1)
-    assert [len(set(each)) for each in np.split(label, [1, 901])] == [1, 1, 1]
-    assert label.max() == 2
+@pytest.mark.parametrize(
+    ("make", "moving"),
+    [
+        *[(functools.partial(blades, stations), 2) for stations in (2, 5, 8)],
+        (lambda: [circle(40), circle(40) + np.array([2.5, 0]), 9 * circle(40)], 2),  # closed curves
+        (
+            lambda: [sphere(900)[:1] * 0.1, sphere(900), 4 * sphere(900)],
+            1,
+        ),  # a body in a far field, one node of neither
+    ],
+)
+def test_bodies_are_walls_of_their_own_without_faces(make, moving):
+    bodies = make()
+    label = walls(np.concatenate(bodies), sum(map(len, bodies[:moving])))
+    assert [len(set(each)) for each in np.split(label, np.cumsum([*map(len, bodies)])[:-1])] == [1] * len(bodies)
+    assert label.max() == len(bodies) - 1
 
 
 @pytest.mark.parametrize("with_faces", [True, False])

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
 from .._boundary.boundary import Boundary
-from .._host.package.arguments import checked, shown
+from .._host.package.arguments import checked, finite_array, shown
 from .._host.sources.reduction import KDTree
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
@@ -111,7 +111,9 @@ def compare(
             "compare judges cells: give it the boundary of a mesh, compare(jm.Boundary(mesh, ...), motions)."
         )
     boundary.warn_of_free_faces()
-    motions = _checked_motions(motions, (len(boundary.moving), boundary.points.shape[1]))
+    motions = finite_array("motions", motions, (None, len(boundary.moving), boundary.points.shape[1])).astype(float)
+    if not motions.any():
+        raise ValueError("`motions` is zero: no method moves a node. Give what the mesh is to bear, (s, m, d).")
     pairs = []
     for name, make in _makers(boundary, methods).items():
         plan = _plan(boundary, make)
@@ -124,25 +126,11 @@ def compare(
     return Comparison(rows, plans)
 
 
-def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
-    motions = np.asarray(motions, dtype=float)
-    if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
-        raise ValueError(
-            f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
-        )
-    bad = np.argwhere(~np.isfinite(motions))
-    if len(bad):
-        raise ValueError(
-            f"{len(bad)} components of `motions` are not finite, the first in motion {bad[0, 0]}, of moving node {bad[0, 1]}."
-        )
-    return motions
-
-
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
     if methods is None:
         size = float(np.ptp(boundary.points[boundary.moving], axis=0).max())
-        makers = {name: functools.partial(entry.make, size) for name, entry in METHODS.items() if entry.is_tried}
-        makers = {name: functools.partial(_small_enough, make, boundary) for name, make in makers.items()}
+        listed = {name: entry.make for name, entry in METHODS.items() if entry.is_tried}
+        makers = {name: functools.partial(_small_enough, make, size, boundary) for name, make in listed.items()}
         interpolated = functools.partial(SurfaceReconstruction, RBF(reduction=KDTree(64, extremes=True)))
         return {"default": SurfaceReconstruction, "interpolated": interpolated} | makers
     if not methods:
@@ -154,8 +142,8 @@ def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) ->
     return {name: lambda method=method: method for name, method in methods.items()}
 
 
-def _small_enough(make: Any, boundary: Boundary) -> AbstractMethod:
-    method, (n, d) = make(), boundary.points.shape
+def _small_enough(make: Any, size: float, boundary: Boundary) -> AbstractMethod:
+    method, (n, d) = make(size), boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
         raise ValueError(f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}")
     if isinstance(method, InverseDistance) and n * len(boundary.nodes) > MOST_PAIRS:

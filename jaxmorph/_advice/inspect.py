@@ -240,29 +240,34 @@ def inspect(
     that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
     plan.check_surface("inspect")
-    is_whole = mesh is not None and nodes is None
-    if mesh is not None and nodes is None:
-        plan.check_mesh(mesh)
-    count = len(plan.points)
-    ids = rows_of("nodes", np.arange(count) if nodes is None else nodes, 2**62 if mesh is None else len(mesh.points))
-    if len(ids) != count:
-        raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {count} points.")
+    ids, is_whole = _ids(plan, mesh, nodes), mesh is not None and nodes is None
     surface, vectors = np.asarray(plan.surface_nodes), np.asarray(plan.of_surface(u))
     _check_finite(u, surface[: plan.n_moving])
     if moved is not None or is_whole:
         moved = finite_array("moved", deform(plan, u) if moved is None else moved, plan.points.shape)
-    looking = None if mesh is None else Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
+    if mesh is None:
+        return _of_plan(plan, u, vectors, moved).renumbered(ids)
+    looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
     inspection = _of_plan(plan, u, vectors, moved).renumbered(ids)
-    if mesh is None or looking is None:
-        return inspection
     faces, found = looking.result()
-    touches, torn = inspection.touches, inspection.contradictions
+    torn = inspection.contradictions
     if faces is not None and inspection.rests.any():
-        touches = inspection.rests & share_faces(row_of(ids[surface], len(mesh.points))[torn], faces, len(surface))
-    found |= {"touches": touches, "torn": tuple(names_of(mesh, torn[0][:, None])) if len(torn) else ()}
+        rows = row_of(ids[surface], len(mesh.points))
+        found["touches"] = inspection.rests & share_faces(rows[torn], faces, len(surface))
+    found["torn"] = tuple(names_of(mesh, torn[:1].reshape(-1, 1)))
     if is_whole and (inverted := int(quality(mesh, moved).inverted)):
         found["folds"] = advice_on_folds(plan, mesh, np.asarray(u, dtype=float), inverted)
     return dataclasses.replace(inspection, **found)
+
+
+def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
+    count = len(plan.points)
+    if mesh is not None and nodes is None:
+        plan.check_mesh(mesh)
+    ids = rows_of("nodes", np.arange(count) if nodes is None else nodes, 2**62 if mesh is None else len(mesh.points))
+    if len(ids) != count:
+        raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {count} points.")
+    return ids
 
 
 def _of_faces(

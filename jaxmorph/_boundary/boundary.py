@@ -127,11 +127,7 @@ class Boundary:
         guided = _guided(pairings, tracks, moving, fixed, points)
         lists = {"moving": moving, "fixed": fixed, "free": free, "guided": guided}
         made = boundary_of_lists(points, mesh=patches, planes=planes, pairings=pairings, tracks=tracks, **lists)
-        self._fill(vars(made if patches is None else with_cells(made, patches, outer)))
-
-    def _fill(self, fields: Mapping[str, Any]) -> None:
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(vars(made if patches is None else with_cells(made, patches, outer)))
 
     def __repr__(self) -> str:
         n, d = self.points.shape
@@ -201,7 +197,7 @@ def changed(boundary: Boundary, **fields: Any) -> Boundary:
 def boundary_of_lists(points: np.ndarray, **fields: Any) -> Boundary:
     """Makes a boundary of lists that were checked before; a list that is not given is empty."""
     boundary = object.__new__(Boundary)
-    boundary._fill(_EMPTY | {"points": points} | fields)
+    vars(boundary).update(_EMPTY | {"points": points} | fields)
     return boundary
 
 
@@ -346,21 +342,17 @@ def names_in(values: Any) -> tuple[str, ...] | None:
 def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Ids:
     names = names_in(values)
     if names is None:
-        return node_ids(values, name, n)
+        if values is None or isinstance(values, Mesh | Plane):
+            raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
+        if n == 0:
+            raise ValueError(f"the mesh has no points. Call {USE}.")
+        return rows_of(name, values, n)
     if mesh is None:
         raise ValueError(
             f"`{name}` names patches ({', '.join(map(repr, names))}), but points alone have no patches: pass the mesh, "
             f"prepare(mesh, ...), or node ids, mesh.patch({names[0]!r})."
         )
     return mesh.patch(*names).astype(np.int64)
-
-
-def node_ids(values: Any, name: str, n: int) -> Ids:
-    if values is None or isinstance(values, Mesh | Plane):
-        raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
-    if n == 0:
-        raise ValueError(f"the mesh has no points. Call {USE}.")
-    return rows_of(name, values, n)
 
 
 def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str) -> list[Any]:
@@ -404,18 +396,25 @@ def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:
         return [], []
-    elsewhere = {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic))
-    kinds = {name: kind for name, kind in mesh.kinds.items() if name not in elsewhere and not kind.startswith(INSIDE)}
-    kinds = {name: kind for name, kind in kinds.items() if len(mesh.patches[name])}
+    kinds = _outer_kinds(mesh, {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic)))
     symmetry = [name for name in kinds if kinds[name] in SYMMETRY]
-    chosen = {"fixed": [name for name in kinds if name not in symmetry], "symmetry": _in_planes(mesh, symmetry)}
-    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in chosen.items()}
-    clauses = " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
+    fixed, symmetry = [name for name in kinds if name not in symmetry], _in_planes(mesh, symmetry)
+    clauses = _clauses(kinds, fixed=fixed, symmetry=symmetry)
     if clauses:
         warn(
             f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name the patches to choose otherwise."
         )
-    return chosen["fixed"], chosen["symmetry"]
+    return fixed, symmetry
+
+
+def _clauses(kinds: Mapping[str, str], **lists: list[str]) -> str:
+    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in lists.items()}
+    return " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
+
+
+def _outer_kinds(mesh: Mesh, elsewhere: set[str]) -> dict[str, str]:
+    kinds = {name: kind for name, kind in mesh.kinds.items() if not kind.startswith(INSIDE) and len(mesh.patches[name])}
+    return {name: kinds[name] for name in kinds if name not in elsewhere}
 
 
 def _in_planes(mesh: Mesh, names: list[str]) -> list[str]:

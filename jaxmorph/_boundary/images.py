@@ -118,14 +118,10 @@ def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:
     pairs, own_pairs = (
         tuple(pairing.renumbered(row_of(ids, n)) for pairing in boundary.pairings) for ids in (own, nodes)
     )
-    # A transform is a power of every periodic transform, then a mirror flag of every plane. The
-    # sort by the sum of powers is stable.
-    flags = itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes)))
-    powers = itertools.product(*(pairing.powers for pairing in pairs))
-    elements = sorted(itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0])))
-    transforms = np.stack([_transform(planes, pairs, *element, d) for element in elements])
+    powers, flags = _elements(planes, pairs)
+    transforms = np.stack([_transform(planes, pairs, *element, d) for element in zip(powers, flags, strict=True)])
     matrices, shifts = transforms[:, :-1, :-1], transforms[:, :-1, -1]
-    places, roots = _numbered(elements, pairs, on_plane[order])
+    places, roots = _numbered(powers, flags, pairs, on_plane[order])
     if pairs:
         x = boundary.points[own]
         places = _joined(places, np.einsum("tij,oj->toi", matrices, x.astype(float)) + shifts[:, None], x)
@@ -133,30 +129,41 @@ def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:
     kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), len(nodes))
     first = np.argsort(rows >= len(boundary.moving), kind="stable")
     rows, kind = rows[first].astype(np.int32), kind[first].astype(np.int32)
-    listed = [np.append(side, pairing.alone) for pairing in pairs for side in (pairing.first, pairing.second)]
-    sides = np.array([mask(len(nodes), side) for side in listed], dtype=bool).reshape(-1, len(nodes)).T
+    listed = [mask(len(nodes), side, pairing.alone) for pairing in pairs for side in (pairing.first, pairing.second)]
+    sides = np.array(listed, dtype=bool).reshape(-1, len(nodes)).T
     normals, origins = np.reshape([(plane.normal, plane.origin) for plane in planes], (-1, 2, d)).swapaxes(0, 1)
-    exponents = np.array([powers for powers, _ in elements], dtype=np.int32).reshape(len(elements), len(pairs))
-    of_rows = order[rows].astype(np.int32), kind, matrices, shifts, exponents, own_pairs
+    of_rows = order[rows].astype(np.int32), kind, matrices, shifts, powers, own_pairs
     return Images(*as_jax((normals, origins, on_plane, *of_rows))), Copies(places, roots, rows, kind, matrices, sides)
 
 
+def _elements(
+    planes: Sequence[Plane], pairings: Sequence[Pairing]
+) -> tuple[Int[np.ndarray, "t q"], Int[np.ndarray, "t p"]]:
+    # A transform is a power of every periodic transform, then a mirror flag of every plane. The
+    # sort by the sum of powers is stable.
+    flags = itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes)))
+    powers = itertools.product(*(pairing.powers for pairing in pairings))
+    elements = sorted(itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0])))
+    every, mirrored = (np.array(part, dtype=np.int32) for part in zip(*elements, strict=True))
+    return every, mirrored
+
+
 def _numbered(
-    elements: Sequence[tuple], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"]
+    powers: Int[np.ndarray, "t q"],
+    flags: Int[np.ndarray, "t p"],
+    pairings: Sequence[Pairing],
+    on_plane: Bool[np.ndarray, "o p"],
 ) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
     # Each image position is one integer of mixed radix: a bit for each mirror plane, then a digit
     # for the periodic power of each pairing, then the source row. Rows on a plane, on an axis, and
     # on second sides have the integer of the row that they repeat: equal integers, one position.
     count, size = on_plane.shape
     roots, radix = np.arange(count), 1 << size
-    places = np.array([[np.array(flag, dtype=np.int64) @ (1 << np.arange(size))] for _, flag in elements])
-    places = places & ~(on_plane @ (1 << np.arange(size)))[None]
-    for p, pairing in enumerate(pairings):
-        power = np.array([exponents[p] for exponents, _ in elements])[:, None]
-        ahead = np.zeros(count, dtype=np.int64)
-        ahead[pairing.second] = 1
+    bits = 1 << np.arange(size)
+    places = (flags @ bits)[:, None] & ~(on_plane @ bits)[None]
+    for power, pairing in zip(powers.T, pairings, strict=True):
         span = pairing.turn or 2 * pairing.copies + 2
-        steps = (power + ahead[None] + pairing.copies) % span
+        steps = (power[:, None] + mask(count, pairing.second)[None] + pairing.copies) % span
         steps[:, pairing.alone] = 0
         places, radix = places + radix * steps, radix * span
         to_first = np.arange(count)
@@ -185,12 +192,12 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
 
 
 def _transform(
-    planes: Sequence[Plane], pairings: Sequence[Pairing], powers: Sequence[int], flags: Sequence[bool], dimension: int
+    planes: Sequence[Plane], pairings: Sequence[Pairing], powers: np.ndarray, flags: np.ndarray, dimension: int
 ) -> Float[np.ndarray, "e e"]:
     """The affine matrix of one image: first periodic transforms, then reflections."""
     affine = np.eye(dimension + 1)
     for pairing, k in zip(pairings, powers, strict=True):
-        affine = pairing.power(k) @ affine
+        affine = pairing.power(int(k)) @ affine
     for plane in itertools.compress(planes, flags):
         mirror = np.eye(dimension + 1)
         mirror[:-1] -= 2 * np.outer(plane.normal, np.append(plane.normal, -plane.origin @ plane.normal))

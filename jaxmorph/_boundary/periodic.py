@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.package.arguments import between, check_patch, finite_array, whole
+from .._host.package.arguments import between, check_patch, whole
 from .._host.package.errors import check_none, worst_first
 from .._host.package.rounding import Tree, spacing
 from .._kernels.values import Either
 from .outer_faces import Ids, Points
-from .symmetry import Plane, tolerance
+from .symmetry import Plane, optional, tolerance
 
 Nodal = Float[Array, "n d"]  # a place, or a displacement, of every node
 
@@ -62,11 +62,9 @@ class Periodic:
         if rotation is not None:
             between("rotation", rotation)
             rotation = float(rotation)
-        for name, value in {"translation": translation, "about": about, "axis": axis}.items():
-            vector = None if value is None else finite_array(name, value, (2,), (3,)).astype(float)
-            object.__setattr__(self, name, vector)
-        for name, value in {"patch": patch, "partner": partner, "rotation": rotation, "copies": int(copies)}.items():
-            object.__setattr__(self, name, value)
+        vectors = {"translation": translation, "about": about, "axis": axis}
+        vectors = {name: optional(name, value, (2,), (3,)) for name, value in vectors.items()}
+        vars(self).update(patch=patch, partner=partner, rotation=rotation, copies=int(copies), **vectors)
 
     @property
     def name(self) -> str:
@@ -223,16 +221,13 @@ def across_one_layer(planes: Sequence[Plane], points: Points) -> tuple[Pairing, 
     """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells. The
     pairs move alike, and make no images. There are none where the planes' nodes do not match.
     """
-    nodes = [np.flatnonzero(plane.holds(points)) for plane in planes]
-    for k, other in itertools.combinations(range(len(planes)), 2):
-        normal, first, second = planes[k].normal, nodes[k], nodes[other]
-        if len(first) != len(second) or len(first) + len(second) != len(points):
-            continue
-        if abs(normal @ planes[other].normal) > 0.5:
-            translation = (planes[other].origin - planes[k].origin) @ normal * normal
+    for one, other in itertools.combinations(planes, 2):
+        normal = one.normal
+        first, second = (np.flatnonzero(plane.holds(points)) for plane in (one, other))
+        if abs(normal @ other.normal) > 0.5 and 2 * len(first) == 2 * len(second) == len(points):
+            pair = Periodic(first, second, translation=(other.origin - one.origin) @ normal * normal)
             with contextlib.suppress(ValueError):
-                found = _paired(Periodic(first, second, translation=translation), first, second, points)
-                return (dataclasses.replace(found, copies=0),)
+                return (dataclasses.replace(_paired(pair, first, second, points), copies=0),)
     return ()
 
 

@@ -13,13 +13,13 @@ from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import boundary_sides, linear_cells
 from .._host.cells.topology import solid
 from .._host.linear.products import normals, unit_rows
-from .._host.package.arguments import check_patch, finite_array
+from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.package.rounding import canonical_order
 from .._host.surface.walls import in_order
 from .._mesh.mesh import Mesh
 from .outer_faces import Faces, Ids, row_of
-from .symmetry import Plane
+from .symmetry import Plane, optional
 from .tracks import SMOOTH
 from .walls import ALONG_AXIS, AbstractWall, CurvedFaces, Faceted, Flat, FlatFaces, Round, faces_around
 
@@ -49,15 +49,13 @@ class Revolution:
     profile: np.ndarray | None
 
     def __init__(self, axis=None, origin=None, profile=None):
-        axis = None if axis is None else finite_array("axis", axis, (3,)).astype(float)
-        origin = None if origin is None else finite_array("origin", origin, (2,), (3,)).astype(float)
-        profile = None if profile is None else finite_array("profile", profile, (None, 2)).astype(float)
+        axis, origin = optional("axis", axis, (3,)), optional("origin", origin, (2,), (3,))
+        profile = optional("profile", profile, (None, 2))
         if axis is not None and not np.any(axis):
             raise ValueError(f"the axis of a surface of revolution is a direction in 3-D that is not zero, not {axis}.")
         if profile is not None and not (np.diff(profile[:, 0]) > 0).all():
             raise ValueError("`profile` must be (k, 2): places along the axis, ascending, and radii.")
-        for name, value in {"axis": axis, "origin": origin, "profile": profile}.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(axis=axis, origin=origin, profile=profile)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -86,8 +84,7 @@ class Slide:
         check_patch("patch", patch)
         if not (on is None or isinstance(on, Plane | Revolution)):
             raise ValueError(f"a patch slides on a jm.Plane, a jm.Revolution or its own faces (None), not {on!r}.")
-        object.__setattr__(self, "patch", patch)
-        object.__setattr__(self, "on", on)
+        vars(self).update(patch=patch, on=on)
 
     @property
     def name(self) -> str:
@@ -95,11 +92,7 @@ class Slide:
 
 
 def walls_of_patch(
-    slide: Slide,
-    nodes: Ids,
-    points: np.ndarray,
-    faces: Faces | None,
-    moving: np.ndarray | Sequence[int] = (),
+    slide: Slide, nodes: Ids, points: np.ndarray, faces: Faces | None, moving: np.ndarray | Sequence[int] = ()
 ) -> Walls:
     """Makes walls: own faces are divided at sharp edges, and filled up below `moving` bodies."""
     exact, dimension = points.astype(float), points.shape[1]
@@ -135,20 +128,24 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> AbstractW
     if origin.shape != (dimension,):
         raise ValueError(f"{slide.name}: `origin` has shape {origin.shape}; the mesh has {dimension} dimensions.")
     axis = np.zeros(dimension) if on.axis is None else on.axis / np.linalg.norm(on.axis)
-    line, profile = _line_or_profile(patch, axis, origin) if on.profile is None else (None, on.profile)
-    if line is None and len(profile) > 1:
+    line, profile = _line_or_profile(patch, on.profile, axis, origin)
+    if line is None:
         from scipy.interpolate import CubicSpline  # here: it would take a tenth of the time of all imports
 
         spline = CubicSpline(*profile.T, bc_type="natural" if len(profile) > 2 else "not-a-knot")
         return Round(axis, origin, spline.x, spline.c)
-    a, b, c = (0, 1, profile[0, 1]) if line is None else line
+    a, b, c = line
     if abs(b) < ALONG_AXIS:
         return Flat(axis, origin + c / a * axis)
     return Round(axis, origin, np.array([0, np.inf]), np.array([[0], [0], [-a / b], [c / b]]))
 
 
-def _line_or_profile(patch: np.ndarray, axis: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+def _line_or_profile(
+    patch: np.ndarray, given: np.ndarray | None, axis: np.ndarray, origin: np.ndarray
+) -> tuple[np.ndarray | None, np.ndarray]:
     """The line a z + b r = c of a patch, if it lies on one; places and radii of nodes, sorted."""
+    if given is not None:
+        return (None if len(given) > 1 else np.array([0, 1, given[0, 1]])), given
     arm, size = patch - origin, np.ptp(patch, axis=0).max()
     along = arm @ axis
     profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
@@ -180,9 +177,7 @@ def _of_faces(slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Faces 
     if not np.ptp(points[nodes], axis=0).max() > 0:
         place = place_of(points[nodes[0]])
         raise MeshError(f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.", nodes)
-    elements = filled(elements, points[nodes], moves)
-    flat = _flat(nodes, points, elements)
-    return _parted(nodes, points, elements) if flat is None else [(flat, nodes)]
+    return _parted(nodes, points, filled(elements, points[nodes], moves))
 
 
 def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Walls:
@@ -190,23 +185,23 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     area = normals(points[nodes[elements]])
     size = np.linalg.norm(area, axis=1)
     has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
-    elements = elements[has_area].astype(np.int32)
+    elements, walls = elements[has_area], []
     part = _smooth_parts(elements, area[has_area] / size[has_area, None])
-    if part.max() == 0 or len(np.unique(elements)) < len(nodes):  # nodes of no face belong to all parts
-        return [(Faceted.of(nodes, points[nodes], elements), nodes)]
-    walls = []
+    if len(np.unique(elements)) < len(nodes):  # nodes of no face belong to all parts
+        part[:] = 0
     for number in range(part.max() + 1):
-        rows, corners = np.unique(elements[part == number], return_inverse=True)
-        ids, corners = nodes[rows], corners.reshape(-1, elements.shape[1]).astype(np.int32)
-        walls.append((_flat(ids, points, corners) or Faceted.of(ids, points[ids], corners), ids))
+        corners = elements[part == number]
+        rows = np.unique(corners) if part.any() else np.arange(len(nodes))
+        ids, corners = nodes[rows], np.searchsorted(rows, corners).astype(np.int32)
+        walls.append((_wall_of(ids, points, corners), ids))
     return walls
 
 
-def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFaces | None:
+def _wall_of(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> AbstractWall:
     try:
         plane = Plane.through(points, nodes)
     except ValueError:
-        return None
+        return Faceted.of(nodes, points[nodes], elements)
     return FlatFaces(plane.normal, plane.origin, nodes, points[nodes], elements)
 
 

@@ -2,9 +2,10 @@
 
 import contextlib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import checked, finite_array, rows_of
@@ -12,7 +13,7 @@ from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .outer_faces import Ids, Points, outer_faces
+from .outer_faces import Ids, Points, mask, outer_faces
 
 TOLERANCE = 1e-8  # distance from a plane, relative to the mesh's extent, within which a node lies on it
 
@@ -73,12 +74,15 @@ class Plane(Module):
 
         **Raises:** `ValueError` for a patch that is bent, and for a name without a patch.
         """
-        outer = outer_faces(mesh)
-        corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
+        points, nodes, outer = np.asarray(mesh.points), mesh.patch(patch), outer_faces(mesh)
+        faces = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
         try:
-            return planes_through(np.asarray(mesh.points), mesh.patch(patch), map(np.asarray, corners.values()))
+            return (Plane.through(points, nodes),)
         except MeshError as error:
-            raise MeshError(f"the patch {patch!r}: {error.message}", error.nodes) from None
+            planes = _of_most_nodes(points, nodes, map(np.asarray, faces.values()))
+            if not planes:
+                raise MeshError(f"the patch {patch!r}: {error.message}", error.nodes) from None
+            return planes
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
@@ -97,33 +101,29 @@ class Plane(Module):
 MOST = 6  # most planes of one patch: the sides of a box
 
 
-def planes_through(points: Points, nodes: Ids, faces: Iterable[Int[np.ndarray, "_ c"]]) -> tuple[Plane, ...]:
+def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> tuple[Plane, ...]:
     """Finds the planes of a patch, such as front and back, by boundary faces (e, corners). The
-    plane with most of the nodes comes first, then the plane with most of the remaining nodes.
-    Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes
-    hold as many nodes.
+    plane with most of the nodes comes first, then the plane with most of the remaining nodes. There
+    are none if `MOST` planes do not hold all nodes, or if other planes hold as many nodes. In a
+    duct one cell wide and high, nodes do not decide which sides are meant.
     """
-    try:
-        return (Plane.through(points, nodes),)
-    except MeshError as error:
-        planes = _candidates(points, nodes, faces)
-        on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(-1, len(nodes))
-        left, chosen = np.ones(len(nodes), dtype=bool), []
-        while left.any() and len(chosen) < MOST and (on & left).sum(axis=1).max(initial=0) >= points.shape[1]:
-            chosen.append(int((on & left).sum(axis=1).argmax()))
-            left &= ~on[chosen[-1]]
-        largest = np.flatnonzero(on.sum(axis=1) == on.sum(axis=1).max(initial=0))
-        if left.any() or not np.isin(largest, chosen).all():
-            raise error from None  # one cell wide and high: nodes do not decide which sides are meant
-        return tuple(planes[k] for k in chosen)
+    planes = _candidates(points, nodes, faces)
+    on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(-1, len(nodes))
+    left, chosen = np.ones(len(nodes), dtype=bool), []
+    while left.any() and len(chosen) < MOST and (on & left).sum(axis=1).max(initial=0) >= points.shape[1]:
+        chosen.append(int((on & left).sum(axis=1).argmax()))
+        left &= ~on[chosen[-1]]
+    largest = np.flatnonzero(on.sum(axis=1) == on.sum(axis=1).max(initial=0))
+    is_decided = not left.any() and np.isin(largest, chosen).all()
+    return tuple(planes[k] for k in chosen) if is_decided else ()
 
 
-def _candidates(points: Points, nodes: Ids, faces: Iterable[Int[np.ndarray, "_ c"]]) -> list[Plane]:
+def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list[Plane]:
     """Different planes of faces between nodes, those of most faces first."""
     # A face has a key: its unit normal and its height, rounded to four digits, equal for faces of
     # one plane. Equal keys are counted. The plane of one face is tilted by the digits of its
     # corners: it is fitted to all nodes nearby.
-    inside = np.isin(np.arange(len(points)), nodes)
+    inside = mask(len(points), nodes)
     sides = [ids[inside[ids].all(axis=1)][:, : points.shape[1]] for ids in faces]
     corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *sides])].astype(float)
     area, extent = normals(corners), np.ptp(points, axis=0).max()
@@ -140,6 +140,10 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[Int[np.ndarray, "_ c
         if not any(plane.equals(other, points) for other in planes):
             planes.append(plane)
     return planes
+
+
+def optional(name: str, value: Any, *shapes: tuple[int | None, ...]) -> np.ndarray | None:
+    return None if value is None else finite_array(name, value, *shapes).astype(float)
 
 
 def tolerance(points: np.ndarray) -> float:
@@ -189,8 +193,3 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     return np.array([sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes], bool)
-
-
-def on_facing(planes: Sequence[Plane], points: Points) -> Bool[np.ndarray, " n"]:
-    on = [plane.holds(points) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
-    return np.logical_or.reduce([np.zeros(len(points), dtype=bool), *on])

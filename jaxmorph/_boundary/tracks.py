@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
-from .._kernels.values import Either, norm
+from .._kernels.values import Either
 from .outer_faces import mask
 from .periodic import Nodal, Pairing
 from .symmetry import Plane
@@ -31,15 +31,10 @@ class Track(eqx.Module):
         """True if all walls are flat: `along` is then linear in the displacements."""
         return all(wall.is_flat for wall in self.walls)
 
-    def normals(self, points: Nodal) -> Float[Array, "k w d"]:
-        """In each row, orthogonal unit vectors that span the walls' normals. Traced."""
-        places = self.project(points[self.rows])
-        first, *others = (wall.height(places)[1] for wall in self.walls)
-        frame = [first]
-        for normal in others:
-            rest = normal - jnp.sum(normal * first, axis=1, keepdims=True) * first
-            frame.append(rest / norm(rest)[:, None])
-        return jnp.stack(frame, axis=1)
+    def off(self, points: Nodal) -> Float[Array, "k d d"]:
+        """The projections onto the walls' normals at the rows' places. Traced."""
+        normals = self._heights(self.project(points[self.rows]))[1]
+        return jax.vmap(_least, (None, 2), 2)(normals, normals)
 
     def along(self, points: Nodal, u: Nodal) -> Nodal:
         """Changes displacements so that the rows keep their distance from the walls. Traced."""
@@ -141,8 +136,7 @@ def check_repeated(
     off = np.zeros((len(points), dimension, dimension))  # projections onto the normals of a node's walls
     off[corners] = np.eye(dimension)
     for track in tracks:
-        normals = np.asarray(track.normals(jnp.asarray(exact)))
-        off[track.rows] = np.swapaxes(normals, 1, 2) @ normals
+        off[track.rows] = track.off(jnp.asarray(exact))
     for pairing in pairings:
         first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
         mismatch = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))

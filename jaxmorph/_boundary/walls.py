@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import itertools
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -190,7 +191,7 @@ class Faceted(AbstractWall):
         return _unit(jnp.zeros_like(vertices).at[jnp.asarray(self.faces)].add(areas[:, None]), 0)
 
     def _nearest(self, x: Point, vertices: Vertices, normals: Vertices) -> tuple[Point, Point]:
-        vertex, faces = self._near(x, vertices)
+        vertex, faces = self._near(x, vertices, self.faces)
         corners = vertices[faces]
         place, chosen = _closest(x, corners)
         # At a node several faces meet. There the tangent is at right angles to the mean normal of
@@ -201,10 +202,10 @@ class Faceted(AbstractWall):
         tangent = x - jnp.sum((x - node) * smooth) * smooth
         return jnp.where(is_node, tangent, place), jnp.where(is_node, smooth, normal_of(corners[chosen]))
 
-    def _near(self, x: Point, vertices: Vertices) -> tuple[Number, Int[Array, "w s"]]:
-        """The vertex nearest to x, and the corners of the faces near it."""
+    def _near(self, x: Point, vertices: Vertices, faces: Any) -> tuple[Number, Int[Array, "w s"]]:
+        """The vertex nearest to x, and the nodes of the faces near it."""
         vertex = jnp.argmin(jnp.sum((vertices - x[None]) ** 2, axis=1))
-        return vertex, jnp.asarray(self.faces)[jnp.asarray(self.around)[vertex]]
+        return vertex, jnp.asarray(faces)[jnp.asarray(self.around)[vertex]]
 
 
 def _at_rim(faces: Int[np.ndarray, "e d"]) -> Bool[np.ndarray, "e d"]:
@@ -269,8 +270,7 @@ class CurvedFaces(Faceted):
 
     def _nearest(self, x, vertices, normals):
         powers, matrix = polynomials(self.kind)
-        vertex = jnp.argmin(jnp.sum((vertices - x[None]) ** 2, axis=1))
-        corners = vertices[jnp.asarray(self.sides)[jnp.asarray(self.around)[vertex]]]
+        corners = vertices[self._near(x, vertices, self.sides)[1]]
         coefficients = jnp.einsum("ks,wsd->wkd", jnp.asarray(matrix, x.dtype), corners, precision="highest")
         first = jnp.argmin(jnp.sum((corners - x[None, None]) ** 2, axis=2), axis=1)
         start = jnp.asarray(lagrange_types()[self.kind].reference, x.dtype)[first]
@@ -343,9 +343,10 @@ class SmoothFaces(Faceted):
         weight = norm(areas)[:, None] / jnp.where(squared > 0, squared, jnp.inf)
         total, weights = _summed(faces, len(vertices), weight[..., None] * _unit(areas, 0)[:, None], weight)
         # Round an inner vertex each neighbour comes first once and last once: ids cancel out.
-        turns = jnp.asarray([[1, -1]], faces.dtype) + 0 * faces
         if size == 3:
             turns = jnp.roll(faces, -1, axis=1) - jnp.roll(faces, 1, axis=1)
+        else:
+            turns = jnp.asarray([[1, -1]], faces.dtype) + 0 * faces
         is_rim = jnp.zeros(len(vertices), faces.dtype).at[faces].add(turns) != 0
         unit = _unit(total, CANCELLED * weights)
         return jnp.where(is_rim[:, None], self._beyond(vertices, unit, is_rim), unit)
@@ -370,7 +371,7 @@ class SmoothFaces(Faceted):
         return jnp.where(goes_on[:, None], _unit(total, CANCELLED * weights), unit)
 
     def _nearest(self, x, vertices, normals):
-        _, faces = self._near(x, vertices)
+        _, faces = self._near(x, vertices, self.faces)
 
         def nearer(state, _):
             place, _ = state

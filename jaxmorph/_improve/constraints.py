@@ -34,7 +34,7 @@ def prepared(boundary: Boundary, mesh: Mesh, dtype, ideal: bool, size_weight: fl
         jnp.asarray(mesh.points, dtype),
         signs_of_pieces(mesh),
         jnp.asarray(free),
-        Ways(*as_jax((tracks, pairings, leads != np.arange(n), np.zeros((n, d - 1, d))))),
+        Ways(*as_jax((tracks, pairings, leads != np.arange(n), np.zeros((n, d, d))))),
         ideal,
         size_weight,
     )
@@ -46,21 +46,26 @@ def _held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]
     """Nodes that do not move, and tracks of those that slide."""
     points, held = boundary.points, [boundary.moving, boundary.fixed]
     sliding = mask(len(points), *(track.rows for track in boundary.tracks))
-    on_plane = [plane.holds(points) for plane in boundary.planes]
+    on_plane = boundary.on_planes.T
     pairs = zip(boundary.planes, on_plane, strict=True)
     walls = [(Flat(plane.normal, plane.origin), np.flatnonzero(is_on & ~sliding)) for plane, is_on in pairs]
     tracks, corners = tracks_of(walls, (), points)
     tracks = *boundary.tracks, *tracks
     edges = [track.rows for track in tracks if len(track.walls) > 1]
-    ways = [track.rows for track in tracks if len(track.walls) == 1]
+    ways = [track.rows for track in tracks]
     ways += [np.append(side, pair.alone) for pair in boundary.pairings for side in (pair.first, pair.second)]
-    # nodes of patches and outer faces, except where one lies wholly in one of the ways
+    ways = [*ways, *map(np.flatnonzero, on_plane), boundary.free]
+    sides = _boundary(mesh, [mask(len(points), nodes, *held, corners, *edges) for nodes in ways])
+    return np.concatenate([sides, *held, corners]).astype(int), tuple(map(smoothed, tracks))
+
+
+def _boundary(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
+    """Nodes of patches and outer faces, except where one lies wholly in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
-    sides += boundary_faces(solid(mesh.cells, points.shape[1]), len(points)).values()
-    for nodes in (*ways, *map(np.flatnonzero, on_plane), boundary.free):
-        is_led = mask(len(points), nodes, *held, corners, *edges)
+    sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
+    for is_led in ways:
         sides = [ids[~is_led[ids].all(axis=1)] for ids in sides]
-    return np.concatenate([*map(np.ravel, sides), *held, corners]).astype(int), tuple(map(smoothed, tracks))
+    return np.concatenate([np.zeros(0, int), *map(np.ravel, sides)])
 
 
 def _leads(pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

@@ -22,29 +22,24 @@ Nodal = Float[Array, "n d"]  # a place, or a vector, of every node
 
 class Ways(eqx.Module):
     """Leads nodes along walls, and the second node of a periodic pair, marked by `follows` (n,), as
-    its first moves. `normals` (n, q, d) are unit vectors that span the normals of the walls where a
-    node starts, filled up by zero vectors.
+    its first moves. `off` (n, d, d) are projections onto the normals of the walls where a node
+    starts, zero for other nodes.
     """
 
     tracks: tuple[Track, ...]
     pairings: tuple[Pairing, ...]
     follows: Bool[Array, " n"]
-    normals: Float[Array, "n q d"]
+    off: Float[Array, "n d d"]
 
     def at(self, start: Nodal) -> "Ways":
-        n, d = start.shape
-        normals = jnp.zeros((n, d - 1, d), start.dtype)
+        off = jnp.zeros((*start.shape, start.shape[1]), start.dtype)
         for track in self.tracks:
-            normals = normals.at[track.rows, : len(track.walls)].set(track.normals(start))
-        return eqx.tree_at(lambda ways: ways.normals, self, jax.lax.stop_gradient(normals))
+            off = off.at[track.rows].set(track.off(start))
+        return eqx.tree_at(lambda ways: ways.off, self, jax.lax.stop_gradient(off))
 
     @property
     def is_linear(self) -> bool:
         return all(track.is_linear for track in self.tracks)
-
-    @property
-    def off(self) -> Float[Array, "n d d"]:
-        return jnp.einsum("nqa,nqb->nab", self.normals, self.normals, precision="highest")
 
     def __call__(self, start: Nodal, step: Nodal, change: Nodal) -> Nodal:
         """Turns steps into displacements from `start`. `change` is zero in value, and has the

@@ -140,10 +140,10 @@ def judged(plain: Distortion, minimum: Minimum, base: Nodal):
     points, ways = distortion.points(y, base), distortion.ways
     if not ways.is_linear:
         # A quarter of a turn from its start, a node's slope vanishes, at a minimum or not.
-        along = jnp.abs(jnp.sum(ways.normals * ways.at(points).normals, axis=2))
-        along = jnp.where(jnp.sum(ways.normals**2, axis=2) > 0, along, 1)
-        least = jnp.min(along, where=distortion.free[:, None], initial=1.0)
-        slope = jnp.where(least > QUARTER, slope, jnp.inf)
+        # The cosine is that of the normals on one wall, that of the tangents between two walls.
+        along = 1 + jnp.sum(ways.off * ways.at(points).off, axis=(1, 2)) - jnp.trace(ways.off, axis1=1, axis2=2)
+        least = jnp.min(along, where=distortion.free, initial=1.0)
+        slope = jnp.where(least > QUARTER**2, slope, jnp.inf)
     return value, slope, points, plain.lost(points)
 
 

@@ -335,7 +335,8 @@ def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]
         )
     _, rows, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
     for kind, part in zip(shapes, keys[1:], strict=True):
-        new = len(used) + number.ravel()[first : first + len(part)].reshape(len(corners[kind]), -1)
+        count = len(places_of(kind, steps)) - CORNERS[shapes[kind]]  # also of a type without cells
+        new = len(used) + number.ravel()[first : first + len(part)].reshape(len(corners[kind]), count)
         tables[kind] = np.concatenate([np.searchsorted(used, corners[kind]), new], axis=1)
         first += len(part)
     return np.concatenate([points[used], np.concatenate(places)[rows]]).astype(points.dtype), tables

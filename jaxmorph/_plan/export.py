@@ -161,9 +161,9 @@ def _alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:
 
 def _on_walls(tape: Tape, rows: int, tracks: Sequence[Track], points: np.ndarray) -> None:
     for track in tracks:
-        normals = np.asarray(track.normals(jnp.asarray(points)))[0]
+        off = np.asarray(track.off(jnp.asarray(points)))[0]
         is_on = np.isin(np.arange(tape.rows[rows]), np.asarray(track.rows))
-        tape.rows_in_place("turn", rows, is_on, np.eye(tape.dimension) - normals.T @ normals)
+        tape.rows_in_place("turn", rows, is_on, np.eye(tape.dimension) - off)
 
 
 def _guided(tape: Tape, guide: Guide, vectors: int) -> int:

@@ -14,7 +14,7 @@ from .._boundary.boundary import Boundary, Nodes, changed, nothing_in
 from .._boundary.images import Images, images_of
 from .._boundary.periodic import Periodic, across_one_layer, check_pairings
 from .._boundary.slide import Slide
-from .._boundary.symmetry import Plane, check_planes, on_facing
+from .._boundary.symmetry import Plane, check_planes, facing
 from .._host.package.errors import warn
 from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
@@ -112,7 +112,7 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> 
         check_planes(boundary.planes, boundary.of_cells)
     if method is not None and method.needs_cells:
         return boundary
-    others = np.setdiff1d(np.flatnonzero(on_facing(boundary.planes, boundary.points)), boundary.nodes)
+    others = np.setdiff1d(np.flatnonzero(boundary.on_planes[:, facing(boundary.planes)].any(axis=1)), boundary.nodes)
     others = np.setdiff1d(others, boundary.loose)
     if not len(others):
         return boundary
