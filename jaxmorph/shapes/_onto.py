@@ -102,7 +102,7 @@ class Onto(Module):
         else:
             self.function = target
         far = np.linalg.norm(np.asarray(closest(start)) - start, axis=1).max()
-        steps = STEPS * (3 if far > FAR * extent else 1)
+        steps = STEPS * (1 + 2 * int(far > FAR * extent))
         self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last))
 
     def __call__(self, x: Numbers, points: Numbers | None = None) -> Positions:
