@@ -321,8 +321,8 @@ def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
     left = last / np.where(first > 0, first, np.inf)
     bad, what = faces[(left < COLLAPSED * np.median(left)) & (first > 0)], "fold over or collapse"
     inner = np.setdiff1d(faces, made.wall.rim)
-    rim = np.zeros((0, 2), int) if made.target is None else np.asarray(made.target.rim)
-    if made.is_exact and min(len(rim), len(inner)) and not len(bad):
+    if made.target is not None and made.is_exact and min(len(made.target.rim), len(inner)) and not len(bad):
+        rim = np.asarray(made.target.rim)
         ends, none = np.broadcast_to(rim, (len(rim), 2)), np.zeros((len(rim), x.shape[1]))
         off = np.asarray(Facets(made.target.points, ends, sides=none).distance(moved[inner]))
         bad, what = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None], "end on the border of the target"
