@@ -102,7 +102,7 @@ class Onto(Module):
         else:
             self.function = target
         far = np.linalg.norm(np.asarray(closest(start)) - start, axis=1).max()
-        steps = STEPS * (3 if far > FAR * extent else 1)
+        steps = STEPS * (1 + 2 * int(far > FAR * extent))
         self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last))
 
     def __call__(self, x: Numbers, points: Numbers | None = None) -> Positions:
@@ -322,8 +322,8 @@ def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
     bad, what = faces[(left < COLLAPSED * np.median(left)) & (first > 0)], "fold over or collapse"
     inner = np.setdiff1d(faces, made.wall.rim)
     target = made.target
-    rim = np.zeros((0, 2), int) if target is None else np.asarray(target.rim)
-    if target is not None and made.is_exact and min(len(rim), len(inner)) and not len(bad):
+    if target is not None and made.is_exact and min(len(target.rim), len(inner)) and not len(bad):
+        rim = np.asarray(target.rim)
         ends, none = np.broadcast_to(rim, (len(rim), 2)), np.zeros((len(rim), x.shape[1]))
         off = np.asarray(Facets(target.points, ends, sides=none).distance(moved[inner]))
         bad, what = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None], "end on the border of the target"

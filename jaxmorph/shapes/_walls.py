@@ -16,18 +16,7 @@ from scipy.sparse.csgraph import depth_first_order
 from jaxmorph import Mesh, boundary_faces
 from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known, norm
 
-from ._arguments import (
-    Numbers,
-    Positions,
-    Scalar,
-    Vector,
-    cast,
-    known_positions,
-    positions,
-    rows_of,
-    slack,
-    vector,
-)
+from ._arguments import Numbers, Positions, Scalar, Vector, cast, known_positions, positions, rows_of, slack, vector
 
 
 @checked
