@@ -234,5 +234,5 @@ def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
     corners = np.where(weights > 0, ids[:, None], -1)
     order = np.argsort(corners, axis=2, kind="stable")
     both = np.stack([np.maximum(corners, 0), np.broadcast_to(weights, corners.shape)], axis=3)
-    pairs = np.take_along_axis(both, order[:, :, :, None], axis=2).reshape(*corners.shape[:2], 2 * corners.shape[2])
+    pairs = np.take_along_axis(both, order[:, :, :, None], axis=2).reshape(*corners.shape[:2], 2 * ids.shape[1])
     return np.pad(pairs, ((0, 0), (0, 0), (16 - pairs.shape[2], 0)))
