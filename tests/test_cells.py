@@ -31,6 +31,15 @@ def planned_slab(columns, method):
     return jm.prepare(jm.Mesh(points, {"quad": quads}), ids[:, 0], ids[:, -1], method=method, free=ids.ravel())
 
 
+def by_both_solvers(monkeypatch, solved):
+    """What `solved` returns by factors, and by conjugate gradients with a multigrid cycle."""
+    pytest.importorskip("pyamg")
+    for direct in (10**6, 10):
+        monkeypatch.setattr(solves, "DIRECT", direct)
+        linear.inverse_of.cache_clear()
+        yield solved()
+
+
 def hull(points):
     """The nodes of the unit cube's boundary."""
     return np.flatnonzero(((points < 1e-9) | (points > 1 - 1e-9)).any(axis=1))
@@ -410,3 +419,28 @@ def test_one_solve_moves_and_one_pulls_back(monkeypatch):
     pulled = jm.pullback(plan, u, w)
     assert np.isfinite(pulled).all()
     assert (len(calls), len(factored)) == (2, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [jm.Laplacian(), jm.LinearElasticity(jm.ByDistance(1.0))])
+def test_thin_layers_of_soft_and_stiff_cells_are_solved_as_by_factors(method, monkeypatch):
+    """A residual that is small beside that of the stiffest cells is not enough."""
+    mesh = cases.bricks("hexahedron", cells=8)
+    points = np.array(mesh.points)
+    points[:, 2] = points[:, 2] ** 8 + 1e-4 * points[:, 2]
+    mesh = jm.Mesh(points, mesh.cells, {"floor": np.flatnonzero(points[:, 2] == 0)})
+    u, fixed = 0.1 * np.random.default_rng(0).normal(size=(81, 3)), np.setdiff1d(hull(points), mesh.patch("floor"))
+    solved = lambda: jm.deform(jm.prepare(mesh, "floor", fixed, method=method), u)  # noqa: E731
+    factored, iterated = by_both_solvers(monkeypatch, solved)
+    np.testing.assert_allclose(iterated, factored, rtol=0, atol=1e-7)
+
+
+def test_a_right_side_that_is_not_finite_changes_no_later_solve(monkeypatch):
+    pytest.importorskip("pyamg")
+    monkeypatch.setattr(solves, "DIRECT", 0)
+    rng = np.random.default_rng(0)
+    pairs, right = np.stack([np.arange(19), np.arange(1, 20)], axis=1), rng.normal(size=(20, 3))
+    system = pairs, -np.ones(19), np.full(20, 2.01), np.zeros(0), np.ones((20, 3), bool)
+    first = linear.solve(*system, right)
+    assert np.isnan(linear.solve(*system, np.where(right == right[3, 1], np.nan, right))).any()
+    np.testing.assert_array_equal(linear.solve(*system, right), first)

@@ -3,6 +3,8 @@
 import dataclasses
 import itertools
 import os
+import subprocess
+import sys
 import threading
 
 import equinox as eqx
@@ -221,3 +223,35 @@ def test_the_nearest_wall_is_found_among_the_boxes_of_all(few_points, monkeypatc
     far = 8 * reach[nearest[near]]
     expected = np.where(others[near].min(axis=1) < far, others[near].argmin(axis=1), rows[:, 0])
     np.testing.assert_array_equal(rows[:, 3], expected)
+
+
+ON_CORES = """
+import os, sys
+os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(sys.argv[1])])
+import jax, numpy as np
+jax.config.update("jax_enable_x64", True)
+import jaxmorph as jm
+from jaxmorph import cases
+mesh = cases.naca4("2412", points=3000)
+plan = jm.prepare(mesh, "airfoil", "farfield")
+u = 0.05 * np.sin(3 * np.asarray(plan.moving_points) + np.arange(2))
+w = np.random.default_rng(0).normal(size=mesh.points.shape)
+moved = jm.deform(plan, u)
+pulled = jm.pullback(plan, u, w)
+np.savez(sys.argv[2], moved=moved, pulled=pulled, transposed=jax.vjp(lambda u: jm.deform(plan, u), u)[1](w)[0])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs the affinity mask of Linux")
+def test_one_core_and_several_differ_by_round_off(tmp_path):
+    found = []
+    for count in ("1", "2"):
+        environment = os.environ | {"JAXMORPH_CACHE": "off"}
+        command = [sys.executable, "-c", ON_CORES, count, str(tmp_path / count)]
+        subprocess.run(command, env=environment, check=True, timeout=300)
+        found.append(np.load(tmp_path / f"{count}.npz"))
+    size = np.abs(found[0]["pulled"]).max()
+    np.testing.assert_allclose(found[1]["moved"], found[0]["moved"], rtol=0, atol=1e-9 * 0.05)
+    for other in (found[1]["pulled"], found[0]["transposed"]):
+        np.testing.assert_allclose(other, found[0]["pulled"], rtol=0, atol=1e-9 * size)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import lattice
 from runs import over, refusals
 from scipy.interpolate import BSpline
 from scipy.special import comb
@@ -149,3 +150,15 @@ def test_paraview_reads_the_lattice(tmp_path):
         io.write_lattice(tmp_path / "box.vtk", box.lattice())
     with pytest.raises(ValueError, match="`points` has shape"):
         io.write_lattice(tmp_path / "box.vts", np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("degree", [1, 2, None])
+def test_faces_and_corners_belong_to_the_box(degree):
+    """Coordinates are 0 and 1 to the last bit, where a function beyond the last knot would be NaN."""
+    box, x = shapes.FreeForm([0, 0], np.eye(2), (5, 4), degree=degree), lattice([0.0, 0.5, 1], [0.0, 0.5, 1])
+    control = np.random.default_rng(0).normal(size=(5, 4, 2))
+    moved, slope = jax.jvp(lambda x: box(x, control), (x,), (np.ones_like(x),))
+    by_scipy = expected(x, np.zeros(2), np.eye(2), box.counts, box.degrees, control)[0]
+    np.testing.assert_allclose(moved, by_scipy, atol=1e-14)
+    np.testing.assert_array_equal(moved[-1], [1, 1] + control[-1, -1])
+    assert np.isfinite(slope).all()

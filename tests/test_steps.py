@@ -164,3 +164,13 @@ def test_rebuilt_steps_with_the_mesh_are_those_of_prepare(method):
         jm.march(plan, path, mesh=mesh)
     with pytest.raises(ValueError, match=r"`mesh` has points"):
         jm.march(plan, path, mesh=cases.bodies({}, spacing=1.0))
+
+
+@over("dimension", [2], nightly=[3])
+def test_delaunay_steps_with_kept_ids_equal_one(dimension):
+    """The graph stands on the undeformed mesh: the path does not matter, nor the number of steps."""
+    mesh = body(dimension)
+    path = turned(mesh, steps=5)
+    plan = planned("delaunay", dimension)
+    _, points = jm.march(plan, path)
+    np.testing.assert_allclose(points, jm.deform(plan, path[-1]), rtol=0, atol=2e-15 * np.abs(mesh.points).max() * 2)

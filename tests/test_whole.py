@@ -1,7 +1,9 @@
 """Polyhedra and polygons are judged whole, under the numbers of their file; what inverts a cell depends on who solves on it."""
 
+import gzip
 import json
 import re
+import shutil
 
 import foam
 import numpy as np
@@ -213,3 +215,67 @@ def test_polyhedra_are_cut_alike_however_they_are_numbered():
         np.testing.assert_allclose(np.bincount(cell, volumes), 1.5 * 3**0.5)
         found.append(sorted(np.sort(old[corners], axis=1).tolist()))
     assert all(each == found[0] for each in found)
+
+
+@pytest.mark.parametrize("sides", [(1.0, 1.0, 1.0), (3.0, 0.5, 2.0), (0.1, 0.2, 7.0)])
+def test_the_face_aspect_ratio_of_boxes_and_prisms_has_a_closed_form(sides):
+    a, b, c = sides
+    box = [[0, 0, 0], [a, 0, 0], [a, b, 0], [0, b, 0], [0, 0, c], [a, 0, c], [a, b, c], [0, b, c]]
+    prism = [box[k] for k in (0, 1, 3, 4, 5, 7)]
+    seen = {"hexahedron": (2 * b * c, 2 * a * c, 2 * a * b), "wedge": (2 * b * c, 2 * a * c, a * b)}
+    volumes = {"hexahedron": a * b * c, "wedge": a * b * c / 2}
+    for kind, corners in (("hexahedron", box), ("wedge", prism)):
+        mesh = jm.Mesh(np.array(corners), {kind: np.arange(len(corners))[None]})
+        expected = max(max(seen[kind]) / min(seen[kind]), sum(seen[kind]) / 6 / volumes[kind] ** (2 / 3))
+        np.testing.assert_allclose(jm.face_quality(mesh).aspect_ratio, [expected], rtol=1e-12)
+    flat = jm.Mesh(np.array(box)[:4, :2], {"quad": [[0, 1, 2, 3]]})
+    np.testing.assert_allclose(jm.face_quality(flat).aspect_ratio, [max(a / b, b / a)], rtol=1e-12)
+
+
+@pytest.mark.nightly
+def test_a_snapped_mesh_is_judged_as_checkmesh_does(tmp_path, capsys):
+    """OpenFOAM's flange, 19,314 cells of which 1,544 are polyhedra and some have collapsed corners: moved, and not refused."""
+    foam.need_openfoam()
+    case = tmp_path / "a"
+    shutil.copytree(foam.EXAMPLES / "mesh" / "snappyHexMesh" / "flange", case)
+    for file in case.rglob("*Dict.gz"):
+        file.with_suffix("").write_bytes(gzip.decompress(file.read_bytes()))
+    shutil.copy(foam.EXAMPLES / "resources" / "geometry" / "flange.stl.gz", case / "constant" / "triSurface")
+    for command in (["blockMesh"], ["surfaceFeatureExtract"], ["snappyHexMesh", "-overwrite"]):
+        foam.run(case, *command)
+    for name in ("0", "log.blockMesh"):
+        shutil.rmtree(case / name, ignore_errors=True)
+    fixed = [patch for patch in io.read(case).patches if patch != "flange_patch3"]
+    flags = ["--moving", "flange_patch3", "--fixed", *fixed, "--translate", "0", "0", "2e-4", "--json"]
+    assert main(["deform", str(case), str(tmp_path / "b"), *flags]) == 0
+    after = json.loads(capsys.readouterr().out)["after"]
+    done = foam.run(tmp_path / "b", "checkMesh", "-constant")
+    assert "Face pyramids OK." in done
+    expected = re.search(r"non-orthogonality Max: (\S+) average: (\S+)", done).groups()
+    found = [after["max_non_orthogonality"], after["mean_non_orthogonality"]]
+    np.testing.assert_allclose(found, [*map(float, expected)], rtol=2e-5)
+    assert (after["cells"], after["inverted"]) == (19314, 0)
+
+
+def test_whole_cells_are_drawn_in_the_colour_of_their_value(tmp_path):
+    """All pieces of a polyhedron have its value; values of pieces are taken as well, and no other number of them."""
+    plot = pytest.importorskip("jaxmorph.plot")
+    joined_polyhedra(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    whole, pieces = jm.face_quality(mesh).volume, len(mesh.cell_ids)
+    assert len(whole) < pieces
+    drawn = [plot.surface(mesh, values=values) for values in (whole, whole[mesh.cell_ids])]
+    for plotter in drawn:
+        centres, values = plotter.mesh.cell_centers().points, plotter.mesh.cell_data["values"]
+        outer = np.abs(centres[:, 0] - 1) > 1e-9  # faces between the cube and the others are of either
+        of_cube = centres[outer, 0] < 1
+        np.testing.assert_allclose(values[outer], np.where(of_cube, 1, 0.25), rtol=1e-12)
+        assert {*of_cube.tolist()} == {False, True}
+    with pytest.raises(ValueError, match=rf"shape \(6,\); this mesh has 5 cells, in {pieces} pieces"):
+        plot.surface(mesh, values=np.ones(6))
+    slab(tmp_path / "a")
+    mesh = io.read(tmp_path / "a")
+    whole = jm.face_quality(mesh).volume
+    assert len(whole) < len(mesh.cell_ids)
+    colours = plot.mesh(mesh, values=whole).collections[0].get_array()
+    np.testing.assert_array_equal(colours, whole[mesh.cell_ids])
