@@ -189,7 +189,7 @@ WRONG = {
     "--twist 5 --along 1 0 0 --about 3 0 0": "--twist: `length` is -1.0; it must be above 0",
     '--box {"low":[0,0,0]}': "--box: low and high or corners, points and a list moved expected, found low",
     BOX.format(0, ""): "--box: low must be below high",
-    BOX.format(1, '{"at":[2,0,0],"by":[0,0,1]}'): r"--box: at = \[2, 0, 0\] is none of the control points",
+    BOX.format(1, '{"at":[2,0,0],"by":[0,0,1]}'): r"--box: at = \[2, 0, 0\]: whole numbers from 0 to \[1, 1, 1\]",
 }
 
 

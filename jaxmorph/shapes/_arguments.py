@@ -105,7 +105,8 @@ def positive(name: str, value: Any, like: Array) -> Scalar:
 def axis_for(values: Any, like: Positions) -> Float[Array, " 3"]:
     """The direction (3,) about which positions turn; in 2-D that of the drawing."""
     if (values is None) != (like.shape[1] == 2):
-        raise ValueError("`axis` is for positions in 3-D, where a rotation needs (3,) numbers; leave it out in 2-D.")
+        is_missing = "is missing: a rotation in 3-D needs (3,) numbers"
+        raise ValueError(f"`axis` {is_missing if values is None else 'is for positions in 3-D; leave it out in 2-D'}.")
     return jnp.array([0.0, 0.0, 1.0], like.dtype) if values is None else direction("axis", values, like)
 
 

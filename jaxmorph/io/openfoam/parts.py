@@ -106,9 +106,9 @@ class Decomposed:
 
     def folder(self, k: int) -> pathlib.Path:
         """Returns the folder of part `k`. Raises `ValueError` for a part that is not there."""
-        if k not in range(self.count):
+        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < self.count:
             raise ValueError(f"{self.path}: `k` is {k!r}; parts have the numbers 0 to {self.count - 1}.")
-        return self.path / f"processor{int(k)}"
+        return self.path / f"processor{k}"
 
     def read(self, k: int) -> Mesh:
         """Reads part `k` as `io.read` does; the last one is kept."""
