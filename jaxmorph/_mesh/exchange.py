@@ -10,30 +10,17 @@ import numpy as np
 
 from .._host.cells.orders import MESHIO, VTK_ORDER, reordered
 from .._host.cells.pieces import boundary_faces
-from .._host.cells.topology import (
-    CORNERS,
-    DIMENSION,
-    KNOWN,
-    NODES,
-    SHAPES,
-    VTK_QUADRATIC,
-    canonical_type,
-    solid,
-)
+from .._host.cells.topology import CORNERS, DIMENSION, KNOWN, NODES, SHAPES, VTK_QUADRATIC, canonical_type, solid
 from .._host.package.arguments import has_type, native, real_array, shown
 
-PREFIX = "patch:"
-"""Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
+PREFIX = "patch:"  # point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere
 
 MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
 MARKERS += ("modelfaceid", "facet_tags", "name_to_read", "ugrid:ref", "nastran:ref")
 """Names, in lower case, of arrays whose numbers name patches."""
 
-GROUPS = ("gmsh:physical", "netgen:index")
-"""meshio's arrays of numbers of groups, whose names are field data."""
-
-BOUNDING = "gmsh:bounding_entities"
-"""meshio's name of a set of cells that is no physical group."""
+GROUPS = ("gmsh:physical", "netgen:index")  # meshio's arrays of numbers of groups, whose names are field data
+BOUNDING = "gmsh:bounding_entities"  # meshio's name of a set of cells that is no physical group
 
 LAGRANGE = {
     **{"VTK_LAGRANGE_CURVE": "line", "VTK_LAGRANGE_TRIANGLE": "triangle", "VTK_LAGRANGE_QUADRILATERAL": "quad"},
@@ -41,11 +28,8 @@ LAGRANGE = {
 }
 """meshio's names of VTK's cells of any order; the number of nodes tells the order."""
 
-LEVELS = ("point", "curve", "surface", "volume")
-"""gmsh's names of the dimensions."""
-
-SHOWN = 6
-"""Numbers of an array that a sentence lists."""
+LEVELS = ("point", "curve", "surface", "volume")  # gmsh's names of the dimensions
+SHOWN = 6  # numbers of an array that a sentence lists
 
 Arrays = Mapping[str, Any]
 ByName = dict[str, np.ndarray]

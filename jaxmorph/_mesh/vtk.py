@@ -12,8 +12,7 @@ from .exchange import Arrays, Grid, Parts, check_width, checked_parts, imported,
 from .faces import Faces, faces_of_cells, joined_faces
 from .polyhedra import cells_of_faces, spread
 
-AXIS_ALIGNED = {8: [0, 1, 3, 2], 11: [0, 1, 3, 2, 4, 5, 7, 6]}
-"""The order of the corners of pixels and voxels."""
+AXIS_ALIGNED = {8: [0, 1, 3, 2], 11: [0, 1, 3, 2, 4, 5, 7, 6]}  # the order of the corners of pixels and voxels
 
 OTHERS = {
     **{8: ("quad", 2), 11: ("hexahedron", 3), 0: ("empty", 0), 1: ("vertex", 0), 2: ("poly_vertex", 0)},
@@ -43,9 +42,7 @@ def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def numbers_of(grid: Any) -> np.ndarray:
-    if not grid.GetNumberOfCells():
-        return np.zeros(0, np.uint8)
-    return _as_numpy(grid.GetCellTypes())
+    return _as_numpy(grid.GetCellTypes()) if grid.GetNumberOfCells() else np.zeros(0, np.uint8)
 
 
 def data_of(attributes: Any) -> dict[str, np.ndarray]:

@@ -25,13 +25,9 @@ class Factors:
     """Factors of a sparse symmetric matrix; minimum degree orders them unless `is_ordered`."""
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
+        order = "NATURAL" if is_ordered else "MMD_AT_PLUS_A"
         try:
-            self._factors = linalg.splu(
-                matrix.tocsc(),
-                permc_spec="NATURAL" if is_ordered else "MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            self._factors = linalg.splu(matrix.tocsc(), order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         except RuntimeError:  # singular
             self._factors = None
 

@@ -9,8 +9,7 @@ from ..package.arguments import between, check_fields, whole
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, spacing
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
 
-ENOUGH = {2: 84, 3: 400}
-"""Sources of `Filled` by dimension: a wall in 3-D needs more than a curve."""
+ENOUGH = {2: 84, 3: 400}  # sources of `Filled` by dimension: a wall in 3-D needs more than a curve
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,11 +81,7 @@ class Filled(AbstractReduction):
 
 
 def farthest(
-    points: np.ndarray,
-    count: int,
-    closest: float,
-    first: np.ndarray | None = None,
-    reach: np.ndarray | float = 0.0,
+    points: np.ndarray, count: int, closest: float, first: np.ndarray | None = None, reach: np.ndarray | float = 0.0
 ) -> np.ndarray:
     """Picks ids of `count` points, each the farthest from all chosen points; `first` come first.
 
@@ -124,8 +119,7 @@ def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndar
     np.minimum(distance, total, out=distance)
 
 
-SHARE = {2: 0.25, 3: 0.5}
-"""Default `share` by dimension: a distant circle gets 16 sources, a sphere about 30."""
+SHARE = {2: 0.25, 3: 0.5}  # default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,8 +200,7 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
             distances.append(np.where(low + row < own, distance, np.inf))
             numbers.append(np.where(low + row < own, low + row, own))
         nearest = np.argsort(np.hstack(distances), axis=1, kind="stable")[:, : count - 1]
-        earlier[start - first : end - first, 1 : 1 + nearest.shape[1]] = np.take_along_axis(
-            np.hstack(numbers), nearest, axis=1
-        )
+        found = np.take_along_axis(np.hstack(numbers), nearest, axis=1)
+        earlier[start - first : end - first, 1 : 1 + nearest.shape[1]] = found
         start = end
     return order, earlier

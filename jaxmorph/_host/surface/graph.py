@@ -23,9 +23,7 @@ JITTER = 1e-8  # relative to the nearest node's distance: at 1e-9 location is sl
 SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`
 TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
-OPTIONS = "Qbb Qc Qz Q12 Q5"
-"""SciPy's options of qhull, without a last check of outer planes, which simplices do not use."""
-
+OPTIONS = "Qbb Qc Qz Q12 Q5"  # SciPy's of qhull, but for a last check of outer planes, which simplices do not use
 FLAT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
 
 
