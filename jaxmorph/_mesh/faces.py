@@ -123,7 +123,6 @@ def joined_faces(parts: list[Faces]) -> Faces:
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Finds tetrahedra, pyramids, wedges and hexahedra: corners (k, c) and cell ids (k,) by type.
-
     The entry `polyhedron` lists other cells. Counts of faces, triangles and quads select
     candidates; `_typed` numbers their corners and refuses cells with other connections.
     """

@@ -40,7 +40,6 @@ def cells_of_faces(
     faces: Faces, points: np.ndarray, numbers: np.ndarray | None = None
 ) -> tuple[list[tuple[str, np.ndarray, np.ndarray]], Polyhedra]:
     """Makes standard cells of cells by their faces, and tetrahedra between own nodes of all others.
-
     Returns types, corners (k, corners) and cells (k,) of each, and whole cells. Raises `ValueError`
     for cells that do not close, the first one by its number in `numbers`.
     """
@@ -57,10 +56,9 @@ def cells_of_faces(
 
 
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> Pair:
-    """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`.
-
-    Triangles have the sense of their face. A face is a fan about the corner that makes its smallest
-    triangle largest; of equal corners, the first by place. So both cells see equal triangles.
+    """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`. Triangles
+    have the sense of their face. A face is a fan about the corner that makes its smallest triangle
+    largest; of equal corners, the first by place. So both cells see equal triangles.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -97,7 +95,6 @@ def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
     """Cuts cells into tetrahedra (t, 4) between an apex node and triangles of faces away from it.
-
     Also returns the cell of each. The apex is the first node whose smallest piece is no sliver, or
     else the node whose smallest piece is largest.
     """

@@ -99,10 +99,9 @@ def dimension_of(grid: Any) -> int:
 
 
 def of_vtk(grid: Any) -> Grid:
-    """Reads points, cells and arrays of an unstructured grid.
-
-    Polyhedra become standard cells or are cut. It raises `ValueError` for cells
-    that no mesh has, and for ids of nodes that are not there.
+    """Reads points, cells and arrays of an unstructured grid. Polyhedra become standard cells or
+    are cut. It raises `ValueError` for cells that no mesh has, and for ids of nodes that are not
+    there.
     """
     points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
     _check_ids("a cell", ids, len(points))
@@ -148,9 +147,8 @@ def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.n
 
 
 def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, tuple, np.ndarray]:
-    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra.
-
-    It returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
+    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra. It returns
+    types, corners and the grid's cells, whole cells, and the nodes of outer faces.
     """
     curved = sorted({kind for kind in kinds[solid].tolist() if SHAPES.get(kind, kind) != kind})
     _refuse(curved, " beside polyhedra")

@@ -49,7 +49,6 @@ def conjugate_gradients(
     matrix: Any, right: np.ndarray, inverse: Callable, is_enough: Callable, limit: int
 ) -> tuple[np.ndarray, bool]:
     """Solves for a right side (k,), up to negative curvature (Nocedal and Wright, algorithm 7.1).
-
     `inverse` is the preconditioner. `is_enough` decides from the solution, the residual and the
     residual's image under `inverse`. Returns x (k,), and whether it `is_enough` within `limit`
     steps. If the first direction has negative curvature, x is the direction.

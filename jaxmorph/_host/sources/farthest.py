@@ -83,10 +83,9 @@ class Filled(AbstractReduction):
 def farthest(
     points: np.ndarray, count: int, closest: float, first: np.ndarray | None = None, reach: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Picks ids of `count` points, each the farthest from all chosen points; `first` come first.
-
-    It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances
-    are relative to it, and it ends when all points are within reach.
+    """Picks ids of `count` points, each the farthest from all chosen points; `first` come first. It
+    ends early if all points are within `closest` of chosen points. With `reach` (n,), distances are
+    relative to it, and it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
@@ -181,10 +180,9 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
     """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
-
-    Returns ids (n,), and places in their order (n - first, count): the point's own place, then
-    near earlier places; its own place fills up the row. The result depends on the set of points,
-    not on their order.
+    Returns ids (n,), and places in their order (n - first, count): the point's own place, then near
+    earlier places; its own place fills up the row. The result depends on the set of points, not on
+    their order.
     """
     canonical = canonical_order(points)
     order = canonical[farthest(points[canonical], len(points), 0.0)]

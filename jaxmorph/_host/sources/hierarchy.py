@@ -119,7 +119,6 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
 
 def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Pair, Pair]:
     """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
-
     The `count` equations have ones on the diagonal. A level needs only earlier levels.
     """
     level = np.zeros(count, dtype=np.int64)
@@ -133,8 +132,8 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Pair, Pair]
 
 
 def _sweep(owner: np.ndarray, level: np.ndarray) -> Pair:
-    """Lays entries (e,), by level and owner, into s steps of r rows, each of up to `WIDTH` entries of
-    its owner: positions (s, r, WIDTH), -1 for padding, and owners (s, r).
+    """Lays entries (e,), by level and owner, into s steps of r rows, each of up to `WIDTH` entries
+    of its owner. Returns positions (s, r, WIDTH), -1 for padding, and owners (s, r).
     """
     # The entries of one owner within a level fill rows of `WIDTH`. All steps have equally many
     # rows, a quarter of the mean number of rows of a level. A level begins with a new step; the

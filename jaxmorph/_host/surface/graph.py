@@ -131,11 +131,9 @@ TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searche
 
 def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Finds the ids (w, d + 1) of the surface nodes whose simplex holds each `wanted` point.
-
-    Coordinates in single precision count as exact numbers, except for points on the hull.
-
-    `points` (n, d) are all points, and `wanted` (w,) the ids of those to locate. Raises `MeshError`
-    for points outside of the surface's convex hull.
+    Coordinates in single precision count as exact numbers, except for points on the hull. `points`
+    (n, d) are all points, and `wanted` (w,) the ids of those to locate. Raises `MeshError` for
+    points outside of the surface's convex hull.
     """
     points = points.astype(np.float64, copy=False)
     targets = (points[wanted] - graph.centre) / graph.size

@@ -30,7 +30,6 @@ APART = {2: 0.6, 3: 0.8}  # distance of the points of a ring, relative to its ra
 
 def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
-
     Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
     pairs = [np.zeros((0, 2), dtype=np.int64)]
@@ -67,10 +66,9 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
 
 
 def chords(points: np.ndarray, wall: np.ndarray, faces: ByType | None = None) -> Pair:
-    """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
-
-    It is half of the wall's length, in 3-D of its area over the distance of the two nodes: a wing's
-    chord, about the diameter of a sphere.
+    """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,). It is half of
+    the wall's length, in 3-D of its area over the distance of the two nodes: a wing's chord, about
+    the diameter of a sphere.
     """
     size = np.bincount(wall, _shares(points, faces))
     ends, order = np.zeros((len(size), 2), dtype=np.int32), canonical_order(points)
@@ -113,9 +111,8 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
 
 
 def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
-    """Finds distant fixed sources, and shares of the way to them where the field comes to rest.
-
-    The way begins at the middle of the moving sources.
+    """Finds distant fixed sources, and shares of the way to them where the field comes to rest. The
+    way begins at the middle of the moving sources.
     """
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
@@ -131,7 +128,6 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
 
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
-
     `surface` (b, d) has images in symmetry planes; `is_free` (n,) marks `points` off the surface.
     """
     try:
@@ -210,10 +206,9 @@ def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
 
 
 def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
-    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side.
-
-    The middle of the two, mirrored in the tip, lies behind it. Its distance is at least `length`,
-    at least one edge, more than `closest`, and less than `room`, both of edges (e,).
+    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side. The middle of the two,
+    mirrored in the tip, lies behind it. Its distance is at least `length`, at least one edge, more
+    than `closest`, and less than `room`, both of edges (e,).
     """
     place, found = walls.points, []
     for tip in walls.tips.tolist():
@@ -228,7 +223,6 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
 
 def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
     """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
-
     Distances shorter than the wall's edges at the tip are left out.
     """
     length = np.linalg.norm(np.subtract(*walls.points[walls.ends.T]), axis=1)
