@@ -44,15 +44,12 @@ def _(*arguments, function, shape, dtype, batch):
 
 
 def _lowered(context: Any, *operands: Any, **params: Any) -> Sequence[Any]:
+    def call(*arrays):
+        return (_called(*arrays, **params),)
+
+    avals = context.avals_in, context.avals_out
     outputs, _, _ = mlir.emit_python_callback(
-        context,
-        lambda *arrays: (_called(*arrays, **params),),
-        None,
-        operands,
-        context.avals_in,
-        context.avals_out,
-        has_side_effect=False,
-        sharding=_sharding(context),
+        context, call, None, operands, *avals, has_side_effect=False, sharding=_sharding(context)
     )
     return outputs
 
@@ -69,11 +66,9 @@ def _sharding(context: Any) -> Any:
 
 
 def _batched(arguments: Any, axes: Any, *, batch: tuple, **params: Any) -> tuple[Array, int]:
-    size = next(argument.shape[axis] for argument, axis in zip(arguments, axes, strict=True) if axis is not None)
-    rows = [
-        jnp.expand_dims(argument, 0) if axis is None else jnp.moveaxis(argument, axis, 0)
-        for argument, axis in zip(arguments, axes, strict=True)
-    ]
+    pairs = list(zip(arguments, axes, strict=True))
+    size = next(array.shape[axis] for array, axis in pairs if axis is not None)
+    rows = [jnp.expand_dims(array, 0) if axis is None else jnp.moveaxis(array, axis, 0) for array, axis in pairs]
     return _call_p.bind(*rows, batch=(size, *batch), **params), 0
 
 

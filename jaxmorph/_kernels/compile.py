@@ -21,13 +21,13 @@ OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
 }
 
-UNTUNED = {"xla_backend_optimization_level": 0}
-"""Options for a third of the compile time, for programs that run a few times on little data."""
+UNTUNED = {"xla_backend_optimization_level": 0}  # a third of the compile time, for few runs on little data
 
 _is_quick = contextvars.ContextVar("_is_quick", default=False)
 _is_for_cpu = contextvars.ContextVar("_is_for_cpu", default=False)
 
 Function = TypeVar("Function", bound=Callable)
+T = TypeVar("T")
 
 
 class Constant(eqx.Module):
@@ -47,7 +47,9 @@ def compiled(function: Function) -> Function:
     def direct(only_arrays: bool, is_quick: bool, for_cpu: bool) -> Callable:  # tracing depends on `for_cpu`
         # `jax.jit` is quicker to call, `filter_jit` knows static arguments
         compile: Any = jax.jit if only_arrays else eqx.filter_jit
-        return compile(function, compiler_options=_known_options(is_quick))
+        options = OPTIONS | (UNTUNED if is_quick else {})
+        known = {name: value for name, value in options.items() if _knows(name, value)}
+        return compile(function, compiler_options=known)  # XLA refuses a program for an unknown option
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
@@ -103,13 +105,6 @@ def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:
 
 
 @functools.cache
-def _known_options(is_quick: bool) -> dict[str, Any]:
-    """Selects the options that this XLA knows: it refuses a program for an unknown option."""
-    options = OPTIONS | (UNTUNED if is_quick else {})
-    return {name: value for name, value in options.items() if _knows(name, value)}
-
-
-@functools.cache
 def _knows(option: str, value: Any) -> bool:
     try:
         jax.jit(jnp.negative, compiler_options={option: value})(np.zeros(1))
@@ -122,9 +117,6 @@ def _array(argument: Any) -> Any:
     leaves = jax.tree.leaves(argument) if isinstance(argument, tuple) else ()
     is_numbers = len(leaves) > 0 and all(isinstance(leaf, int | float) for leaf in leaves)
     return jnp.asarray(argument) if isinstance(argument, list) or is_numbers else argument
-
-
-T = TypeVar("T")
 
 
 @contextlib.contextmanager

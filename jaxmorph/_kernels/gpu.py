@@ -19,9 +19,7 @@ BLOCK, WARPS = 512, 2  # points of a program of the kernel, and its groups of 32
 FEW = 2**19  # points below which sources are divided too: blocks of points alone do not fill a card
 FEW_BLOCK, FEW_WARPS = 64, 1  # `BLOCK` and `WARPS` for fewer points
 
-PROGRAMS, LEAST_SHARE = 2**17, 256
-"""Number of programs that keep a card busy to the end, and least number of sources of a program."""
-
+PROGRAMS, LEAST_SHARE = 2**17, 256  # programs that keep a card busy to the end, least sources of a program
 LEAST_CAPABILITY = 8  # major compute capability below which Triton, by which Pallas compiles, has no kernels
 
 ELEMENTWISE = {
@@ -52,11 +50,8 @@ def is_elementwise(phi: Callable, dtype: Any) -> bool:
 
 
 def _allowed(jaxpr: Any) -> bool:
-    def is_allowed(equation: Any) -> bool:
-        name = equation.primitive.name
-        return _allowed(equation.params[CALLS[name]].jaxpr) if name in CALLS else name in ELEMENTWISE
-
-    return all(map(is_allowed, jaxpr.eqns))
+    calls = [(each.primitive.name, each.params) for each in jaxpr.eqns]
+    return all(_allowed(held[CALLS[name]].jaxpr) if name in CALLS else name in ELEMENTWISE for name, held in calls)
 
 
 def fused_sum(

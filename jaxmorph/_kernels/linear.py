@@ -1,6 +1,7 @@
 """JAX operations with hand-written transposes: linear ones, and the product of a few rows."""
 
 import functools
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -21,8 +22,7 @@ def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any])
     moving = [i for i, tangent in enumerate(tangents) if i and not isinstance(tangent, ad.Zero)]
 
     def of_moving(*values):
-        arguments = dict(enumerate(primals)) | dict(zip(moving, values, strict=True))
-        return compute(*arguments.values())
+        return compute(*(dict(enumerate(primals)) | dict(zip(moving, values, strict=True))).values())
 
     return jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1]
 
@@ -85,7 +85,6 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
 
 MOST_ROWS = 4  # most rows that one loop sums on a GPU; a displacement has two or three
 
-
 # The transpose of a sum over a kernel's block contracts a few rows of a cotangent with the block's
 # long axis. On a CPU it takes a quarter of the time as one matrix-vector product a row; for many
 # rows, as under `vmap`, one product of matrices is faster.
@@ -118,11 +117,7 @@ def few_rows_in_one_loop(columns: Float[Array, "s k"], block: Float[Array, "..."
         return _contract(columns.T, block, axis).T
     terms = tuple(block * (row[:, None] if axis == 0 else row[None]) for row in columns.T)
     zeros = (jnp.zeros((), block.dtype),) * len(terms)
-
-    def add(a, b):
-        return tuple(x + y for x, y in zip(a, b, strict=True))
-
-    return jnp.stack(jax.lax.reduce(terms, zeros, add, (axis,)), axis=1)
+    return jnp.stack(jax.lax.reduce(terms, zeros, lambda *pair: tuple(map(operator.add, *pair)), (axis,)), axis=1)
 
 
 _product = linear_primitive(

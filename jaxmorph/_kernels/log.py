@@ -12,14 +12,11 @@ from jaxtyping import Array, ArrayLike, Float
 from .compile import is_for_cpu
 
 _ROOT_HALF = 0x3FE6A09E00000000  # the bits of sqrt(1/2), rounded down to a multiple of 2^32
-
 _ONE = 0x3FF0000000000000
 _MANTISSA = 0x000FFFFFFFFFFFFF
 _EXPONENT_1 = 0x0010000000000000  # one more in the exponent
 
-_TWO_52 = 0x4330000000000000
-"""The bits of 2^52; with an integer k < 2^52 in the mantissa, they are the bits of 2^52 + k."""
-
+_TWO_52 = 0x4330000000000000  # of 2^52; with an integer k < 2^52 in the mantissa, these are the bits of 2^52 + k
 _HALF_LOG_2 = 0.34657359027997264  # log(2) / 2
 
 _RECIPROCAL = (2.955511829448898, -2.889776453422684, 0.9349031257061479)
@@ -82,9 +79,9 @@ def _half_log(x):
     """log(x) / 2 for positive normal numbers; else a number below 373."""
     # x = 2^k m with m in [sqrt(1/2), sqrt(2)), f = (m - 1) / 2, s = (m - 1) / (m + 1). The half in
     # f costs nothing here, and a thin plate spline needs it.
-    bits = jax.lax.bitcast_convert_type(x, jnp.uint64) + _word(_ONE - _ROOT_HALF)
-    k = _float(bits >> _word(52) | _word(_TWO_52)) - (2.0**52 + 1023)
-    m = _float((bits & _word(_MANTISSA)) + _word(_ROOT_HALF - _EXPONENT_1))  # half of it
+    bits = jax.lax.bitcast_convert_type(x, jnp.uint64) + jnp.uint64(_ONE - _ROOT_HALF)
+    k = _float(bits >> jnp.uint64(52) | jnp.uint64(_TWO_52)) - (2.0**52 + 1023)
+    m = _float((bits & jnp.uint64(_MANTISSA)) + jnp.uint64(_ROOT_HALF - _EXPONENT_1))  # half of it
     f, d = m - 0.5, m + 0.5
     y = _polynomial(_RECIPROCAL, d)
     e = 1 - d * y
@@ -103,7 +100,3 @@ def _polynomial(coefficients, x):
 
 def _float(bits):
     return jax.lax.bitcast_convert_type(bits, jnp.float64)
-
-
-def _word(value: int):
-    return jnp.uint64(value)

@@ -10,30 +10,17 @@ import numpy as np
 
 from .._host.cells.orders import MESHIO, VTK_ORDER, reordered
 from .._host.cells.pieces import boundary_faces
-from .._host.cells.topology import (
-    CORNERS,
-    DIMENSION,
-    KNOWN,
-    NODES,
-    SHAPES,
-    VTK_QUADRATIC,
-    canonical_type,
-    solid,
-)
+from .._host.cells.topology import CORNERS, DIMENSION, KNOWN, NODES, SHAPES, VTK_QUADRATIC, canonical_type, solid
 from .._host.package.arguments import has_type, native, real_array, shown
 
-PREFIX = "patch:"
-"""Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
+PREFIX = "patch:"  # point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere
 
 MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
 MARKERS += ("modelfaceid", "facet_tags", "name_to_read", "ugrid:ref", "nastran:ref")
 """Names, in lower case, of arrays whose numbers name patches."""
 
-GROUPS = ("gmsh:physical", "netgen:index")
-"""meshio's arrays of numbers of groups, whose names are field data."""
-
-BOUNDING = "gmsh:bounding_entities"
-"""meshio's name of a set of cells that is no physical group."""
+GROUPS = ("gmsh:physical", "netgen:index")  # meshio's arrays of numbers of groups, whose names are field data
+BOUNDING = "gmsh:bounding_entities"  # meshio's name of a set of cells that is no physical group
 
 LAGRANGE = {
     **{"VTK_LAGRANGE_CURVE": "line", "VTK_LAGRANGE_TRIANGLE": "triangle", "VTK_LAGRANGE_QUADRILATERAL": "quad"},
@@ -41,11 +28,8 @@ LAGRANGE = {
 }
 """meshio's names of VTK's cells of any order; the number of nodes tells the order."""
 
-LEVELS = ("point", "curve", "surface", "volume")
-"""gmsh's names of the dimensions."""
-
-SHOWN = 6
-"""Numbers of an array that a sentence lists."""
+LEVELS = ("point", "curve", "surface", "volume")  # gmsh's names of the dimensions
+SHOWN = 6  # numbers of an array that a sentence lists
 
 Arrays = Mapping[str, Any]
 ByName = dict[str, np.ndarray]
@@ -54,10 +38,9 @@ Block = tuple[int, np.ndarray, Any]  # dimension, corners (k, c) and value of a 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Origin:
-    """The foreign mesh that a mesh came from, and numbers of the mesh's cells by type.
-
-    `polyhedra` and `cell_ids` are as in `Mesh`, `notes` sentences on what was left out or renamed.
-    Compared by identity, as a static field of a pytree must be.
+    """The foreign mesh that a mesh came from, and numbers of the mesh's cells by type. `polyhedra`
+    and `cell_ids` are as in `Mesh`, `notes` sentences on what was left out or renamed. Compared by
+    identity, as a static field of a pytree must be.
     """
 
     content: Any
@@ -77,7 +60,6 @@ class Patch(NamedTuple):
 
 def distinct(patches: Iterable[Patch]) -> tuple[ByName, tuple[str, ...]]:
     """Gives each set of nodes a name, and notes duplicate names, of which the first one stays.
-
     Other sets add their own name. Sets of the same name and nodes are one.
     """
     found: ByName = {}
@@ -113,7 +95,6 @@ def intact_source(mesh: Any) -> Any:
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
     """A mesh of another library: `blocks` of one cell type; `cell_data` has one array a block.
-
     `outer` are the nodes of the outer faces, None where those of the cells tell them; `content` is
     the library's own mesh. `own` are its words for the members of sets of cells and of points.
     `whole` are its polyhedra, and the whole cell of each cell, where some are cut.
@@ -196,7 +177,6 @@ class Parts(NamedTuple):
 
 def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     """Makes points, cells and patches of a grid: highest dimension, without z if all z are equal.
-
     Patches are `more`, point arrays `patch:NAME`, named sets of points and of cells of lower
     dimension, and gmsh's physical groups. Without them, the numbers of an array of `MARKERS` name
     patches. Without such an array, the nodes of faces that belong to one cell only are the patch
@@ -294,7 +274,6 @@ def _by_number(blocks: Iterable[Block]) -> Iterator[tuple[int, int, np.ndarray]]
 
 def _left(grid: Grid, taken: str) -> Iterator[str]:
     """Yields sentences on sets of cells of full dimension, and on numbers that are no patches.
-
     `taken` is the array that has become patches.
     """
     solid = {name: [part for *_, part in grid.of_blocks(parts, full=True)] for name, parts in grid.cell_sets.items()}

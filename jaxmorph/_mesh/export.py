@@ -105,9 +105,6 @@ def _of_cells(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.nd
     for kind, corners in mesh.cells.items() if "polyhedron" not in kinds else ():
         place[kinds == kind] = first + np.arange(len(corners))  # cells of one type have one order in both
         first += len(corners)
-    dealt = {}
-    for name, values in arrays.items():
-        if (place < 0).any():
-            values = np.concatenate([values, np.full((1, *values.shape[1:]), np.nan)])
-        dealt[name] = values[place]
-    return dealt
+    if (place < 0).any():
+        arrays = {name: np.concatenate([each, np.full((1, *each.shape[1:]), np.nan)]) for name, each in arrays.items()}
+    return {name: values[place] for name, values in arrays.items()}

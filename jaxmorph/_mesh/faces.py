@@ -10,16 +10,12 @@ import numpy as np
 from scipy import sparse
 
 from .._host.cells.adjacency import columns_of, sorted_columns, twins
-from .._host.cells.topology import CORNERS, FACES
+from .._host.cells.topology import CORNERS, FACES, Pair
 
 BLOCK = 1 << 13
 
-TwoArrays = tuple[np.ndarray, np.ndarray]
-
 _SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
 """Numbers of faces, of triangles and of quads by type."""
-
-_BASE = {"tetra": 3, "pyramid": 4, "wedge": 3, "hexahedron": 4}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,7 +71,7 @@ class Faces:
     def nodes(self, first: int, last: int) -> np.ndarray:
         return self.labels[self.starts[first] : self.starts[last]]
 
-    def of_cells(self) -> TwoArrays:
+    def of_cells(self) -> Pair:
         """Lists faces cell by cell, `~f` for the neighbour; where cells begin, and the end."""
         # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells.
         # The conversion from columns to rows is a counting sort in linear time.
@@ -127,7 +123,6 @@ def joined_faces(parts: list[Faces]) -> Faces:
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Finds tetrahedra, pyramids, wedges and hexahedra: corners (k, c) and cell ids (k,) by type.
-
     The entry `polyhedron` lists other cells. Counts of faces, triangles and quads select
     candidates; `_typed` numbers their corners and refuses cells with other connections.
     """
@@ -184,13 +179,13 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
     return corners, good
 
 
-def _from_base(faces: Faces, kind: str, around: np.ndarray) -> TwoArrays:
+def _from_base(faces: Faces, kind: str, around: np.ndarray) -> Pair:
     """Numbers cells from their first face, seen from inside; marks cells shaped as their type."""
     # A wall, another face that touches the base, shares an edge with it. On a walk round the wall,
     # exactly one edge leaves the base: its foot is a corner of the base, its head the corner above.
     # A cell has the shape of its type if every corner of the base has exactly one head, and the
     # heads are one apex or all different.
-    c = _BASE[kind]
+    c = 4 if kind in ("pyramid", "hexahedron") else 3
     base = faces.corners(around[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
     walls = around[:, 2:] if kind == "wedge" else around[:, 1:]

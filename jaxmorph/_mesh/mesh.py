@@ -177,8 +177,7 @@ class Mesh(Module):
         return Mesh(self.points, sides, self.patches), np.concatenate(owners)
 
     @property
-    def _firsts(self) -> dict[str, int]:
-        """The number of the first cell of each type."""
+    def _firsts(self) -> dict[str, int]:  # the number of the first cell of each type
         return dict(zip(self.cells, np.cumsum([0, *map(len, self.cells.values())]).tolist(), strict=False))
 
     @checked
@@ -200,10 +199,8 @@ class Mesh(Module):
                 owner = numbers[kind] + np.repeat(np.arange(len(table)), len(rows))
                 found.setdefault(shape, []).append((table[:, rows].reshape(-1, rows.shape[1]), owner))
         joined = {shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)] for shape in sorted(found)}
-        owners = [owner for _, owner in joined.values()]
-        return Mesh(points, {shape: ids for shape, (ids, _) in joined.items()}), np.concatenate(
-            [*owners, np.zeros(0, int)]
-        )
+        owners = [*(owner for _, owner in joined.values()), np.zeros(0, int)]
+        return Mesh(points, {shape: ids for shape, (ids, _) in joined.items()}), np.concatenate(owners)
 
     @checked
     def moved(self, points: PointsLike) -> "Mesh":
@@ -329,10 +326,8 @@ def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]
     keys, places, tables, first = [np.zeros((0, 16), np.int64)], [points[:0]], {}, 0
     for kind, shape in shapes.items():
         keys.append(node_keys(corners[kind], of_order(shape, steps)).reshape(-1, 16))
-        inner = places_of(kind, steps)[CORNERS[shape] :]
-        places.append(
-            np.einsum("sn,knd->ksd", inner, points[np.asarray(mesh.cells[kind])]).reshape(-1, points.shape[1])
-        )
+        inner, nodes = places_of(kind, steps)[CORNERS[shape] :], points[np.asarray(mesh.cells[kind])]
+        places.append(np.einsum("sn,knd->ksd", inner, nodes).reshape(-1, points.shape[1]))
     _, rows, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
     for kind, part in zip(shapes, keys[1:], strict=True):
         count = len(places_of(kind, steps)) - CORNERS[shapes[kind]]  # also of a type without cells

@@ -4,14 +4,12 @@ import dataclasses
 
 import numpy as np
 
+from .._host.cells.topology import Pair
 from .._host.package.rounding import SAME, canonical_order
-from .faces import BLOCK, Faces, TwoArrays, open_cells, standard_cells
+from .faces import BLOCK, Faces, open_cells, standard_cells
 
-SLIVER = 1e-3
-"""Share of a cell's mean piece below which a piece is left out: its sign says nothing."""
-
-ENOUGH = 0.05
-"""Share of the mean piece that ends the search for an apex."""
+SLIVER = 1e-3  # share of a cell's mean piece below which a piece is left out: its sign says nothing
+ENOUGH = 0.05  # share of the mean piece that ends the search for an apex
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,7 +40,6 @@ def cells_of_faces(
     faces: Faces, points: np.ndarray, numbers: np.ndarray | None = None
 ) -> tuple[list[tuple[str, np.ndarray, np.ndarray]], Polyhedra]:
     """Makes standard cells of cells by their faces, and tetrahedra between own nodes of all others.
-
     Returns types, corners (k, corners) and cells (k,) of each, and whole cells. Raises `ValueError`
     for cells that do not close, the first one by its number in `numbers`.
     """
@@ -58,11 +55,10 @@ def cells_of_faces(
     return blocks, Polyhedra(faces, cut)
 
 
-def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> TwoArrays:
-    """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`.
-
-    Triangles have the sense of their face. A face is a fan about the corner that makes its smallest
-    triangle largest; of equal corners, the first by place. So both cells see equal triangles.
+def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> Pair:
+    """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`. Triangles
+    have the sense of their face. A face is a fan about the corner that makes its smallest triangle
+    largest; of equal corners, the first by place. So both cells see equal triangles.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -97,9 +93,8 @@ def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.einsum("fti,fi->ft", np.cross(arms[:, :-1], arms[:, 1:]), normal).min(axis=1)
 
 
-def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> TwoArrays:
+def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
     """Cuts cells into tetrahedra (t, 4) between an apex node and triangles of faces away from it.
-
     Also returns the cell of each. The apex is the first node whose smallest piece is no sliver, or
     else the node whose smallest piece is largest.
     """
@@ -115,7 +110,7 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> TwoArrays
     return np.concatenate(parts), np.concatenate(owners)
 
 
-def spread(first: np.ndarray, last: np.ndarray) -> TwoArrays:
+def spread(first: np.ndarray, last: np.ndarray) -> Pair:
     """Lists the whole numbers of many ranges in a row, and the range of each."""
     # A count through all ranges is shifted in each: by the range's first number, less the numbers
     # of the ranges before it.
@@ -143,7 +138,7 @@ class _Pieces:
         triangle = corners[rows]
         return cls(points, np.where((signed < 0)[face, None], triangle, triangle[:, ::-1]), cell[face], face)
 
-    def volumes(self, apex: np.ndarray, rows: np.ndarray) -> TwoArrays:
+    def volumes(self, apex: np.ndarray, rows: np.ndarray) -> Pair:
         """Computes six volumes of tetrahedra below `apex`, one a cell; marks faces away from it."""
         tip = apex[self.cell[rows]]
         a, b, c = (self.points[self.corners[rows, i]] - self.points[tip] for i in range(3))
@@ -182,7 +177,7 @@ class _Pieces:
         mean = np.bincount(cell, volume, count) / np.maximum(np.bincount(cell, minlength=count), 1)
         return np.where(mean > 0, least / np.where(mean > 0, mean, 1), -np.inf)
 
-    def tetrahedra(self, apex: np.ndarray) -> TwoArrays:
+    def tetrahedra(self, apex: np.ndarray) -> Pair:
         volume, away = self.volumes(apex, np.arange(len(self.cell)))
         size = np.where(away, np.abs(volume), 0)
         mean = np.bincount(self.cell, size) / np.maximum(np.bincount(self.cell, away), 1)

@@ -12,8 +12,7 @@ from .exchange import Arrays, Grid, Parts, check_width, checked_parts, imported,
 from .faces import Faces, faces_of_cells, joined_faces
 from .polyhedra import cells_of_faces, spread
 
-AXIS_ALIGNED = {8: [0, 1, 3, 2], 11: [0, 1, 3, 2, 4, 5, 7, 6]}
-"""The order of the corners of pixels and voxels."""
+AXIS_ALIGNED = {8: [0, 1, 3, 2], 11: [0, 1, 3, 2, 4, 5, 7, 6]}  # the order of the corners of pixels and voxels
 
 OTHERS = {
     **{8: ("quad", 2), 11: ("hexahedron", 3), 0: ("empty", 0), 1: ("vertex", 0), 2: ("poly_vertex", 0)},
@@ -43,9 +42,7 @@ def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def numbers_of(grid: Any) -> np.ndarray:
-    if not grid.GetNumberOfCells():
-        return np.zeros(0, np.uint8)
-    return _as_numpy(grid.GetCellTypes())
+    return _as_numpy(grid.GetCellTypes()) if grid.GetNumberOfCells() else np.zeros(0, np.uint8)
 
 
 def data_of(attributes: Any) -> dict[str, np.ndarray]:
@@ -102,10 +99,9 @@ def dimension_of(grid: Any) -> int:
 
 
 def of_vtk(grid: Any) -> Grid:
-    """Reads points, cells and arrays of an unstructured grid.
-
-    Polyhedra become standard cells or are cut. It raises `ValueError` for cells
-    that no mesh has, and for ids of nodes that are not there.
+    """Reads points, cells and arrays of an unstructured grid. Polyhedra become standard cells or
+    are cut. It raises `ValueError` for cells that no mesh has, and for ids of nodes that are not
+    there.
     """
     points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
     _check_ids("a cell", ids, len(points))
@@ -151,9 +147,8 @@ def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.n
 
 
 def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, tuple, np.ndarray]:
-    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra.
-
-    It returns types, corners and the grid's cells, whole cells, and the nodes of outer faces.
+    """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra. It returns
+    types, corners and the grid's cells, whole cells, and the nodes of outer faces.
     """
     curved = sorted({kind for kind in kinds[solid].tolist() if SHAPES.get(kind, kind) != kind})
     _refuse(curved, " beside polyhedra")

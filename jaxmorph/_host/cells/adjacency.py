@@ -12,11 +12,10 @@ from .topology import FACES, ByType, Pair
 
 
 def neighbours(cells: ByType) -> Pair:
-    """Finds the cell behind every face of `cells`, corner ids (k, corners) by type.
-
-    Returns two arrays with one entry a face, by cell, faces in the order of `FACES`. The first has
-    the id of the neighbour. It is -1 on the boundary, where more than two cells meet, and at a face
-    without extent, as at a grid's pole. The second is True where the neighbour is numbered with the
+    """Finds the cell behind every face of `cells`, corner ids (k, corners) by type. Returns two
+    arrays with one entry a face, by cell, faces in the order of `FACES`. The first has the id of
+    the neighbour. It is -1 on the boundary, where more than two cells meet, and at a face without
+    extent, as at a grid's pole. The second is True where the neighbour is numbered with the
     opposite handedness.
     """
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`

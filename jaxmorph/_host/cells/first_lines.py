@@ -107,9 +107,7 @@ def _sides(cells: ByType, points: np.ndarray, wall: np.ndarray) -> dict[str, Wal
     return result
 
 
-def _candidates(
-    cells: ByType, starts: np.ndarray, on_wall: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _candidates(cells: ByType, starts: np.ndarray, on_wall: np.ndarray) -> tuple[np.ndarray, ...]:
     """Lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
     width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
     parts = []
@@ -121,8 +119,7 @@ def _candidates(
             row = np.pad(chosen[:, nodes], ((0, 0), (0, fill)))
             factor = np.broadcast_to(np.pad(weights, (0, fill)), row.shape)
             parts.append((chosen[:, first], chosen[:, last], row, factor))
-    start, end, nodes, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return start, end, nodes, weights
+    return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
 @functools.cache

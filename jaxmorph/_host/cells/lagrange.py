@@ -24,7 +24,7 @@ from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, number
 ORDERS = (1, 2, 3, 4)
 STEP = 1e-30  # imaginary step of a derivative
 
-PLACES = {
+PLACES = {  # corners of the reference cells
     "line": numbers("0 1"),
     "triangle": numbers("00 10 01"),
     "quad": numbers("00 10 11 01"),
@@ -33,7 +33,6 @@ PLACES = {
     "wedge": numbers("000 100 010 001 101 011"),
     "hexahedron": numbers("000 100 110 010 001 101 111 011"),
 }
-"""Corners of the reference cells."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -72,10 +72,7 @@ GMSH = NodeOrder(
 """gmsh's order: its manual, section "Node ordering"."""
 
 VTK_ORDER = NodeOrder(
-    {
-        "quad": numbers("01 12 32 03"),
-        "hexahedron": numbers("01 12 32 03 45 56 76 47 04 15 26 37"),
-    },
+    {"quad": numbers("01 12 32 03"), "hexahedron": numbers("01 12 32 03 45 56 76 47 04 15 26 37")},
     {
         "tetra": numbers("013 231 032 021"),
         "wedge": numbers("012 345 0143 1254 2035"),
@@ -108,10 +105,7 @@ def _spiral(square: np.ndarray) -> np.ndarray:
 
 
 CGNS_ORDER = NodeOrder(
-    {
-        "wedge": numbers("01 12 20 03 14 25 34 45 53"),
-        "hexahedron": numbers("01 12 23 30 04 15 26 37 45 56 67 74"),
-    },
+    {"wedge": numbers("01 12 20 03 14 25 34 45 53"), "hexahedron": numbers("01 12 23 30 04 15 26 37 45 56 67 74")},
     {
         "tetra": numbers("012 013 123 203"),
         "pyramid": numbers("0123 014 124 234 304"),

@@ -107,10 +107,7 @@ def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
 
 ON_EDGES = {
     "quad8": {"triangle": numbers("047 154 265 376"), "quad": numbers("4567")},
-    "pyramid13": {
-        "tetra": numbers("0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9"),
-        "pyramid": numbers("9abc4 56789"),
-    },
+    "pyramid13": {"tetra": numbers("0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9"), "pyramid": numbers("9abc4 56789")},
     "wedge15": {
         "tetra": numbers("068c 176d 287e 3b9c 49ad 5abe 678a 68ca 76da 87ea b9ca"),
         "pyramid": numbers("c9d6a ebc8a"),

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 Pair = tuple[np.ndarray, np.ndarray]
-ByType = Mapping[str, np.ndarray]
-"""Cells or faces (k, nodes) by their type."""
+ByType = Mapping[str, np.ndarray]  # cells or faces (k, nodes) by their type
 
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 """Number of corners by type; names are meshio's."""
@@ -22,8 +21,7 @@ HIGH_ORDER = (
 SHAPES = {kind: kind for kind in CORNERS} | {kind: kind.rstrip("0123456789") for kind in HIGH_ORDER}
 """The type of the linear cell with the corners of each type."""
 
-NODES = CORNERS | {kind: int(kind.removeprefix(SHAPES[kind])) for kind in HIGH_ORDER}
-"""The number of nodes of each type."""
+NODES = CORNERS | {kind: int(kind.removeprefix(SHAPES[kind])) for kind in HIGH_ORDER}  # number of nodes
 
 VTK = {"line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14}
 """Numbers of the types in VTK and SU2."""

@@ -25,13 +25,9 @@ class Factors:
     """Factors of a sparse symmetric matrix; minimum degree orders them unless `is_ordered`."""
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
+        order = "NATURAL" if is_ordered else "MMD_AT_PLUS_A"
         try:
-            self._factors = linalg.splu(
-                matrix.tocsc(),
-                permc_spec="NATURAL" if is_ordered else "MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            self._factors = linalg.splu(matrix.tocsc(), order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         except RuntimeError:  # singular
             self._factors = None
 
@@ -53,7 +49,6 @@ def conjugate_gradients(
     matrix: Any, right: np.ndarray, inverse: Callable, is_enough: Callable, limit: int
 ) -> tuple[np.ndarray, bool]:
     """Solves for a right side (k,), up to negative curvature (Nocedal and Wright, algorithm 7.1).
-
     `inverse` is the preconditioner. `is_enough` decides from the solution, the residual and the
     residual's image under `inverse`. Returns x (k,), and whether it `is_enough` within `limit`
     steps. If the first direction has negative curvature, x is the direction.

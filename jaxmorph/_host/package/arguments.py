@@ -195,11 +195,8 @@ MANY = {
     Mapping: ("a dict, each value", lambda value: isinstance(value, Mapping)),
 }
 
-SILENT = ("Any", "PyTree", "_empty", "object")
-"""Classes that restrict nothing, like names of classes that are defined later."""
-
-LISTS_OF_NUMBERS = ((Any,), (int,), (list[float],))
-"""Members of lists that are arrays where an array may stand in their place."""
+SILENT = ("Any", "PyTree", "_empty", "object")  # restrict nothing, like names of classes that are defined later
+LISTS_OF_NUMBERS = ((Any,), (int,), (list[float],))  # members of lists that are arrays where an array may stand
 
 
 @functools.cache

@@ -80,8 +80,7 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
     return arrays[name].astype(float)
 
 
-UNPACKED = 2 * 10**8, 100
-"""Bytes that a packed file may become in any case, and that a byte of it may become."""
+UNPACKED = 2 * 10**8, 100  # bytes that a packed file may become in any case, and that a byte of it may become
 
 
 @contextlib.contextmanager

@@ -11,7 +11,6 @@ from .cores import cores
 
 SAME = 1e-9  # relative difference up to which two numbers count as equal
 TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
-
 FEW = 4096  # points of a search up to which threads cost more than they gain
 
 

@@ -32,7 +32,6 @@ MESHES = {
 
 SENSITIVITIES, GRADIENTS, LATTICES = (".csv", ".npz"), (".csv", ".json"), (".vts",)
 
-
 UNREAD = {
     ".neu": "a Gambit neutral file; OpenFOAM's gambitToFoam keeps its patches",
     ".ccm": "a mesh of STAR-CCM+; its export to CGNS, or OpenFOAM's ccmToFoam, keeps its patches",
@@ -51,8 +50,7 @@ UNREAD = {
 }
 """What files with other known endings are, and what makes a mesh of them that is read."""
 
-PLUGINS = "jaxmorph.formats"
-"""The group of entry points by which other packages bring formats, named by their endings."""
+PLUGINS = "jaxmorph.formats"  # entry points by which other packages bring formats, named by their endings
 
 
 def ending(path: pathlib.Path) -> str:
@@ -105,8 +103,7 @@ def similar(word: str, known: Iterable[str]) -> str | None:
     return words[near[0]] if near else None
 
 
-SHOWN = 12
-"""Names that an error lists."""
+SHOWN = 12  # names that an error lists
 
 
 def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:

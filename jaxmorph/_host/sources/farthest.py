@@ -9,8 +9,7 @@ from ..package.arguments import between, check_fields, whole
 from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, spacing
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
 
-ENOUGH = {2: 84, 3: 400}
-"""Sources of `Filled` by dimension: a wall in 3-D needs more than a curve."""
+ENOUGH = {2: 84, 3: 400}  # sources of `Filled` by dimension: a wall in 3-D needs more than a curve
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,16 +81,11 @@ class Filled(AbstractReduction):
 
 
 def farthest(
-    points: np.ndarray,
-    count: int,
-    closest: float,
-    first: np.ndarray | None = None,
-    reach: np.ndarray | float = 0.0,
+    points: np.ndarray, count: int, closest: float, first: np.ndarray | None = None, reach: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Picks ids of `count` points, each the farthest from all chosen points; `first` come first.
-
-    It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances
-    are relative to it, and it ends when all points are within reach.
+    """Picks ids of `count` points, each the farthest from all chosen points; `first` come first. It
+    ends early if all points are within `closest` of chosen points. With `reach` (n,), distances are
+    relative to it, and it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
@@ -124,8 +118,7 @@ def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndar
     np.minimum(distance, total, out=distance)
 
 
-SHARE = {2: 0.25, 3: 0.5}
-"""Default `share` by dimension: a distant circle gets 16 sources, a sphere about 30."""
+SHARE = {2: 0.25, 3: 0.5}  # default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,10 +180,9 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
     """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
-
-    Returns ids (n,), and places in their order (n - first, count): the point's own place, then
-    near earlier places; its own place fills up the row. The result depends on the set of points,
-    not on their order.
+    Returns ids (n,), and places in their order (n - first, count): the point's own place, then near
+    earlier places; its own place fills up the row. The result depends on the set of points, not on
+    their order.
     """
     canonical = canonical_order(points)
     order = canonical[farthest(points[canonical], len(points), 0.0)]
@@ -206,8 +198,7 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
             distances.append(np.where(low + row < own, distance, np.inf))
             numbers.append(np.where(low + row < own, low + row, own))
         nearest = np.argsort(np.hstack(distances), axis=1, kind="stable")[:, : count - 1]
-        earlier[start - first : end - first, 1 : 1 + nearest.shape[1]] = np.take_along_axis(
-            np.hstack(numbers), nearest, axis=1
-        )
+        found = np.take_along_axis(np.hstack(numbers), nearest, axis=1)
+        earlier[start - first : end - first, 1 : 1 + nearest.shape[1]] = found
         start = end
     return order, earlier

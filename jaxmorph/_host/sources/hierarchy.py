@@ -117,15 +117,8 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
     return rows, used
 
 
-Sweep = Pair
-"""The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH`
-entries of its owner: positions (s, r, WIDTH), -1 for padding, and owners (s, r).
-"""
-
-
-def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Sweep]:
+def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Pair, Pair]:
     """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
-
     The `count` equations have ones on the diagonal. A level needs only earlier levels.
     """
     level = np.zeros(count, dtype=np.int64)
@@ -138,8 +131,10 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Swee
     return _sweep(row, level[row]), _sweep(column, level.max(initial=0) - level[column])
 
 
-def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
-    """Lays entries (e,), sorted by level and owner, into steps of rows."""
+def _sweep(owner: np.ndarray, level: np.ndarray) -> Pair:
+    """Lays entries (e,), by level and owner, into s steps of r rows, each of up to `WIDTH` entries
+    of its owner. Returns positions (s, r, WIDTH), -1 for padding, and owners (s, r).
+    """
     # The entries of one owner within a level fill rows of `WIDTH`. All steps have equally many
     # rows, a quarter of the mean number of rows of a level. A level begins with a new step; the
     # rest of its last step stays empty.
@@ -155,9 +150,7 @@ def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
     last_step = np.cumsum(-(-rows_of_level // rows))
     first_slot = rows * np.append(0, last_step)[level_of_row]
     slot = (first_slot + _places_in_runs(level_of_row))[np.cumsum(begins) - 1]
-    entries, owners = (
-        np.full((last_step[-1] * rows, WIDTH), -1, dtype=np.int32),
-        np.zeros(last_step[-1] * rows, np.int32),
-    )
+    entries = np.full((last_step[-1] * rows, WIDTH), -1, dtype=np.int32)
+    owners = np.zeros(last_step[-1] * rows, np.int32)
     entries[slot, within % WIDTH], owners[slot] = order, owner
     return entries.reshape(-1, rows, WIDTH), owners.reshape(-1, rows)

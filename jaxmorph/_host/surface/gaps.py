@@ -9,9 +9,7 @@ from ..linear.products import cofactor_rows, cross_rows
 from ..package.rounding import Tree, morton_order
 
 CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
-
 BLOCK = 1 << 12  # points of a block
-
 NEAR = 8  # nearest simplices that bound the distance to all others
 
 
@@ -54,7 +52,7 @@ def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return ids[np.stack([np.repeat(first, counts - 2), inner, inner + 1], axis=1)]
 
 
-def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
     """Finds the first simplex (m,) of `corners` (t, c, d) that is closest to each of `x` (m, d).
     Returns its number, the weights (m, c) of its corners at its closest place, and the distance.
     """
@@ -66,8 +64,7 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
     trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
     blocks = [_closest(trees, corners, x[at : at + BLOCK]) for at in range(0, max(len(x), 1), BLOCK)]
-    chosen, weights, distance = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    return chosen, weights, distance
+    return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
 
 
 def _closest(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -23,9 +23,7 @@ JITTER = 1e-8  # relative to the nearest node's distance: at 1e-9 location is sl
 SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`
 TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
-OPTIONS = "Qbb Qc Qz Q12 Q5"
-"""SciPy's options of qhull, without a last check of outer planes, which simplices do not use."""
-
+OPTIONS = "Qbb Qc Qz Q12 Q5"  # SciPy's of qhull, but for a last check of outer planes, which simplices do not use
 FLAT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
 
 
@@ -133,11 +131,9 @@ TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searche
 
 def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Finds the ids (w, d + 1) of the surface nodes whose simplex holds each `wanted` point.
-
-    Coordinates in single precision count as exact numbers, except for points on the hull.
-
-    `points` (n, d) are all points, and `wanted` (w,) the ids of those to locate. Raises `MeshError`
-    for points outside of the surface's convex hull.
+    Coordinates in single precision count as exact numbers, except for points on the hull. `points`
+    (n, d) are all points, and `wanted` (w,) the ids of those to locate. Raises `MeshError` for
+    points outside of the surface's convex hull.
     """
     points = points.astype(np.float64, copy=False)
     targets = (points[wanted] - graph.centre) / graph.size

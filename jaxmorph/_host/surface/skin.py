@@ -22,25 +22,14 @@ from ..package.rounding import (
 )
 from ..sources.farthest import farthest
 
-FacesByType = ByType | None
-
-RINGS, BEYOND = (40, 80), 1.1
-"""Radii of rings at which a body's field comes to rest.
-
-They are relative to the body's radius. A far field has rings if it is `BEYOND` times as far away as
-the last ring.
-"""
-
-SIDES = 64
-"""Largest sides of the surface's hull on which free nodes are searched."""
-
-APART = {2: 0.6, 3: 0.8}
-"""Distance of the points of a ring, relative to its radius: about 8 on a circle."""
+RINGS = (40, 80)  # radii of rings at which a body's field comes to rest, relative to the body's radius
+BEYOND = 1.1  # least distance of a far field with rings, relative to the last ring
+SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
+APART = {2: 0.6, 3: 0.8}  # distance of the points of a ring, relative to its radius: about 8 on a circle
 
 
-def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
+def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
-
     Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
     pairs = [np.zeros((0, 2), dtype=np.int64)]
@@ -76,11 +65,10 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
 
 
-def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> Pair:
-    """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
-
-    It is half of the wall's length, in 3-D of its area over the distance of the two nodes: a wing's
-    chord, about the diameter of a sphere.
+def chords(points: np.ndarray, wall: np.ndarray, faces: ByType | None = None) -> Pair:
+    """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,). It is half of
+    the wall's length, in 3-D of its area over the distance of the two nodes: a wing's chord, about
+    the diameter of a sphere.
     """
     size = np.bincount(wall, _shares(points, faces))
     ends, order = np.zeros((len(size), 2), dtype=np.int32), canonical_order(points)
@@ -95,7 +83,7 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> P
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
 
-def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
+def _shares(points: np.ndarray, faces: ByType | None) -> np.ndarray:
     """Measures the length (2-D) or area (3-D) around every node (b,); an estimate without faces."""
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
@@ -123,9 +111,8 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
 
 
 def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
-    """Finds distant fixed sources, and shares of the way to them where the field comes to rest.
-
-    The way begins at the middle of the moving sources.
+    """Finds distant fixed sources, and shares of the way to them where the field comes to rest. The
+    way begins at the middle of the moving sources.
     """
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
@@ -141,7 +128,6 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
 
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
-
     `surface` (b, d) has images in symmetry planes; `is_free` (n,) marks `points` off the surface.
     """
     try:
@@ -167,14 +153,9 @@ def has_free_faces(points: np.ndarray, faces: ByType, is_held: np.ndarray) -> bo
     return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
 
 
-SHARP = np.cos(np.deg2rad(60))
-"""Cosine of the angle between the two edges of a tip below which the wall is sharp there."""
-
-NEARBY = 0.002, 0.008, 0.032
-"""Distances of sources from a sharp tip, relative to the mean chord: waves invert cells at tips."""
-
-AWAY = 0.7
-"""Least distance of a place behind a tip from the wall, relative to its distance from the tip."""
+SHARP = np.cos(np.deg2rad(60))  # cosine of the angle between a tip's edges below which the wall is sharp there
+NEARBY = 0.002, 0.008, 0.032  # distances of sources from a tip over the mean chord: waves invert cells at tips
+AWAY = 0.7  # least distance of a place behind a tip from the wall, relative to its distance from the tip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,12 +180,10 @@ class Tips:
 
     def sides(self, tip: int, length: float) -> list[int]:
         """Finds the first place at the distance `length` on both sides of a tip."""
-        found = []
+        found, reach = [], length * (1 - SAME)
         for place in self.beside[tip].tolist():  # follows the wall, or to its end
             before = tip
-            while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < length * (
-                1 - SAME
-            ):
+            while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < reach:
                 ahead = int(self.beside[place].sum()) - before
                 if ahead == tip:
                     break
@@ -227,10 +206,9 @@ def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
 
 
 def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
-    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side.
-
-    The middle of the two, mirrored in the tip, lies behind it. Its distance is at least `length`,
-    at least one edge, more than `closest`, and less than `room`, both of edges (e,).
+    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side. The middle of the two,
+    mirrored in the tip, lies behind it. Its distance is at least `length`, at least one edge, more
+    than `closest`, and less than `room`, both of edges (e,).
     """
     place, found = walls.points, []
     for tip in walls.tips.tolist():
@@ -245,7 +223,6 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
 
 def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
     """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
-
     Distances shorter than the wall's edges at the tip are left out.
     """
     length = np.linalg.norm(np.subtract(*walls.points[walls.ends.T]), axis=1)

@@ -8,9 +8,7 @@ from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked
 from ..sources.farthest import farthest
 
-SHARP = np.cos(np.deg2rad(45))
-"""Cosine of the angle at a concave corner from which on its two faces belong to different walls."""
-
+SHARP = np.cos(np.deg2rad(45))  # cosine of a concave corner's angle from which on its faces are two walls
 REACH = 1.5  # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
 CURVED = 4  # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
 SAMPLE = 16  # nodes of a curve that vote for the next part
@@ -18,10 +16,7 @@ AROUND = 512  # nearest nodes among which a node finds its vote; if votes fail, 
 
 
 def walls(
-    points: np.ndarray,
-    moving: int,
-    faces: ByType | None = None,
-    in_planes: np.ndarray | None = None,
+    points: np.ndarray, moving: int, faces: ByType | None = None, in_planes: np.ndarray | None = None
 ) -> np.ndarray:
     """Returns each surface node's wall (b,); the first `moving` nodes move.
 
@@ -98,12 +93,8 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
 def owners(groups: list[np.ndarray]) -> np.ndarray:
     """The face of every corner, group by group (k, c), first corners of all its faces first."""
     starts = np.cumsum([0, *map(len, groups)])
-    return np.concatenate(
-        [
-            np.tile(np.arange(start, start + len(group)), group.shape[1])
-            for start, group in zip(starts, groups, strict=False)
-        ]
-    )
+    faces = zip(starts, groups, strict=False)
+    return np.concatenate([np.tile(start + np.arange(len(group)), group.shape[1]) for start, group in faces])
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
