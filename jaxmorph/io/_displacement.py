@@ -28,12 +28,7 @@ OFF = 0.01
 
 @checked
 def read_displacement(
-    path: PathLike,
-    mesh: Mesh,
-    moving: Int[ndarray, " m"],
-    *,
-    before: PathLike | None = None,
-    is_position: bool = True,
+    path: PathLike, mesh: Mesh, moving: Int[ndarray, " m"], *, before: PathLike | None = None, is_position: bool = True
 ) -> Float[ndarray, "m d"]:
     """Reads the displacement of each of the nodes `moving`, in their order.
 
@@ -271,11 +266,7 @@ def read_named(
 
 
 def in_order(
-    ids: ndarray,
-    values: ndarray,
-    d: int,
-    wanted: Int[ndarray, " m"],
-    known: tuple[ndarray, str],
+    ids: ndarray, values: ndarray, d: int, wanted: Int[ndarray, " m"], known: tuple[ndarray, str]
 ) -> Float[ndarray, "m d"]:
     """Returns the values of the nodes `wanted` from a file's, in the order of its `ids`.
 

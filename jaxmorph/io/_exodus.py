@@ -36,10 +36,7 @@ _ORDER = NodeOrder(
 )
 """The manual's order; of hexahedra of 27 nodes the middle one comes before those of the faces."""
 
-_SETS = (
-    (("ss", "elem_ss", "sides"), "num_side_sets"),
-    (("ns", "node_ns", "nodes"), "num_node_sets"),
-)
+_SETS = ((("ss", "elem_ss", "sides"), "num_side_sets"), (("ns", "node_ns", "nodes"), "num_node_sets"))
 """Of side sets and node sets: their prefix, the array of members, our word; and their number."""
 _UNREAD = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
 _UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
@@ -103,7 +100,8 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
             continue
         kind, corners = text_of(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
         width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
-        ours = _type_of(letters, width)
+        shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
+        ours = shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
         if ours not in (*NODES, "vertex"):
             what = f"elements of type {kind[:40]} with {width} nodes"
             raise ValueError(f"{path}: {what} are not read; of order 1 and 2 are (HEX8, HEX20, ...).")
@@ -113,11 +111,6 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
         is_shell = letters == "SHE" or (letters == "TRI" and dimension == 3)
         sides = [] if ours == "vertex" else _sides(ours, is_shell)
         yield _Block(name, own, ours, reordered(ours, corners, _ORDER, None), sides)
-
-
-def _type_of(letters: str, width: int) -> str:
-    shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
-    return shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
 
 
 def _sides(kind: str, is_shell: bool) -> list[ndarray]:

@@ -237,7 +237,6 @@ class Stream:
         self.section, self.version, self.rows = section, form.version, None
         self.data, self.at, self.stop = section.text, section.start, section.stop
         kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
-        kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
         self.types = {key: np.dtype(form.order + kind) for key, kind in kinds.items()}
         if form.is_text:
             self.rows = section.rows(dtype)

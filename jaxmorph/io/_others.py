@@ -17,16 +17,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.package.text import ending
-from jaxmorph._mesh.exchange import (
-    GROUPS,
-    LEVELS,
-    MARKERS,
-    Grid,
-    Parts,
-    Patch,
-    imported,
-    of_meshio,
-)
+from jaxmorph._mesh.exchange import GROUPS, LEVELS, MARKERS, Grid, Parts, Patch, imported, of_meshio
 from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart

@@ -215,12 +215,7 @@ def scan(chunk: bytes) -> tuple[ndarray, ndarray, ndarray]:
 
 
 def replaced(
-    text: bytes,
-    part: slice,
-    values: ndarray,
-    *,
-    at: ndarray | None = None,
-    plain: Callable[[bytes], bytes] = bytes,
+    text: bytes, part: slice, values: ndarray, *, at: ndarray | None = None, plain: Callable[[bytes], bytes] = bytes
 ) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 

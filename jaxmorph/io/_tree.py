@@ -124,11 +124,7 @@ def of_tree(
 
 
 def write_points(
-    path: Path,
-    mesh: MeshLike,
-    format_name: str,
-    coordinates: Callable[[Any], Iterable[Coordinates]],
-    what: str = WHAT,
+    path: Path, mesh: MeshLike, format_name: str, coordinates: Callable[[Any], Iterable[Coordinates]], what: str = WHAT
 ) -> None:
     """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
 

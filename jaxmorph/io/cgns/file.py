@@ -100,9 +100,7 @@ def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
         zone.content = content._replace(blocks=blocks, dimension=dimension)
 
 
-def _patches(
-    zones: list[Zone],
-) -> tuple[Members, list[np.ndarray], list[str]]:
+def _patches(zones: list[Zone]) -> tuple[Members, list[np.ndarray], list[str]]:
     of_patch, faces, regions = {}, [], []
     for zone in zones:
         for name, nodes in patches(zone):

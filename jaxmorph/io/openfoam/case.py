@@ -215,7 +215,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
         fate = "keep the old points" if _is_time(path) else "are not copied"
         warn(
             f"{path}: the case is decomposed, and its {len(parts)} folders processor* {fate}. "
-            "Run decomposePar -force on the written mesh before a parallel run.",
+            "Run decomposePar -force on the written mesh before a parallel run."
         )
     write_points(path, content, points)
 

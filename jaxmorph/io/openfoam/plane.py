@@ -103,12 +103,7 @@ def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> F
 
 
 def _paired(
-    kind: str,
-    faces: Faces,
-    points: np.ndarray,
-    planes: Sequence[np.ndarray],
-    axes: np.ndarray,
-    origin: np.ndarray,
+    kind: str, faces: Faces, points: np.ndarray, planes: Sequence[np.ndarray], axes: np.ndarray, origin: np.ndarray
 ) -> Front:
     """Finds the node behind that an edge joins to each node in front; one in both is its own."""
     front, back = planes
