@@ -193,8 +193,6 @@ IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
 """Headers of the column of node ids, which is the first one otherwise."""
 MAGICS = {(535532).to_bytes(4, "little"): "<", (535532).to_bytes(4, "big"): ">"}
 """The first number of a binary restart, in four bytes of either order."""
-HEADER = 5
-"""Whole numbers at its beginning: 535532, the counts of columns and nodes, and two zeros."""
 WIDTH = 33
 """Bytes of the name of one of its columns."""
 
@@ -285,7 +283,7 @@ def in_order(
 
 def _restart(content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
-    order, begin = MAGICS[content[:4]], 4 * HEADER
+    order, begin = MAGICS[content[:4]], 20  # five numbers: 535532, counts of columns and nodes, two zeros
     k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
     start = begin + WIDTH * k
     size = start + 8 * n * k

@@ -74,7 +74,6 @@ def read(path: Path) -> Parts:
 
 
 def write(path: Path, mesh: MeshLike) -> None:
-    """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
@@ -100,7 +99,7 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
             continue
         kind, corners = text_of(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
         width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
-        shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
+        shape = (_TYPES | {"SHE": _SHELLS.get(width, "")}).get(letters, "")
         ours = shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
         if ours not in (*NODES, "vertex"):
             what = f"elements of type {kind[:40]} with {width} nodes"

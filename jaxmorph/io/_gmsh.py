@@ -33,8 +33,6 @@ ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 SPARSE = 10
 """Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
-WHOLE = 2.0**53
-"""Numbers of a text beyond it may not be whole."""
 
 _NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
 _VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
@@ -122,7 +120,16 @@ def read(path: pathlib.Path) -> Parts:
     A group without a name is `physical_` and its tag. Of duplicate names the first of the highest
     dimension stays, others add their dimension and tag.
     """
-    found = _read(path)
+    data = path.read_bytes()
+    start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
+    found = _Found(_format(path, data, start))
+    for name, section in sections(path, data, start):
+        try:
+            found.take(name, section)
+        except (ValueError, IndexError, OverflowError) as error:
+            if str(path) in str(error):
+                raise
+            raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
     content = found.content
     if content is None or not len(content.tags) or not found.blocks:
         raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
@@ -149,20 +156,6 @@ def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Pat
     for (level, tag), members in sorted(nodes.items(), key=lambda item: -item[0][0]):
         name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
         yield level, Patch(name, f"{LEVELS[level]}_{tag}", members)
-
-
-def _read(path: pathlib.Path) -> _Found:
-    data = path.read_bytes()
-    start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
-    found = _Found(_format(path, data, start))
-    for name, section in sections(path, data, start):
-        try:
-            found.take(name, section)
-        except (ValueError, IndexError, OverflowError) as error:
-            if str(path) in str(error):
-                raise
-            raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
-    return found
 
 
 def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
@@ -258,7 +251,7 @@ class Stream:
         """Reads whole numbers, the first of each of the `records`, or side by side."""
         dtype, start = self.types[kind], self.skip(count, records or kind)
         values = np.ndarray((count,), dtype, self.data, start, (self.width(records or kind),))
-        if dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < WHOLE)).all():
+        if dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < 2.0**53)).all():
             raise ValueError("a number that is not whole where a tag or a count is expected")
         return values.astype(np.int64)
 

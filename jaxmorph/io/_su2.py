@@ -104,7 +104,11 @@ def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
     table, section = _points(rows, d), rows.section
     points = np.ascontiguousarray(table[:, :d])
-    cells = _cells(_only(keywords, "NELEM"), len(points))
+    elements = _only(keywords, "NELEM")
+    tables = gathered(_tables(elements, elements.section, len(points), "elements"))
+    if 1 in tables:
+        raise elements.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
+    cells = {TYPES[number]: corners for number, corners in tables.items()}
     content = SU2Content(text, section.start, section.stop, points.shape, table.shape[1])
     patches = _markers(keywords, len(points))
     if not patches:
@@ -182,13 +186,6 @@ def _points(keyword: Keyword, d: int) -> ndarray:
     rows.refuse(~is_good, lambda k: f"{expected}, found point {k} at {table[k].tolist()}.")
     _check_count(keyword, n, len(table), "points")
     return table
-
-
-def _cells(keyword: Keyword, n: int) -> Arrays:
-    cells = gathered(_tables(keyword, keyword.section, n, "elements"))
-    if 1 in cells:
-        raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
-    return {TYPES[number]: corners for number, corners in cells.items()}
 
 
 def _markers(keywords: list[Keyword], n: int) -> Arrays:
@@ -291,7 +288,13 @@ def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
     **Raises:** `ValueError` for no meshes, meshes of several calls, a duplicate zone, and what
     `write` refuses.
     """
-    zones = [(_content(path, mesh), mesh) for mesh in meshes]
+    zones = []
+    for mesh in meshes:
+        source = source_of(mesh, NAME)
+        check_output(path, mesh)
+        if source is None:
+            raise ValueError(f"{path}: {WANTED}")
+        zones.append((source.content, mesh))
     if Path(path).suffix.lower() != ".su2" or not zones:
         raise ValueError(f"{path}: {WANTED}")
     text = zones[0][0].text
@@ -306,11 +309,3 @@ def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
         text = b"".join(content._replace(text=text).moved(np.asarray(mesh.points)))
     with complete(Path(path)) as partial:
         partial.write_bytes(text)
-
-
-def _content(path: PathLike, mesh: Mesh) -> SU2Content:
-    source = source_of(mesh, NAME)
-    check_output(path, mesh)
-    if source is None:
-        raise ValueError(f"{path}: {WANTED}")
-    return source.content

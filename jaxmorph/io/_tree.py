@@ -220,16 +220,8 @@ class Reader:
         if long not in (4, 8):
             raise ValueError(f"long numbers of {long} bytes")
         self.order = _ORDERS[code]
-        kinds = {
-            "I4": "i4",
-            "U4": "u4",
-            "R4": "f4",
-            "R8": "f8",
-            "C1": "i1",
-            "B1": "u1",
-            "I8": f"i{long}",
-            "U8": f"u{long}",
-        }
+        kinds = {"I4": "i4", "U4": "u4", "R4": "f4", "R8": "f8", "C1": "i1", "B1": "u1"}
+        kinds |= {"I8": f"i{long}", "U8": f"u{long}"}
         self.kinds = {code: np.dtype(self.order + kind) for code, kind in kinds.items()}
         self.root = self._pointer(head[134:146])
 

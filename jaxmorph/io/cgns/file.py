@@ -53,8 +53,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes a copy of the file that the mesh was read from."""
-
     def coordinates(file: Any) -> Iterator[Coordinates]:
         for zone in open_zones(path, file)[0]:
             yield from zone.coordinates()

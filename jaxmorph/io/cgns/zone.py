@@ -15,7 +15,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
 from .._joined import block_cells, block_ids, block_sides
 from .._text import decoded
-from .._tree import Coordinates
+from .._tree import Coordinates, text_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,10 +86,9 @@ def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
 TYPES |= {
     **{4: "line3", 6: "triangle6", 8: "quad8", 9: "quad9", 11: "tetra10", 13: "pyramid14", 15: "wedge15"},
-    16: "wedge18",
     **{18: "hexahedron20", 19: "hexahedron27", 21: "pyramid13", 24: "line4", 26: "triangle10", 28: "quad16"},
     **{30: "tetra20", 33: "pyramid30", 36: "wedge40", 39: "hexahedron64", 40: "line5", 42: "triangle15"},
-    **{44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},
+    **{16: "wedge18", 44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},
 }
 NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
 MIXED, NGON, NFACE = 20, 22, 23
@@ -100,7 +99,7 @@ def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
     """Yields names and nodes of a label in a group, or of the last label in those of the others."""
     for name in group:
         child = group[name]
-        if not hasattr(child, "keys") or text(child.attrs.get("label", b"")) != label:
+        if not hasattr(child, "keys") or text_of(child.attrs.get("label", b"")) != label:
             continue
         if inner:
             yield from children(child, *inner)
@@ -112,21 +111,12 @@ def first(group: Any, *labels: str) -> Any:
     return next((child for _, child in children(group, *labels)), None)
 
 
-def text(value: Any) -> str:
-    return decoded(bytes(value).split(b"\0")[0]).strip() if not isinstance(value, str) else value
-
-
 def data(group: Any) -> np.ndarray:
     return group[" data"][()]
 
 
 def word(group: Any, default: str = "") -> str:
-    """Reads the text of a node, if there is one with data."""
-    return text(data(group).tobytes()) if group is not None and " data" in group else default
-
-
-Polygons = tuple[np.ndarray, ...]
-"""Faces of a section: numbers, vertices, sizes, and cells (n, 2) on both sides, 0 for none."""
+    return text_of(data(group)) if group is not None and " data" in group else default
 
 
 class ElementSection(NamedTuple):
@@ -242,9 +232,12 @@ class Zone:
         return self._with_polyhedra(ZoneContent(blocks, elements), polygons, volumes, points)
 
     def _with_polyhedra(
-        self, content: ZoneContent, polygons: list[Polygons], volumes: list[Ragged], points: np.ndarray
+        self, content: ZoneContent, polygons: list[tuple], volumes: list[Ragged], points: np.ndarray
     ) -> ZoneContent:
-        """Adds the cells of NFACE_n, or else of the parents of faces."""
+        """Adds the cells of NFACE_n, or else of the parents of faces.
+
+        Of each section `polygons` has numbers, vertices, sizes and parents, 0 for none, of faces.
+        """
         if not polygons:
             return content
         numbers, labels, sizes, parents = map(np.concatenate, zip(*polygons, strict=True))

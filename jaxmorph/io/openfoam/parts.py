@@ -160,11 +160,7 @@ class Decomposed:
         if not sides or not all(isinstance(side, Side) for side in sides):
             raise ValueError(f"`sides` must be what `side(k)` gives of the {len(self)} parts, not {shown(sides)}.")
         nodes, points = self._common_points(sides)
-        # ids by type or patch that all sides have become places among the nodes
-        faces, members = (
-            gathered((key, np.searchsorted(nodes, ids)) for side in sides for key, ids in getattr(side, name).items())
-            for name in ("faces", "patches")
-        )
+        faces, members = (_gathered(sides, name, nodes) for name in ("faces", "patches"))
         cells = {kind: corners for kind, corners in faces.items() if len(corners)}
         known = _said(sides, members)
         return Mesh(points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known))
@@ -224,6 +220,11 @@ class Decomposed:
             yield writer
             written = ranks.allgather(writer.written)
             together(ranks, end)
+
+
+def _gathered(sides: Sequence[Side], name: str, nodes: np.ndarray) -> dict[str, np.ndarray]:
+    """Joins the ids that all sides have by type or patch, and renumbers them by their place."""
+    return gathered((key, np.searchsorted(nodes, ids)) for side in sides for key, ids in getattr(side, name).items())
 
 
 def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -52,10 +52,6 @@ class Front(NamedTuple):
         at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
         return at[self.front[at] == nodes]
 
-    def edges(self, faces: np.ndarray) -> np.ndarray:
-        """Returns the front's edges (k, 2) in which faces (k, c) between the planes end."""
-        return self.ids(faces).reshape(-1, 2)
-
     def fitted(self, points: np.ndarray) -> "Front":
         if self.kind == "empty":
             return self
