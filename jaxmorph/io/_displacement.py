@@ -183,7 +183,6 @@ def _npz(path: Path) -> Simplices:
 
 READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}
 
-
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
 NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")

@@ -43,10 +43,7 @@ _UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
 class _Block(NamedTuple):
-    """Elements of one type between `corners`, called `name`, and the nodes of their sides.
-
-    Without a name it is called `own`.
-    """
+    """Elements of one type between `corners`, called `name` (else `own`); nodes of their sides."""
 
     name: str
     own: str
@@ -139,10 +136,7 @@ def _sets(file: Mapping[str, Any], what: tuple[str, str, str], number: str, bloc
 
 
 def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> Iterator[tuple[int, str, str, Any]]:
-    """Yields place, name, own name and array of blocks or sets; None if one is empty.
-
-    The status of an empty one, if given, is 0.
-    """
+    """Yields place, name, own name, array of blocks or sets; None for empty ones, of status 0."""
     (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
     defaults = {"prop1": np.arange(1, count + 1), "names": [""] * count, "status": np.zeros(count)}
     numbers, names, status = (

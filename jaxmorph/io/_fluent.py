@@ -79,7 +79,6 @@ class FluentContent(FilePoints):
     parts: list[NodeSection]
 
     def moved(self, points: ndarray) -> Pieces:
-        """Yields the file with other points (n, d), section by section."""
         done, points = 0, self.in_file(points)
         for part in sorted(self.parts, key=lambda part: part.section.start):
             values = points[part.rows].ravel()

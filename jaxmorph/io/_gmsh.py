@@ -31,8 +31,6 @@ TYPES |= {
 NUMBERS = {kind: number for number, kind in TYPES.items()}
 ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
-SPARSE = 10
-"""Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
 
 _NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
 _VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
@@ -207,7 +205,7 @@ def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock
     """Replaces the tags of nodes by their places: by a table, by a search if tags are sparse."""
     # Either way a tag that is none gives some place, so the tag at the place is compared.
     least, most = int(tags.min()), int(tags.max())
-    is_dense = most - least <= SPARSE * len(tags)
+    is_dense = most - least <= 10 * len(tags)
     order = np.argsort(tags)
     table = np.zeros(most - least + 1 if is_dense else 0, np.int64)
     if is_dense:
@@ -347,20 +345,18 @@ def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
         tables = gathered(_lines(stream) if stream.rows else _old_blocks(stream))
         return [_of_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
     count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
-    blocks = [_block(stream, groups) for _ in range(count)]
+    blocks = []
+    for _ in range(count):
+        dimension, tag, number = _entity(stream)
+        size, (kind, corners) = stream.one("n"), _kind(number)
+        if DIMENSION.get(kind, 0) != dimension:
+            raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
+        rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(size, 1 + corners)
+        blocks.append(ElementBlock(kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ()), slice(None))))
     stream.end()
     if sum(len(block.corners) for block in blocks) != total:
         raise ValueError(f"not the {total} elements that $Elements announces")
     return blocks
-
-
-def _block(stream: Stream, groups: Groups) -> ElementBlock:
-    dimension, tag, number = _entity(stream)
-    count, (kind, corners) = stream.one("n"), _kind(number)
-    if DIMENSION.get(kind, 0) != dimension:
-        raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
-    rows = stream.take("n" if stream.version > 4 else "i", count * (1 + corners)).reshape(count, 1 + corners)
-    return ElementBlock(kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ()), slice(None)))
 
 
 def _kind(number: int) -> tuple[str, int]:
@@ -436,10 +432,7 @@ def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Raises `ValueError` for patches that a new file cannot have.
-
-    Boundary faces cannot express them, or their name ends before its end.
-    """
+    """Refuses patches that boundary faces cannot express, or whose name ends before its end."""
     if content_of(mesh, NAME) is not None:
         return
     for name in mesh.patches:
@@ -450,18 +443,14 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
-
-    In a new file a patch becomes a physical group, with the boundary faces between its nodes as
-    elements.
-    """
+    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2."""
     content = content_of(mesh, NAME)
     with path.open("wb") as file:
         file.writelines(_new(mesh) if content is None else content.moved(content.in_file(np.asarray(mesh.points))))
 
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:
-    """Yields a new file in pieces; an element has its group's tag as group and as entity."""
+    """Yields a new file. A patch is a group of faces, which have its tag as group and as entity."""
     points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
     level = DIMENSION[blocks[0][0]] - 1

@@ -174,9 +174,8 @@ def _rows(values: ndarray, points: ndarray) -> tuple[ndarray, ndarray, ndarray] 
     n, d = points.shape
     for width in range(d, min(len(values) // n, 8) + 1):  # no row has more than 8 numbers
         rows = values[: n * width].reshape(n, width)
-        for first, order in itertools.product(
-            range(width - d + 1), (np.arange(n), np.argsort(rows[:, 0], kind="stable"))
-        ):
+        orders = np.arange(n), np.argsort(rows[:, 0], kind="stable")
+        for first, order in itertools.product(range(width - d + 1), orders):
             found = rows[order, first : first + d]
             if np.array_equal(found.astype(points.dtype), points):
                 at = width * np.arange(n)[:, None] + first + np.arange(d)

@@ -84,9 +84,8 @@ def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
     _check_zones(head, zones)
     zones = sorted(zones, key=lambda zone: zone[0].number())
-    return [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones] or [
-        head
-    ]
+    found = [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones]
+    return found or [head]
 
 
 def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
@@ -178,9 +177,8 @@ def _points(keyword: Keyword, d: int) -> ndarray:
     counts = rows.counts
     width = int(counts[:1].sum()) or d
     expected = f"a point of {d} coordinates, and on all rows or none up to 2 indices, expected"
-    rows.refuse(
-        (counts < d) | (counts > d + 2) | (counts != width), lambda k: f"{expected}, found {counts[k]} numbers."
-    )
+    is_wrong = (counts < d) | (counts > d + 2) | (counts != width)
+    rows.refuse(is_wrong, lambda k: f"{expected}, found {counts[k]} numbers.")
     table = rows.values.reshape(-1, width)
     is_good = np.isfinite(table).all(axis=1) & (table[:, d:] == np.floor(table[:, d:])).all(axis=1)
     rows.refuse(~is_good, lambda k: f"{expected}, found point {k} at {table[k].tolist()}.")
@@ -190,21 +188,18 @@ def _points(keyword: Keyword, d: int) -> ndarray:
 
 def _markers(keywords: list[Keyword], n: int) -> Arrays:
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
-    patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
+    found = []
+    for at in tags:
+        tag, *rest = keywords[at : at + 3]
+        if not rest or rest[0].name != "MARKER_ELEMS":
+            raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
+        section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section  # of SEND_RECEIVE, it stands before the rows
+        tables = _tables(rest[0], section, n, f"elements of marker {tag.value!r}")
+        found += [(tag.value, np.zeros(0, np.int64)), *((tag.value, corners.ravel()) for _, corners in tables)]
     stated = _only(keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
-    return patches
-
-
-def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, ndarray]]:
-    """Yields the nodes behind a tag; of SEND_RECEIVE, SEND_TO= stands before the rows."""
-    if not rest or rest[0].name != "MARKER_ELEMS":
-        raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
-    section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section
-    yield tag.value, np.zeros(0, np.int64)
-    for _, corners in _tables(rest[0], section, n, f"elements of marker {tag.value!r}"):
-        yield tag.value, corners.ravel()
+    return gathered(found)
 
 
 def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, ndarray]]:

@@ -51,7 +51,6 @@ class VTKContent(NamedTuple):
 
     @property
     def arrays(self) -> list[str]:
-        """Names of arrays, but those of patches."""
         fields = (self.data.GetPointData(), self.data.GetCellData(), self.data.GetFieldData())
         names = [str(field.GetArrayName(k)) for field in fields for k in range(field.GetNumberOfArrays())]
         return [name for name in names if not name.startswith(PREFIX)]

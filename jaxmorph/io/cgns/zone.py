@@ -277,8 +277,12 @@ class _Section:
         if "ElementStartOffset" in self.node:
             rows = Ragged(values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
             fault = f"the offsets of section {self.name} do not cut its {len(values)} numbers into {self.count} rows"
-        else:
-            rows = _counted(values)
+        else:  # the last row may be cut short
+            counts, at, numbers = [], 0, values.tolist()
+            while at < len(numbers):
+                counts.append(at)
+                at += 1 + max(numbers[at], 0)
+            rows = Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))
             fault = f"section {self.name} has no ElementStartOffset, and its {len(values)} numbers are not {self.count} rows"
         starts, sizes = rows.starts, np.diff(rows.starts)
         if len(rows) != self.count or starts[0] or starts[-1] != len(rows.values) or (sizes < least).any():
@@ -298,7 +302,12 @@ class _Section:
         head = int(self.kind == MIXED)  # each element begins with its type
         while at < len(values):
             number = int(values[at]) if head else self.kind
-            width = head + self._size(number)
+            if number not in NODES:
+                raise self.error(
+                    f"has elements of type {number}; linear elements, those of order 2, of order 3 and 4 with all inner nodes, "
+                    "and polyhedra are read"
+                )
+            width = head + NODES[number]
             rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
             rows = rows[: np.argmax(np.append(rows[:, 0] != number, True))] if head else rows
             if not len(rows):
@@ -310,20 +319,3 @@ class _Section:
             raise self.error(f"has {len(values)} numbers, of which the last {len(values) - at} are no whole element")
         if start != self.start + self.count:
             raise self.error(f"has {start - self.start} elements, and the range of {self.count}")
-
-    def _size(self, number: int) -> int:
-        if number not in NODES:
-            raise self.error(
-                f"has elements of type {number}; linear elements, those of order 2, of order 3 and 4 with all inner nodes, and "
-                "polyhedra are read"
-            )
-        return NODES[number]
-
-
-def _counted(values: np.ndarray) -> Ragged:
-    """Cuts numbers into rows that begin with their count; the last one may be cut short."""
-    counts, at, numbers = [], 0, values.tolist()
-    while at < len(numbers):
-        counts.append(at)
-        at += 1 + max(numbers[at], 0)
-    return Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))

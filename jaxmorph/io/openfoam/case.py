@@ -31,7 +31,6 @@ SYMMETRY = ("symmetry", "symmetryPlane")
 PLANES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
 
-
 Members = dict[str, np.ndarray]
 
 
@@ -46,7 +45,7 @@ class CaseContent:
     shared: np.ndarray
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Computes the points (N, 3) of the file, both planes' of one in 2-D; unmoved ones as read."""
+        """Computes the points (N, 3) of the file, in 2-D both planes'; unmoved ones as read."""
         moved = points if self.plane is None else self.plane.in_space(self.points, points)
         return np.where(moved == self.points.astype(moved.dtype), self.points, moved)
 
@@ -328,9 +327,8 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
 
 
 def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
-    zones = [
-        f"{size} {name}" for name in ("cellZones", "faceZones", "pointZones") if (size := _size(topology, name)) > 0
-    ]
+    sizes = {name: _size(topology, name) for name in ("cellZones", "faceZones", "pointZones")}
+    zones = [f"{size} {name}" for name, size in sizes.items() if size > 0]
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
     if topology.parent.name == "constant" and (others := regions(topology.parent)):
