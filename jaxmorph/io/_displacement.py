@@ -21,7 +21,6 @@ from ._format import faults_of
 from ._registry import read
 from ._text import PathLike, Section, decoded, parse, scan
 
-SHAPES = (".stl", ".obj")
 OFF = 0.01
 """Distance of a moving node off the surface, as a share of its bounding box's diagonal."""
 
@@ -58,7 +57,7 @@ def read_displacement(
     of_file, d = getattr(mesh.source, "node_ids", None), points.shape[1]
     numbers = moving if of_file is None else of_file[moving]
     with faults_of(path):
-        if path.suffix.lower() in SHAPES:
+        if path.suffix.lower() in (".stl", ".obj"):
             raise ValueError("a surface without node ids; give the surface before the motion too.")
         if path.suffix.lower() == ".npz":
             ids, values, name = read_named(path, ("displacement", "position"), numbers)

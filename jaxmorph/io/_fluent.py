@@ -31,9 +31,6 @@ KINDS = {
 }
 """Kinds of zones of faces by Fluent's numbers."""
 
-MIXED = (0, 5)
-"""Types of faces of several sizes, whose rows begin with a number of nodes."""
-
 _BEGIN = re.compile(rb"\(\s*(\d+)\b")
 _MARK = re.compile(rb'[()]|"(?:[^"\\]|\\.)*"')
 _HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
@@ -202,7 +199,7 @@ def _closing(text: bytes, at: int) -> int:
 
 
 def _table(words: ndarray, kind: int) -> FaceTable:
-    if kind in MIXED:
+    if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
         begins, at, counts = [], 0, words.tolist()
         while at < len(counts):
             if counts[at] < 2:

@@ -82,9 +82,8 @@ class Plot3DContent(FilePoints):
 def read(path: Path) -> Parts:
     """Reads all blocks; nodes where blocks meet are one.
 
-    Patches come from a file beside the grid, with its name and the ending `.patches`. Its lines are
-    `NAME BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes counted from 1.
-    Without it each outer side of a block is a patch, `block2_jmin`, or `jmin` for a single block.
+    Patches come from a file beside the grid, whose lines count blocks and nodes from 1. Without it
+    each outer side of a block is a patch, `block2_jmin`, or `jmin` for a single block.
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)

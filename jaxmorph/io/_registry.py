@@ -365,10 +365,8 @@ def write_pvd(path: PathLike, files: Sequence[PathLike], times: Sequence[float])
     path = output_path(path, ".pvd")
     if len(files) != len(times):
         raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
-    rows = [
-        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(Path(file).name)}/>'
-        for file, time in zip(files, times, strict=True)
-    ]
+    names = [quoteattr(Path(file).name) for file in files]
+    rows = [f'    <DataSet timestep="{t!r}" part="0" file={name}/>' for name, t in zip(names, times, strict=True)]
     head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
     text = "\n".join([*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
     with complete(path) as partial:

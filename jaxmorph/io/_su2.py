@@ -26,8 +26,6 @@ SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
 """Corners of SU2's types of elements, VTK's numbers; 1 is a SEND_RECEIVE marker's node."""
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
 """Variants of keywords."""
-HALO = "SEND_RECEIVE"
-"""The tag of all markers between the parts of a mesh in parts."""
 ROWS = 1 << 16
 WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
 
@@ -119,7 +117,7 @@ def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
 def _notes(keywords: list[Keyword]) -> Iterator[str]:
     tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
     for tag, count in tags.items():
-        if count > 1 and tag != HALO:
+        if count > 1 and tag != "SEND_RECEIVE":  # the tag of all markers between parts of a mesh
             yield f"the {count} markers {tag} are one patch, as they are to SU2."
 
 

@@ -281,8 +281,7 @@ class Reader:
             if need > sum(count for _, count in pieces):
                 raise ValueError(f"{place}/{node.name} has less data than its shape {shape} says")
             node[" data"] = Array(self.file, self.kinds[code], shape, pieces)
-        tags = (b"sntb", b"snte")
-        entries = self._table(below, tags, ENTRY, hexadecimal(children))
+        entries = self._table(below, (b"sntb", b"snte"), ENTRY, hexadecimal(children))
         return node, [self._pointer(entry[-POINTER:]) for entry in entries]
 
     def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:

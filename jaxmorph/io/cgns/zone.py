@@ -44,19 +44,6 @@ class Block(NamedTuple):
     cell: np.ndarray | None = None
 
 
-def polyhedra(faces: Faces, points: np.ndarray, first: int) -> tuple[list[Block], list[np.ndarray], Polyhedra]:
-    """Makes cells by type, others as tetrahedra between own nodes; outer faces; and whole cells.
-
-    `first` is the id of vertex 0, `points` are the zone's points.
-    """
-    cells_by_type, whole = cells_of_faces(faces, points)
-    blocks = [Block(kind, corners + first, cell) for kind, corners, cell in cells_by_type]
-    faces = dataclasses.replace(faces, labels=faces.labels + first)
-    sizes = np.where(faces.neighbour < 0, faces.sizes, 0)
-    outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
-    return blocks, outer, Polyhedra(faces, whole.cut)
-
-
 def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
@@ -248,10 +235,15 @@ class Zone:
                 sides = _sides(numbers, volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
                 sides = np.unique(np.append(0, parents), return_inverse=True)[1][1:].reshape(parents.shape).T - 1
-            blocks, outer, whole = polyhedra(_faces(labels, sizes, sides), points, self.first)
+            faces = _faces(labels, sizes, sides)
+            cells_by_type, whole = cells_of_faces(faces, points)
         except ValueError as error:
             raise self.error(str(error)) from error
-        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=whole)
+        blocks = [Block(kind, corners + self.first, cell) for kind, corners, cell in cells_by_type]
+        faces = dataclasses.replace(faces, labels=faces.labels + self.first)
+        sizes = np.where(faces.neighbour < 0, faces.sizes, 0)
+        outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
+        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=Polyhedra(faces, whole.cut))
 
 
 class _Section:
