@@ -88,10 +88,7 @@ def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
 
 
 class Coordinates(NamedTuple):
-    """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns.
-
-    Where it is `by_rows`, it is (n, d) as the points are.
-    """
+    """An array of a file's points at `rows` and `columns`: (n, d) if `by_rows`, else by columns."""
 
     array: Any
     rows: slice

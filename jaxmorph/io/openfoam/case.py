@@ -198,10 +198,7 @@ def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`.
-
-    It warns where the case is decomposed: its parts keep the old points.
-    """
+    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
     content, points = content_of(mesh, NAME), file_points(mesh)
     case = content.case
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
