@@ -18,7 +18,10 @@ def run_apart(task: str, path: Path, size: int, folder: str) -> bytes:
     Raises `ValueError` for a process that ended by a signal, or with a message.
     """
     most, script = SMALL + UNPACKED * size, Path(__file__).with_name("_apart_script.py")
-    words = [_python(), "-P", str(script), task, str(path.absolute()), folder, str(most)]
+    python = os.fsdecode(multiprocessing.spawn.get_executable() or "")
+    if "py" not in Path(python).name.lower():  # this process may be another program that has Python in it
+        python = shutil.which("python3") or "python3"
+    words = [python, "-P", str(script), task, str(path.absolute()), folder, str(most)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(words, capture_output=True, stdin=subprocess.DEVNULL, env=environment, check=False)
     if done.returncode < 0:
@@ -29,10 +32,3 @@ def run_apart(task: str, path: Path, size: int, folder: str) -> bytes:
         reader = {"vtk": "VTK", "gmsh": "gmsh"}.get(task, "meshio")
         raise ValueError(f"no mesh that {reader} reads, or a damaged one ({why[:300]}).")
     return done.stdout
-
-
-def _python() -> str:
-    """Finds Python, where this process may be another program that has Python in it."""
-    program = os.fsdecode(multiprocessing.spawn.get_executable() or "")
-    is_python = "py" in Path(program).name.lower()
-    return program if is_python else shutil.which("python3") or "python3"

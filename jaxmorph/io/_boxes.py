@@ -293,9 +293,8 @@ def _surface(keyword: Keyword, n: int, d: int) -> Surface:
     wrong = np.flatnonzero(~np.isin(rows[:, 0], np.arange(n)))
     if len(wrong):
         raise numbers.error("a marker, a node and three coordinates in the box expected.", int(wrong[0]))
-    tables = gathered(
-        (decoded(marker), row[None]) for marker, row in zip(word.findall(section.content), rows, strict=True)
-    )
+    markers = [decoded(marker) for marker in word.findall(section.content)]
+    tables = gathered((marker, row[None]) for marker, row in zip(markers, rows, strict=True))
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 
 

@@ -21,19 +21,13 @@ from ._format import faults_of
 from ._registry import read
 from ._text import PathLike, Section, decoded, parse, scan
 
-SHAPES = (".stl", ".obj")
 OFF = 0.01
 """Distance of a moving node off the surface, as a share of its bounding box's diagonal."""
 
 
 @checked
 def read_displacement(
-    path: PathLike,
-    mesh: Mesh,
-    moving: Int[ndarray, " m"],
-    *,
-    before: PathLike | None = None,
-    is_position: bool = True,
+    path: PathLike, mesh: Mesh, moving: Int[ndarray, " m"], *, before: PathLike | None = None, is_position: bool = True
 ) -> Float[ndarray, "m d"]:
     """Reads the displacement of each of the nodes `moving`, in their order.
 
@@ -63,7 +57,7 @@ def read_displacement(
     of_file, d = getattr(mesh.source, "node_ids", None), points.shape[1]
     numbers = moving if of_file is None else of_file[moving]
     with faults_of(path):
-        if path.suffix.lower() in SHAPES:
+        if path.suffix.lower() in (".stl", ".obj"):
             raise ValueError("a surface without node ids; give the surface before the motion too.")
         if path.suffix.lower() == ".npz":
             ids, values, name = read_named(path, ("displacement", "position"), numbers)
@@ -188,7 +182,6 @@ def _npz(path: Path) -> Simplices:
 
 READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}
 
-
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
 NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
@@ -198,8 +191,6 @@ IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
 """Headers of the column of node ids, which is the first one otherwise."""
 MAGICS = {(535532).to_bytes(4, "little"): "<", (535532).to_bytes(4, "big"): ">"}
 """The first number of a binary restart, in four bytes of either order."""
-HEADER = 5
-"""Whole numbers at its beginning: 535532, the counts of columns and nodes, and two zeros."""
 WIDTH = 33
 """Bytes of the name of one of its columns."""
 
@@ -271,11 +262,7 @@ def read_named(
 
 
 def in_order(
-    ids: ndarray,
-    values: ndarray,
-    d: int,
-    wanted: Int[ndarray, " m"],
-    known: tuple[ndarray, str],
+    ids: ndarray, values: ndarray, d: int, wanted: Int[ndarray, " m"], known: tuple[ndarray, str]
 ) -> Float[ndarray, "m d"]:
     """Returns the values of the nodes `wanted` from a file's, in the order of its `ids`.
 
@@ -294,7 +281,7 @@ def in_order(
 
 def _restart(content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
-    order, begin = MAGICS[content[:4]], 4 * HEADER
+    order, begin = MAGICS[content[:4]], 20  # five numbers: 535532, counts of columns and nodes, two zeros
     k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
     start = begin + WIDTH * k
     size = start + 8 * n * k

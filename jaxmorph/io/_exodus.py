@@ -36,20 +36,14 @@ _ORDER = NodeOrder(
 )
 """The manual's order; of hexahedra of 27 nodes the middle one comes before those of the faces."""
 
-_SETS = (
-    (("ss", "elem_ss", "sides"), "num_side_sets"),
-    (("ns", "node_ns", "nodes"), "num_node_sets"),
-)
+_SETS = ((("ss", "elem_ss", "sides"), "num_side_sets"), (("ns", "node_ns", "nodes"), "num_node_sets"))
 """Of side sets and node sets: their prefix, the array of members, our word; and their number."""
 _UNREAD = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
 _UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
 class _Block(NamedTuple):
-    """Elements of one type between `corners`, called `name`, and the nodes of their sides.
-
-    Without a name it is called `own`.
-    """
+    """Elements of one type between `corners`, called `name` (else `own`); nodes of their sides."""
 
     name: str
     own: str
@@ -77,7 +71,6 @@ def read(path: Path) -> Parts:
 
 
 def write(path: Path, mesh: MeshLike) -> None:
-    """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 
@@ -103,7 +96,8 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
             continue
         kind, corners = text_of(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
         width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
-        ours = _type_of(letters, width)
+        shape = (_TYPES | {"SHE": _SHELLS.get(width, "")}).get(letters, "")
+        ours = shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
         if ours not in (*NODES, "vertex"):
             what = f"elements of type {kind[:40]} with {width} nodes"
             raise ValueError(f"{path}: {what} are not read; of order 1 and 2 are (HEX8, HEX20, ...).")
@@ -113,11 +107,6 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
         is_shell = letters == "SHE" or (letters == "TRI" and dimension == 3)
         sides = [] if ours == "vertex" else _sides(ours, is_shell)
         yield _Block(name, own, ours, reordered(ours, corners, _ORDER, None), sides)
-
-
-def _type_of(letters: str, width: int) -> str:
-    shape = _SHELLS.get(width, "") if letters == "SHE" else _TYPES.get(letters, "")
-    return shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
 
 
 def _sides(kind: str, is_shell: bool) -> list[ndarray]:
@@ -147,10 +136,7 @@ def _sets(file: Mapping[str, Any], what: tuple[str, str, str], number: str, bloc
 
 
 def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> Iterator[tuple[int, str, str, Any]]:
-    """Yields place, name, own name and array of blocks or sets; None if one is empty.
-
-    The status of an empty one, if given, is 0.
-    """
+    """Yields place, name, own name, array of blocks or sets; None for empty ones, of status 0."""
     (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
     defaults = {"prop1": np.arange(1, count + 1), "names": [""] * count, "status": np.zeros(count)}
     numbers, names, status = (

@@ -31,9 +31,6 @@ KINDS = {
 }
 """Kinds of zones of faces by Fluent's numbers."""
 
-MIXED = (0, 5)
-"""Types of faces of several sizes, whose rows begin with a number of nodes."""
-
 _BEGIN = re.compile(rb"\(\s*(\d+)\b")
 _MARK = re.compile(rb'[()]|"(?:[^"\\]|\\.)*"')
 _HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
@@ -79,7 +76,6 @@ class FluentContent(FilePoints):
     parts: list[NodeSection]
 
     def moved(self, points: ndarray) -> Pieces:
-        """Yields the file with other points (n, d), section by section."""
         done, points = 0, self.in_file(points)
         for part in sorted(self.parts, key=lambda part: part.section.start):
             values = points[part.rows].ravel()
@@ -203,7 +199,7 @@ def _closing(text: bytes, at: int) -> int:
 
 
 def _table(words: ndarray, kind: int) -> FaceTable:
-    if kind in MIXED:
+    if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
         begins, at, counts = [], 0, words.tolist()
         while at < len(counts):
             if counts[at] < 2:

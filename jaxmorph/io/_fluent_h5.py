@@ -19,9 +19,8 @@ WHAT = "a Fluent case in HDF5"
 def read(path: Path) -> Parts:
     with opened(path, what=WHAT) as file:
         if "meshes" not in file:
-            kind = (
-                "a mesh of HOPR, which is not read" if "ElemInfo" in file else f"not {WHAT}: there is no group `meshes`"
-            )
+            missing = f"not {WHAT}: there is no group `meshes`"
+            kind = "a mesh of HOPR, which is not read" if "ElemInfo" in file else missing
             raise ValueError(f"{path}: this is {kind}.")
         mesh, coordinates = only(file["meshes"], "meshes")[1], list(_coordinates(file))
         points = points_of(coordinates, coordinates[-1].rows.stop, coordinates[0].array.shape[1])

@@ -199,11 +199,6 @@ def stamp_of(path: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def as_in_file(points: ndarray, old: ndarray) -> ndarray:
-    """Returns points with a file's `old` coordinates where they stay, also in single precision."""
-    return np.where(points == old.astype(points.dtype), old, points)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class FilePoints:
     """The points (N, k) of a file, of which a 2-D mesh has no z.

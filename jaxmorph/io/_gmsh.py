@@ -31,10 +31,6 @@ TYPES |= {
 NUMBERS = {kind: number for number, kind in TYPES.items()}
 ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
-SPARSE = 10
-"""Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
-WHOLE = 2.0**53
-"""Numbers of a text beyond it may not be whole."""
 
 _NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
 _VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
@@ -122,7 +118,16 @@ def read(path: pathlib.Path) -> Parts:
     A group without a name is `physical_` and its tag. Of duplicate names the first of the highest
     dimension stays, others add their dimension and tag.
     """
-    found = _read(path)
+    data = path.read_bytes()
+    start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
+    found = _Found(_format(path, data, start))
+    for name, section in sections(path, data, start):
+        try:
+            found.take(name, section)
+        except (ValueError, IndexError, OverflowError) as error:
+            if str(path) in str(error):
+                raise
+            raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
     content = found.content
     if content is None or not len(content.tags) or not found.blocks:
         raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
@@ -149,20 +154,6 @@ def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Pat
     for (level, tag), members in sorted(nodes.items(), key=lambda item: -item[0][0]):
         name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
         yield level, Patch(name, f"{LEVELS[level]}_{tag}", members)
-
-
-def _read(path: pathlib.Path) -> _Found:
-    data = path.read_bytes()
-    start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
-    found = _Found(_format(path, data, start))
-    for name, section in sections(path, data, start):
-        try:
-            found.take(name, section)
-        except (ValueError, IndexError, OverflowError) as error:
-            if str(path) in str(error):
-                raise
-            raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
-    return found
 
 
 def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
@@ -214,7 +205,7 @@ def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock
     """Replaces the tags of nodes by their places: by a table, by a search if tags are sparse."""
     # Either way a tag that is none gives some place, so the tag at the place is compared.
     least, most = int(tags.min()), int(tags.max())
-    is_dense = most - least <= SPARSE * len(tags)
+    is_dense = most - least <= 10 * len(tags)
     order = np.argsort(tags)
     table = np.zeros(most - least + 1 if is_dense else 0, np.int64)
     if is_dense:
@@ -237,7 +228,6 @@ class Stream:
         self.section, self.version, self.rows = section, form.version, None
         self.data, self.at, self.stop = section.text, section.start, section.stop
         kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
-        kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
         self.types = {key: np.dtype(form.order + kind) for key, kind in kinds.items()}
         if form.is_text:
             self.rows = section.rows(dtype)
@@ -259,7 +249,7 @@ class Stream:
         """Reads whole numbers, the first of each of the `records`, or side by side."""
         dtype, start = self.types[kind], self.skip(count, records or kind)
         values = np.ndarray((count,), dtype, self.data, start, (self.width(records or kind),))
-        if dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < WHOLE)).all():
+        if dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < 2.0**53)).all():
             raise ValueError("a number that is not whole where a tag or a count is expected")
         return values.astype(np.int64)
 
@@ -355,20 +345,18 @@ def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
         tables = gathered(_lines(stream) if stream.rows else _old_blocks(stream))
         return [_of_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
     count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
-    blocks = [_block(stream, groups) for _ in range(count)]
+    blocks = []
+    for _ in range(count):
+        dimension, tag, number = _entity(stream)
+        size, (kind, corners) = stream.one("n"), _kind(number)
+        if DIMENSION.get(kind, 0) != dimension:
+            raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
+        rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(size, 1 + corners)
+        blocks.append(ElementBlock(kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ()), slice(None))))
     stream.end()
     if sum(len(block.corners) for block in blocks) != total:
         raise ValueError(f"not the {total} elements that $Elements announces")
     return blocks
-
-
-def _block(stream: Stream, groups: Groups) -> ElementBlock:
-    dimension, tag, number = _entity(stream)
-    count, (kind, corners) = stream.one("n"), _kind(number)
-    if DIMENSION.get(kind, 0) != dimension:
-        raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
-    rows = stream.take("n" if stream.version > 4 else "i", count * (1 + corners)).reshape(count, 1 + corners)
-    return ElementBlock(kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ()), slice(None)))
 
 
 def _kind(number: int) -> tuple[str, int]:
@@ -444,10 +432,7 @@ def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Raises `ValueError` for patches that a new file cannot have.
-
-    Boundary faces cannot express them, or their name ends before its end.
-    """
+    """Refuses patches that boundary faces cannot express, or whose name ends before its end."""
     if content_of(mesh, NAME) is not None:
         return
     for name in mesh.patches:
@@ -458,18 +443,14 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
-
-    In a new file a patch becomes a physical group, with the boundary faces between its nodes as
-    elements.
-    """
+    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2."""
     content = content_of(mesh, NAME)
     with path.open("wb") as file:
         file.writelines(_new(mesh) if content is None else content.moved(content.in_file(np.asarray(mesh.points))))
 
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:
-    """Yields a new file in pieces; an element has its group's tag as group and as entity."""
+    """Yields a new file. A patch is a group of faces, which have its tag as group and as entity."""
     points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
     level = DIMENSION[blocks[0][0]] - 1

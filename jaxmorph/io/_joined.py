@@ -27,12 +27,10 @@ def block_ids(shape: tuple[int, ...], first: int) -> ndarray:
 
 def block_cells(ids: ndarray) -> tuple[str, ndarray]:
     """Makes the cells between the nodes of a block, i running fastest: their type and corners."""
-    if ids.ndim == 2:
-        corners = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
-        return "quad", np.stack([corner.ravel(order="F") for corner in corners], axis=1)
     square = [(slice(-1), slice(-1)), (slice(1, None), slice(-1)), (slice(1, None),) * 2, (slice(-1), slice(1, None))]
-    corners = [ids[(*ij, k)] for k in (slice(-1), slice(1, None)) for ij in square]
-    return "hexahedron", np.stack([corner.ravel(order="F") for corner in corners], axis=1)
+    levels = [()] if ids.ndim == 2 else [(slice(-1),), (slice(1, None),)]
+    corners = [ids[(*ij, *k)].ravel(order="F") for k in levels for ij in square]
+    return "quad" if ids.ndim == 2 else "hexahedron", np.stack(corners, axis=1)
 
 
 def block_sides(ids: ndarray) -> list[ndarray]:

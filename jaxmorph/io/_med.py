@@ -48,7 +48,6 @@ def read(path: Path) -> Parts:
 
 
 def write(path: Path, mesh: MeshLike) -> None:
-    """Writes a copy of the file that the mesh was read from."""
     write_points(path, mesh, NAME, _coordinates, WHAT)
 
 

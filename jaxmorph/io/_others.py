@@ -17,25 +17,13 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.package.text import ending
-from jaxmorph._mesh.exchange import (
-    GROUPS,
-    LEVELS,
-    MARKERS,
-    Grid,
-    Parts,
-    Patch,
-    imported,
-    of_meshio,
-)
+from jaxmorph._mesh.exchange import GROUPS, LEVELS, MARKERS, Grid, Parts, Patch, imported, of_meshio
 from jaxmorph._mesh.export import to_meshio
 
 from ._apart import run_apart
 from ._format import EVERYTHING, FilePoints, MeshLike, Source, of_grid, own_source
 from ._gmsh import TYPES, ElementBlock, Names, grid_of
 from ._text import parse, replaced, scan
-
-MOST = 8
-"""Numbers in a row of a table of nodes, at most."""
 
 
 class LibraryKind(NamedTuple):
@@ -60,10 +48,6 @@ KINDS = {
     "AFLR": LibraryKind("meshio", "ugrid", rb"\A(?:\s*\d+){7}"),
     "Netgen": LibraryKind("meshio", "netgen", rb"^points\s+\d+", writes=True),
 }
-LOST = {"Abaqus": (rb"(?im)^\*surface\b", "surfaces of elements")}
-"""What the library leaves out, as it stands in a file."""
-
-
 _WORD = re.compile(rb"^\s*[A-Za-z*#$]", re.MULTILINE)
 """The first line that is no row of numbers."""
 
@@ -114,16 +98,15 @@ class Codec(NamedTuple):
         content = OtherContent(points, raw, place, grid.content, singles=EVERYTHING if is_single else ())
         if place is None and self.kind.writes:
             notes += ("meshio writes it anew: comments, and what has no place in a mesh, are lost.",)
-        if self.name in LOST and re.search(LOST[self.name][0], raw):
-            notes += (f"{LOST[self.name][1]} are not read, and are no patches.",)
+        if self.name == "Abaqus" and re.search(rb"(?im)^\*surface\b", raw):
+            notes += ("surfaces of elements are not read, and are no patches.",)
         return of_grid(path, grid, Source(path, self.name, content, notes=notes, **content.known), patches)
 
     def check(self, path: Path, mesh: MeshLike) -> None:
         source = own_source(mesh, self.name)
         if (source.content.place is None or _form(path) != _form(source.path)) and not self.kind.writes:
-            what = (
-                f"a file of {self.name} like this one" if source.content.place is None else "another form of the file"
-            )
+            what = f"a file of {self.name} like this one"
+            what = what if source.content.place is None else "another form of the file"
             raise ValueError(f"{what} is not written; write .vtu or .msh.")
 
     def write(self, path: Path, mesh: MeshLike) -> None:
@@ -189,11 +172,10 @@ def _place(raw: bytes, kind: LibraryKind, points: ndarray) -> tuple[Place | None
 def _rows(values: ndarray, points: ndarray) -> tuple[ndarray, ndarray, ndarray] | None:
     """Finds the points in rows of a table: the places of coordinates, nodes of rows, all digits."""
     n, d = points.shape
-    for width in range(d, min(len(values) // n, MOST) + 1):
+    for width in range(d, min(len(values) // n, 8) + 1):  # no row has more than 8 numbers
         rows = values[: n * width].reshape(n, width)
-        for first, order in itertools.product(
-            range(width - d + 1), (np.arange(n), np.argsort(rows[:, 0], kind="stable"))
-        ):
+        orders = np.arange(n), np.argsort(rows[:, 0], kind="stable")
+        for first, order in itertools.product(range(width - d + 1), orders):
             found = rows[order, first : first + d]
             if np.array_equal(found.astype(points.dtype), points):
                 at = width * np.arange(n)[:, None] + first + np.arange(d)

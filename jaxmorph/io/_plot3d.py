@@ -38,8 +38,6 @@ BINARIES = [
     for order, whole in (("<", np.dtype("<i4")), (">", np.dtype(">i4")))
     for mark in (4, 0)
 ]
-WAYS = ((True, 3), (False, 3), (True, 2), (False, 2))
-"""Whether a count of blocks comes first, and the dimension."""
 
 
 class FileLayout(NamedTuple):
@@ -84,9 +82,8 @@ class Plot3DContent(FilePoints):
 def read(path: Path) -> Parts:
     """Reads all blocks; nodes where blocks meet are one.
 
-    Patches come from a file beside the grid, with its name and the ending `.patches`. Its lines are
-    `NAME BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes counted from 1.
-    Without it each outer side of a block is a patch, `block2_jmin`, or `jmin` for a single block.
+    Patches come from a file beside the grid, whose lines count blocks and nodes from 1. Without it
+    each outer side of a block is a patch, `block2_jmin`, or `jmin` for a single block.
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
@@ -125,7 +122,7 @@ def _numbers(data: bytes, is_text: bool) -> ndarray:
 def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
     """Yields sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark, head = form.mark, form.head
-    for is_multiple, d in WAYS:
+    for is_multiple, d in ((True, 3), (False, 3), (True, 2), (False, 2)):  # does a count of blocks come first?
         start = mark + (head.itemsize + 2 * mark) * is_multiple
         count = _view(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
         shapes = _shapes(count, _view(numbers[start:], head), d)

@@ -84,31 +84,6 @@ class _Plugin(NamedTuple):
         self.codec.write(path, Mesh(mesh.points, mesh.cells, mesh.patches, source and source.content))
 
 
-def file_mesh(path: Path) -> Parts:
-    with files.unpacked(path) as file:
-        try:
-            with faults_of(file):
-                mesh = format_of(file).codec().read(file)
-        except ValueError as error:
-            raise ValueError(str(error).replace(str(file), str(path))) from error
-    if file != path:
-        if getattr(mesh.source.content, "stamp", None) is not None:
-            raise ValueError(
-                f"{path}: files of {mesh.source.format} are copied when they are written: unpack it first."
-            )
-        mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
-    check_nodes(path, mesh)
-    groups = {group: names for group, names in mesh.source.groups.items() if group in mesh.patches}
-    hidden = (
-        f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
-        for group, names in groups.items()
-        if {*names} != {group}
-    )
-    notes = (*mesh.source.notes, *hidden)
-    source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
-    return mesh._replace(source=source)
-
-
 def check_nodes(path: Path, mesh: Parts) -> None:
     """Refuses duplicate cells but pieces of polyhedra; warns of duplicate nodes in curved cells."""
     whole, first = mesh.source.polyhedra, 0
@@ -167,7 +142,29 @@ def read(path: PathLike) -> Mesh:
     **Raises:** `ValueError`, with file and line, for a file that is not a good mesh; `OSError` for
     a file that cannot be opened; `ImportError` for a missing extra.
     """
-    return Mesh(*file_mesh(files.input_path(path)))
+    path = files.input_path(path)
+    with files.unpacked(path) as file:
+        try:
+            with faults_of(file):
+                mesh = format_of(file).codec().read(file)
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(file), str(path))) from error
+    if file != path:
+        if getattr(mesh.source.content, "stamp", None) is not None:
+            raise ValueError(
+                f"{path}: files of {mesh.source.format} are copied when they are written: unpack it first."
+            )
+        mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
+    check_nodes(path, mesh)
+    groups = {group: names for group, names in mesh.source.groups.items() if group in mesh.patches}
+    hidden = (
+        f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
+        for group, names in groups.items()
+        if {*names} != {group}
+    )
+    notes = (*mesh.source.notes, *hidden)
+    source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
+    return Mesh(*mesh._replace(source=source))
 
 
 @checked
@@ -365,10 +362,8 @@ def write_pvd(path: PathLike, files: Sequence[PathLike], times: Sequence[float])
     path = output_path(path, ".pvd")
     if len(files) != len(times):
         raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
-    rows = [
-        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(Path(file).name)}/>'
-        for file, time in zip(files, times, strict=True)
-    ]
+    names = [quoteattr(Path(file).name) for file in files]
+    rows = [f'    <DataSet timestep="{t!r}" part="0" file={name}/>' for name, t in zip(names, times, strict=True)]
     head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
     text = "\n".join([*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
     with complete(path) as partial:

@@ -26,8 +26,6 @@ SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
 """Corners of SU2's types of elements, VTK's numbers; 1 is a SEND_RECEIVE marker's node."""
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
 """Variants of keywords."""
-HALO = "SEND_RECEIVE"
-"""The tag of all markers between the parts of a mesh in parts."""
 ROWS = 1 << 16
 WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
 
@@ -84,9 +82,8 @@ def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
     _check_zones(head, zones)
     zones = sorted(zones, key=lambda zone: zone[0].number())
-    return [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones] or [
-        head
-    ]
+    found = [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones]
+    return found or [head]
 
 
 def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
@@ -104,7 +101,11 @@ def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
     table, section = _points(rows, d), rows.section
     points = np.ascontiguousarray(table[:, :d])
-    cells = _cells(_only(keywords, "NELEM"), len(points))
+    elements = _only(keywords, "NELEM")
+    tables = gathered(_tables(elements, elements.section, len(points), "elements"))
+    if 1 in tables:
+        raise elements.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
+    cells = {TYPES[number]: corners for number, corners in tables.items()}
     content = SU2Content(text, section.start, section.stop, points.shape, table.shape[1])
     patches = _markers(keywords, len(points))
     if not patches:
@@ -116,7 +117,7 @@ def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
 def _notes(keywords: list[Keyword]) -> Iterator[str]:
     tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
     for tag, count in tags.items():
-        if count > 1 and tag != HALO:
+        if count > 1 and tag != "SEND_RECEIVE":  # the tag of all markers between parts of a mesh
             yield f"the {count} markers {tag} are one patch, as they are to SU2."
 
 
@@ -174,9 +175,8 @@ def _points(keyword: Keyword, d: int) -> ndarray:
     counts = rows.counts
     width = int(counts[:1].sum()) or d
     expected = f"a point of {d} coordinates, and on all rows or none up to 2 indices, expected"
-    rows.refuse(
-        (counts < d) | (counts > d + 2) | (counts != width), lambda k: f"{expected}, found {counts[k]} numbers."
-    )
+    is_wrong = (counts < d) | (counts > d + 2) | (counts != width)
+    rows.refuse(is_wrong, lambda k: f"{expected}, found {counts[k]} numbers.")
     table = rows.values.reshape(-1, width)
     is_good = np.isfinite(table).all(axis=1) & (table[:, d:] == np.floor(table[:, d:])).all(axis=1)
     rows.refuse(~is_good, lambda k: f"{expected}, found point {k} at {table[k].tolist()}.")
@@ -184,30 +184,20 @@ def _points(keyword: Keyword, d: int) -> ndarray:
     return table
 
 
-def _cells(keyword: Keyword, n: int) -> Arrays:
-    cells = gathered(_tables(keyword, keyword.section, n, "elements"))
-    if 1 in cells:
-        raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
-    return {TYPES[number]: corners for number, corners in cells.items()}
-
-
 def _markers(keywords: list[Keyword], n: int) -> Arrays:
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
-    patches = gathered(item for at in tags for item in _marker(*keywords[at : at + 3], n=n))
+    found = []
+    for at in tags:
+        tag, *rest = keywords[at : at + 3]
+        if not rest or rest[0].name != "MARKER_ELEMS":
+            raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
+        section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section  # of SEND_RECEIVE, it stands before the rows
+        tables = _tables(rest[0], section, n, f"elements of marker {tag.value!r}")
+        found += [(tag.value, np.zeros(0, np.int64)), *((tag.value, corners.ravel()) for _, corners in tables)]
     stated = _only(keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
-    return patches
-
-
-def _marker(tag: Keyword, *rest: Keyword, n: int) -> Iterator[tuple[str, ndarray]]:
-    """Yields the nodes behind a tag; of SEND_RECEIVE, SEND_TO= stands before the rows."""
-    if not rest or rest[0].name != "MARKER_ELEMS":
-        raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
-    section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section
-    yield tag.value, np.zeros(0, np.int64)
-    for _, corners in _tables(rest[0], section, n, f"elements of marker {tag.value!r}"):
-        yield tag.value, corners.ravel()
+    return gathered(found)
 
 
 def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, ndarray]]:
@@ -291,7 +281,13 @@ def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
     **Raises:** `ValueError` for no meshes, meshes of several calls, a duplicate zone, and what
     `write` refuses.
     """
-    zones = [(_content(path, mesh), mesh) for mesh in meshes]
+    zones = []
+    for mesh in meshes:
+        source = source_of(mesh, NAME)
+        check_output(path, mesh)
+        if source is None:
+            raise ValueError(f"{path}: {WANTED}")
+        zones.append((source.content, mesh))
     if Path(path).suffix.lower() != ".su2" or not zones:
         raise ValueError(f"{path}: {WANTED}")
     text = zones[0][0].text
@@ -306,11 +302,3 @@ def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
         text = b"".join(content._replace(text=text).moved(np.asarray(mesh.points)))
     with complete(Path(path)) as partial:
         partial.write_bytes(text)
-
-
-def _content(path: PathLike, mesh: Mesh) -> SU2Content:
-    source = source_of(mesh, NAME)
-    check_output(path, mesh)
-    if source is None:
-        raise ValueError(f"{path}: {WANTED}")
-    return source.content

@@ -180,9 +180,8 @@ class Rows(NamedTuple):
             self.refuse(rows[self.counts[rows] != width + more], message)
             table = self.values[self.first[rows, None] + np.arange(width)]
             nodes = table[:, column + 1 :]
-            self.refuse(
-                rows[((nodes < 0) | (nodes >= n)).any(axis=1)], f"there are nodes 0 to {n - 1}, and others here."
-            )
+            is_foreign = ((nodes < 0) | (nodes >= n)).any(axis=1)
+            self.refuse(rows[is_foreign], f"there are nodes 0 to {n - 1}, and others here.")
             yield kind, rows, table
 
 
@@ -215,12 +214,7 @@ def scan(chunk: bytes) -> tuple[ndarray, ndarray, ndarray]:
 
 
 def replaced(
-    text: bytes,
-    part: slice,
-    values: ndarray,
-    *,
-    at: ndarray | None = None,
-    plain: Callable[[bytes], bytes] = bytes,
+    text: bytes, part: slice, values: ndarray, *, at: ndarray | None = None, plain: Callable[[bytes], bytes] = bytes
 ) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 

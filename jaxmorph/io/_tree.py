@@ -88,10 +88,7 @@ def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
 
 
 class Coordinates(NamedTuple):
-    """An array of coordinates in a tree, at `rows` and `columns` of a file's points, by columns.
-
-    Where it is `by_rows`, it is (n, d) as the points are.
-    """
+    """An array of a file's points at `rows` and `columns`: (n, d) if `by_rows`, else by columns."""
 
     array: Any
     rows: slice
@@ -124,11 +121,7 @@ def of_tree(
 
 
 def write_points(
-    path: Path,
-    mesh: MeshLike,
-    format_name: str,
-    coordinates: Callable[[Any], Iterable[Coordinates]],
-    what: str = WHAT,
+    path: Path, mesh: MeshLike, format_name: str, coordinates: Callable[[Any], Iterable[Coordinates]], what: str = WHAT
 ) -> None:
     """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
 
@@ -224,16 +217,8 @@ class Reader:
         if long not in (4, 8):
             raise ValueError(f"long numbers of {long} bytes")
         self.order = _ORDERS[code]
-        kinds = {
-            "I4": "i4",
-            "U4": "u4",
-            "R4": "f4",
-            "R8": "f8",
-            "C1": "i1",
-            "B1": "u1",
-            "I8": f"i{long}",
-            "U8": f"u{long}",
-        }
+        kinds = {"I4": "i4", "U4": "u4", "R4": "f4", "R8": "f8", "C1": "i1", "B1": "u1"}
+        kinds |= {"I8": f"i{long}", "U8": f"u{long}"}
         self.kinds = {code: np.dtype(self.order + kind) for code, kind in kinds.items()}
         self.root = self._pointer(head[134:146])
 
@@ -293,8 +278,7 @@ class Reader:
             if need > sum(count for _, count in pieces):
                 raise ValueError(f"{place}/{node.name} has less data than its shape {shape} says")
             node[" data"] = Array(self.file, self.kinds[code], shape, pieces)
-        tags = (b"sntb", b"snte")
-        entries = self._table(below, tags, ENTRY, hexadecimal(children))
+        entries = self._table(below, (b"sntb", b"snte"), ENTRY, hexadecimal(children))
         return node, [self._pointer(entry[-POINTER:]) for entry in entries]
 
     def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:

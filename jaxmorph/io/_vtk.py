@@ -51,7 +51,6 @@ class VTKContent(NamedTuple):
 
     @property
     def arrays(self) -> list[str]:
-        """Names of arrays, but those of patches."""
         fields = (self.data.GetPointData(), self.data.GetCellData(), self.data.GetFieldData())
         names = [str(field.GetArrayName(k)) for field in fields for k in range(field.GetNumberOfArrays())]
         return [name for name in names if not name.startswith(PREFIX)]
@@ -84,10 +83,7 @@ def check(path: Path, mesh: MeshLike) -> None:
 
 
 def write(path: Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes what was read with other points, or a new grid in double precision.
-
-    The file is encoded as the one that was read, where that was of the same kind.
-    """
+    """Writes what was read with other points, or a new grid in double precision."""
     content, is_legacy = content_of(mesh, NAME), path.suffix.lower() == ".vtk"
     parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
     data = to_vtk(parts, content and content.data, point_data, cell_data)

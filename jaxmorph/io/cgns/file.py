@@ -53,8 +53,6 @@ def read(path: pathlib.Path) -> Parts:
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes a copy of the file that the mesh was read from."""
-
     def coordinates(file: Any) -> Iterator[Coordinates]:
         for zone in open_zones(path, file)[0]:
             yield from zone.coordinates()
@@ -100,9 +98,7 @@ def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
         zone.content = content._replace(blocks=blocks, dimension=dimension)
 
 
-def _patches(
-    zones: list[Zone],
-) -> tuple[Members, list[np.ndarray], list[str]]:
+def _patches(zones: list[Zone]) -> tuple[Members, list[np.ndarray], list[str]]:
     of_patch, faces, regions = {}, [], []
     for zone in zones:
         for name, nodes in patches(zone):

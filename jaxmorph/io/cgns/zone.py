@@ -15,7 +15,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
 from .._joined import block_cells, block_ids, block_sides
 from .._text import decoded
-from .._tree import Coordinates
+from .._tree import Coordinates, text_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,19 +42,6 @@ class Block(NamedTuple):
     kind: str
     corners: np.ndarray
     cell: np.ndarray | None = None
-
-
-def polyhedra(faces: Faces, points: np.ndarray, first: int) -> tuple[list[Block], list[np.ndarray], Polyhedra]:
-    """Makes cells by type, others as tetrahedra between own nodes; outer faces; and whole cells.
-
-    `first` is the id of vertex 0, `points` are the zone's points.
-    """
-    cells_by_type, whole = cells_of_faces(faces, points)
-    blocks = [Block(kind, corners + first, cell) for kind, corners, cell in cells_by_type]
-    faces = dataclasses.replace(faces, labels=faces.labels + first)
-    sizes = np.where(faces.neighbour < 0, faces.sizes, 0)
-    outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
-    return blocks, outer, Polyhedra(faces, whole.cut)
 
 
 def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
@@ -86,10 +73,9 @@ def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
 TYPES |= {
     **{4: "line3", 6: "triangle6", 8: "quad8", 9: "quad9", 11: "tetra10", 13: "pyramid14", 15: "wedge15"},
-    16: "wedge18",
     **{18: "hexahedron20", 19: "hexahedron27", 21: "pyramid13", 24: "line4", 26: "triangle10", 28: "quad16"},
     **{30: "tetra20", 33: "pyramid30", 36: "wedge40", 39: "hexahedron64", 40: "line5", 42: "triangle15"},
-    **{44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},
+    **{16: "wedge18", 44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},
 }
 NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
 MIXED, NGON, NFACE = 20, 22, 23
@@ -100,7 +86,7 @@ def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
     """Yields names and nodes of a label in a group, or of the last label in those of the others."""
     for name in group:
         child = group[name]
-        if not hasattr(child, "keys") or text(child.attrs.get("label", b"")) != label:
+        if not hasattr(child, "keys") or text_of(child.attrs.get("label", b"")) != label:
             continue
         if inner:
             yield from children(child, *inner)
@@ -112,21 +98,12 @@ def first(group: Any, *labels: str) -> Any:
     return next((child for _, child in children(group, *labels)), None)
 
 
-def text(value: Any) -> str:
-    return decoded(bytes(value).split(b"\0")[0]).strip() if not isinstance(value, str) else value
-
-
 def data(group: Any) -> np.ndarray:
     return group[" data"][()]
 
 
 def word(group: Any, default: str = "") -> str:
-    """Reads the text of a node, if there is one with data."""
-    return text(data(group).tobytes()) if group is not None and " data" in group else default
-
-
-Polygons = tuple[np.ndarray, ...]
-"""Faces of a section: numbers, vertices, sizes, and cells (n, 2) on both sides, 0 for none."""
+    return text_of(data(group)) if group is not None and " data" in group else default
 
 
 class ElementSection(NamedTuple):
@@ -242,9 +219,12 @@ class Zone:
         return self._with_polyhedra(ZoneContent(blocks, elements), polygons, volumes, points)
 
     def _with_polyhedra(
-        self, content: ZoneContent, polygons: list[Polygons], volumes: list[Ragged], points: np.ndarray
+        self, content: ZoneContent, polygons: list[tuple], volumes: list[Ragged], points: np.ndarray
     ) -> ZoneContent:
-        """Adds the cells of NFACE_n, or else of the parents of faces."""
+        """Adds the cells of NFACE_n, or else of the parents of faces.
+
+        Of each section `polygons` has numbers, vertices, sizes and parents, 0 for none, of faces.
+        """
         if not polygons:
             return content
         numbers, labels, sizes, parents = map(np.concatenate, zip(*polygons, strict=True))
@@ -255,10 +235,15 @@ class Zone:
                 sides = _sides(numbers, volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
                 sides = np.unique(np.append(0, parents), return_inverse=True)[1][1:].reshape(parents.shape).T - 1
-            blocks, outer, whole = polyhedra(_faces(labels, sizes, sides), points, self.first)
+            faces = _faces(labels, sizes, sides)
+            cells_by_type, whole = cells_of_faces(faces, points)
         except ValueError as error:
             raise self.error(str(error)) from error
-        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=whole)
+        blocks = [Block(kind, corners + self.first, cell) for kind, corners, cell in cells_by_type]
+        faces = dataclasses.replace(faces, labels=faces.labels + self.first)
+        sizes = np.where(faces.neighbour < 0, faces.sizes, 0)
+        outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
+        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=Polyhedra(faces, whole.cut))
 
 
 class _Section:
@@ -284,8 +269,12 @@ class _Section:
         if "ElementStartOffset" in self.node:
             rows = Ragged(values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
             fault = f"the offsets of section {self.name} do not cut its {len(values)} numbers into {self.count} rows"
-        else:
-            rows = _counted(values)
+        else:  # the last row may be cut short
+            counts, at, numbers = [], 0, values.tolist()
+            while at < len(numbers):
+                counts.append(at)
+                at += 1 + max(numbers[at], 0)
+            rows = Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))
             fault = f"section {self.name} has no ElementStartOffset, and its {len(values)} numbers are not {self.count} rows"
         starts, sizes = rows.starts, np.diff(rows.starts)
         if len(rows) != self.count or starts[0] or starts[-1] != len(rows.values) or (sizes < least).any():
@@ -305,7 +294,12 @@ class _Section:
         head = int(self.kind == MIXED)  # each element begins with its type
         while at < len(values):
             number = int(values[at]) if head else self.kind
-            width = head + self._size(number)
+            if number not in NODES:
+                raise self.error(
+                    f"has elements of type {number}; linear elements, those of order 2, of order 3 and 4 with all inner nodes, "
+                    "and polyhedra are read"
+                )
+            width = head + NODES[number]
             rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
             rows = rows[: np.argmax(np.append(rows[:, 0] != number, True))] if head else rows
             if not len(rows):
@@ -317,20 +311,3 @@ class _Section:
             raise self.error(f"has {len(values)} numbers, of which the last {len(values) - at} are no whole element")
         if start != self.start + self.count:
             raise self.error(f"has {start - self.start} elements, and the range of {self.count}")
-
-    def _size(self, number: int) -> int:
-        if number not in NODES:
-            raise self.error(
-                f"has elements of type {number}; linear elements, those of order 2, of order 3 and 4 with all inner nodes, and "
-                "polyhedra are read"
-            )
-        return NODES[number]
-
-
-def _counted(values: np.ndarray) -> Ragged:
-    """Cuts numbers into rows that begin with their count; the last one may be cut short."""
-    counts, at, numbers = [], 0, values.tolist()
-    while at < len(numbers):
-        counts.append(at)
-        at += 1 + max(numbers[at], 0)
-    return Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))

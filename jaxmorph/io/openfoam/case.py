@@ -20,7 +20,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import EVERYTHING, MeshLike, Source, as_in_file, content_of, faults_of
+from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of
 from .._text import replaced
 from .file import PARENTHESES, Boundary, FoamFile, faces_of, load, patches
 from .plane import Front, check_cyclic, cyclic_pairs, layer, plane_cells, sector
@@ -30,7 +30,6 @@ COPIED = ("constant", "system", "0", "0.orig")
 SYMMETRY = ("symmetry", "symmetryPlane")
 PLANES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
-
 
 Members = dict[str, np.ndarray]
 
@@ -46,8 +45,9 @@ class CaseContent:
     shared: np.ndarray
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Computes the points (N, 3) of the file, both planes' of one in 2-D."""
-        return as_in_file(points if self.plane is None else self.plane.in_space(self.points, points), self.points)
+        """Computes the points (N, 3) of the file, in 2-D both planes'; unmoved ones as read."""
+        moved = points if self.plane is None else self.plane.in_space(self.points, points)
+        return np.where(moved == self.points.astype(moved.dtype), self.points, moved)
 
     def in_mesh(self, values: np.ndarray) -> np.ndarray:
         return values if self.plane is None else self.plane.fitted(values).in_plane(values)
@@ -113,10 +113,11 @@ def read(path: pathlib.Path) -> Parts:
     nodes = _nodes(faces, boundary)
     with faults_of(path):
         mesh, ids, whole, plane = (_in_plane if planes else _in_space)(faces, points, nodes, planes)
-    between = _between(faces, boundary)
+    to_others = [patch.faces for patch in boundary if patch.is_between]
+    between = faces.padded(np.concatenate([np.zeros(0, np.int64), *to_others]))
     # a caller may change the mesh's points in place, and the file's values must stay
-    own = points.copy() if plane is None else points
-    content = CaseContent(file, own, folder, plane, np.unique(between[between >= 0]))
+    kept = points.copy() if plane is None else points
+    content = CaseContent(file, kept, folder, plane, np.unique(between[between >= 0]))
     joined = np.concatenate([ids[kind] for kind in mesh.cells])
     source = Source(
         file.path,
@@ -124,8 +125,8 @@ def read(path: pathlib.Path) -> Parts:
         content,
         whole,
         None if (joined[1:] > joined[:-1]).all() else joined,
-        between=None if not len(between) else between if plane is None else plane.edges(between),
-        notes=tuple(_notes(folder, [patch for patch in planes if patch.size])),
+        between=None if not len(between) else between if plane is None else plane.ids(between).reshape(-1, 2),
+        notes=tuple(_notes(folder, planes)),
         **content.known,
         **_said(boundary, mesh, plane),
     )
@@ -139,12 +140,6 @@ def _nodes(faces: Faces, boundary: Boundary) -> Members:
     """
     own = [patch for patch in boundary if not patch.is_between]
     return gathered((patch.refers or patch.name, faces.nodes(patch.start, patch.end)) for patch in own)
-
-
-def _between(faces: Faces, boundary: Boundary) -> np.ndarray:
-    """Lists the corners (k, c) of faces to other parts of a case, -1 behind the last one."""
-    chosen = [patch.faces for patch in boundary if patch.is_between]
-    return faces.padded(np.concatenate([np.zeros(0, np.int64), *chosen]))
 
 
 def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
@@ -169,9 +164,8 @@ def _said(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any
 
 def _periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     """Lists the cyclic pairs, unless partners of their faces are on another processor."""
-    if any(patch.refers and patch.size for patch in boundary):
-        return ()
-    return tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
+    is_cut = any(patch.refers and patch.size for patch in boundary)
+    return () if is_cut else tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
 
 
 def _groups(own: Boundary) -> dict[str, tuple[str, ...]]:
@@ -204,10 +198,7 @@ def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`.
-
-    It warns where the case is decomposed: its parts keep the old points.
-    """
+    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
     content, points = content_of(mesh, NAME), file_points(mesh)
     case = content.case
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
@@ -215,7 +206,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
         fate = "keep the old points" if _is_time(path) else "are not copied"
         warn(
             f"{path}: the case is decomposed, and its {len(parts)} folders processor* {fate}. "
-            "Run decomposePar -force on the written mesh before a parallel run.",
+            "Run decomposePar -force on the written mesh before a parallel run."
         )
     write_points(path, content, points)
 
@@ -333,15 +324,14 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
 
 
 def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
-    zones = [
-        f"{size} {name}" for name in ("cellZones", "faceZones", "pointZones") if (size := _size(topology, name)) > 0
-    ]
+    sizes = {name: _size(topology, name) for name in ("cellZones", "faceZones", "pointZones")}
+    zones = [f"{size} {name}" for name, size in sizes.items() if size > 0]
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
     if topology.parent.name == "constant" and (others := regions(topology.parent)):
         yield f"the regions {', '.join(others)} have meshes of their own: {topology.parent / others[0]} is the first."
     if planes:
-        names = ", ".join(f"{patch.name} ({patch.type})" for patch in planes)
+        names = ", ".join(f"{patch.name} ({patch.type})" for patch in planes if patch.size)
         yield f"the planes {names} are no patches: the mesh lies in one of them."
 
 

@@ -19,8 +19,6 @@ _END = re.compile(rb"\)(?:[\s;]|//[^\n]*+)*+\Z")
 _HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
 _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
-TAIL = 1 << 16
-"""Bytes at the end of a text that may be comments behind its list."""
 UNIFORM = 2 * 10**8
 """Bytes of an unpacked list of equal elements, besides ten times its file's size."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
@@ -70,8 +68,8 @@ class FoamFile(NamedTuple):
         return List(int(match[1] or -1) if match[2] else 0, match.end(), match[2] == b"{")
 
     def end_of_text(self, start: int) -> int:
-        """Finds the last parenthesis, before the comments at the end of the file."""
-        found = _END.search(self.data, max(start, len(self.data) - TAIL))
+        """Finds the last parenthesis, before at most 64 KiB of comments at the end of the file."""
+        found = _END.search(self.data, max(start, len(self.data) - (1 << 16)))
         return found.start() if found else start
 
     def numbers(self, what: str, width: int = 1) -> np.ndarray:

@@ -52,10 +52,6 @@ class Front(NamedTuple):
         at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
         return at[self.front[at] == nodes]
 
-    def edges(self, faces: np.ndarray) -> np.ndarray:
-        """Returns the front's edges (k, 2) in which faces (k, c) between the planes end."""
-        return self.ids(faces).reshape(-1, 2)
-
     def fitted(self, points: np.ndarray) -> "Front":
         if self.kind == "empty":
             return self
@@ -77,13 +73,11 @@ class Front(NamedTuple):
                 f"{off.size} nodes of the axis have left it, first node {off[0]}: name it, symmetry='axis' or --symmetry axis."
             )
         moved[self.on_axis, 1] = 0
-        new = old.copy()
+        new, has_moved = old.copy(), (moved != 0).any(axis=1)[:, None]
         for nodes, axes in zip((self.back, self.front), self.axes[::-1], strict=True):
             here = (old[nodes] - self.origin) @ axes.T
             there = np.where(moved != 0, plane, here)
-            new[nodes] = np.where(
-                (moved != 0).any(axis=1)[:, None], old[nodes] - here @ axes + there @ axes, old[nodes]
-            )
+            new[nodes] = np.where(has_moved, old[nodes] - here @ axes + there @ axes, old[nodes])
         return new
 
     def added(self, values: np.ndarray) -> np.ndarray:
@@ -103,12 +97,7 @@ def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> F
 
 
 def _paired(
-    kind: str,
-    faces: Faces,
-    points: np.ndarray,
-    planes: Sequence[np.ndarray],
-    axes: np.ndarray,
-    origin: np.ndarray,
+    kind: str, faces: Faces, points: np.ndarray, planes: Sequence[np.ndarray], axes: np.ndarray, origin: np.ndarray
 ) -> Front:
     """Finds the node behind that an edge joins to each node in front; one in both is its own."""
     front, back = planes
@@ -217,10 +206,8 @@ def _edges(faces: Faces, chosen: np.ndarray, is_front: np.ndarray, plane: Front)
     ends = np.take_along_axis(corners, np.stack([last, last - 1], axis=1) % 4, axis=1)
     if (faces.sizes[across] != 4).any() or (on.sum(axis=1) != 2).any() or not is_front[ends].all():
         raise ValueError(f"patches of type {plane.kind}, but there are faces that do not join the two planes.")
-    starts = 2 * np.arange(len(across) + 1)
-    return Faces(
-        np.searchsorted(plane.front, ends).ravel(), starts, faces.owner[across], faces.all_neighbours()[across]
-    )
+    labels, starts = np.searchsorted(plane.front, ends).ravel(), 2 * np.arange(len(across) + 1)
+    return Faces(labels, starts, faces.owner[across], faces.all_neighbours()[across])
 
 
 MATCH = 1e-4
