@@ -41,12 +41,8 @@ def deform_parts(request: Deform, out: Output) -> int:
     gathered = ranks.gather({k: side for k, (side, _) in sides.items()})
     del sides
 
-    def prepared() -> tuple[jm.SurfaceHalf, np.ndarray] | None:
-        if not gathered:
-            return None
-        return _prepared(request, case.surface(_by_part(gathered)), out)
-
-    half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
+    prepared = together(ranks, lambda: _prepared(request, case.surface(_by_part(gathered)), out) if gathered else None)
+    half, path = ranks.bcast(prepared)  # pyright: ignore[reportGeneralTypeIssues]
     with out.progress("choosing the share of the fit"):
         half = half.judged(((part, io.global_nodes(part)) for part in map(case.read, share)), ranks)
     part = functools.partial(_part, request, case, half, path, largest)

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.interpolate
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
 
@@ -225,7 +225,10 @@ def box_parts(
     nodes, parts = mesh.patch(*moving), []
     taken = np.zeros(len(nodes), bool)
     for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
-        places = _places_of(box, nodes, moving)
+        places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
+        for ids, inside in (box.surface[name] for name in moving if name in box.surface):
+            moves = np.isin(ids, nodes)
+            places[np.searchsorted(nodes, ids[moves])] = inside[moves]
         places[taken] = OUTSIDE
         taken |= (places != OUTSIDE).any(axis=1)
         if own := tuple(variable for variable in listed if variable.box == box.name):
@@ -233,14 +236,6 @@ def box_parts(
             rows, move = tuple(row for variable in own for row in variable.rows), box.shape.box.at(jnp.asarray(places))
             parts.append(BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move))
     return parts[::-1]
-
-
-def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Names) -> Float[np.ndarray, "m d"]:
-    places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
-    for ids, inside in (box.surface[name] for name in moving if name in box.surface):
-        moves = np.isin(ids, nodes)
-        places[np.searchsorted(nodes, ids[moves])] = inside[moves]
-    return places
 
 
 def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
