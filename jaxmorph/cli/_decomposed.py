@@ -33,7 +33,8 @@ class _Bad(Exception): ...
 def deform_parts(request: Deform, out: Output) -> int:
     ranks = _ranks()
     out.is_silent = ranks.rank > 0
-    case = together(ranks, lambda: _case(request))
+    case = together(ranks, lambda: io.Decomposed(request.file))
+    together(ranks, lambda: case.check_output(request.output))
     share = range(ranks.rank, len(case), ranks.size)
     with out.progress("reading the surface"):
         sides = together(ranks, lambda: {k: (case.side(k), len(case.read(k).points)) for k in share})
@@ -111,12 +112,6 @@ def _ranks() -> Any:
             "mpiexec of mpi4py's library, or srun --mpi= with a name that this library knows (srun --mpi=list)."
         )
     return world
-
-
-def _case(request: Deform) -> io.Decomposed:
-    case = io.Decomposed(request.file)
-    case.check_output(request.output)
-    return case
 
 
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray]:

@@ -192,9 +192,8 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
     angle, height, nodes = np.asarray(wall.angle), np.asarray(wall.height), np.asarray(wall.nodes)
     if not len(nodes):
         return []
-    steepest, lowest = (
-        f"   node {node} near {coordinates(points[node])}" for node in nodes[[angle.argmax(), height.argmin()]]
-    )
+    worst = nodes[[angle.argmax(), height.argmin()]]
+    steepest, lowest = (f"   node {node} near {coordinates(points[node])}" for node in worst)
     return [
         ("mean wall angle", 0, float(angle.mean()), ""),
         ("max wall angle", 0, float(angle.max()), steepest),

@@ -94,7 +94,6 @@ CHECKS: dict[Any, Callable[[Path], Any]] = {
     Lattice: lambda path: output_path(path, *LATTICES),
     Folder: _check_folder,
 }
-"""Checks of a file by its kind."""
 
 INPUTS, OUTPUTS = (Path, MeshFile), (NewMesh, Written, Picture, Lattice, Folder)
 
@@ -190,4 +189,3 @@ OF_COMMAND: dict[Any, Callable[[Any, Files, Files], None]] = {
     SU2: _check_su2,
     Quality: _check_quality,
 }
-"""Checks of commands beside those of their files."""

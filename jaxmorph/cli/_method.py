@@ -40,8 +40,6 @@ def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Patches:
-    """A mesh and the names of its patches, by what they do."""
-
     mesh: jm.Mesh
     request: MethodFlags
     moving: tuple[str, ...]
@@ -98,9 +96,8 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
     """
     flags = request.boundary
     _check_names(request, mesh)
-    moving, symmetry, sliding, free = (
-        mesh.patch_names(*names) for names in (request.moving, flags.symmetry, flags.sliding, flags.free)
-    )
+    lists = (request.moving, flags.symmetry, flags.sliding, flags.free)
+    moving, symmetry, sliding, free = (mesh.patch_names(*names) for names in lists)
     periodic = _periodic(flags.periodic, mesh, {*moving, *flags.fixed, *symmetry, *sliding, *free})
     repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
     elsewhere = {*moving, *symmetry, *sliding, *repeating}

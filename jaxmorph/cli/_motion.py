@@ -171,10 +171,9 @@ def _displacement(patch: MovingPatch) -> Parametrised:
 
 def _onto(patch: MovingPatch) -> Parametrised:
     mesh, d = patch.mesh, patch.dimension
-    names = [
-        name for name in mesh.patch_names(*patch.symmetry) if np.isin(mesh.patch(name), patch.nodes).sum() >= d - 1
-    ]
-    planes = [jm.Plane.through(np.asarray(mesh.points), mesh.patch(name)) for name in names]
+    sides = [mesh.patch(name) for name in mesh.patch_names(*patch.symmetry)]
+    touching = [nodes for nodes in sides if np.isin(nodes, patch.nodes).sum() >= d - 1]
+    planes = [jm.Plane.through(np.asarray(mesh.points), nodes) for nodes in touching]
     wall, target = jm.Facets.of(mesh, *patch.group.patches), io.read_facets(str(patch.group.onto), d)
     u = shapes.onto(wall, target, symmetry=planes)
     return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0

@@ -41,8 +41,6 @@ def _prepared(request: PlanRequest, patches: Patches, out: Output, what: str = "
 
 
 class Case(NamedTuple):
-    """One shape times one amplitude, its output, and its time in a series."""
-
     number: int
     mode: int
     amplitude: float

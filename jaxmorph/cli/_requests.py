@@ -27,7 +27,6 @@ from ._parser import (
     part,
     positional,
     positive,
-    several,
     switch,
 )
 
@@ -235,7 +234,7 @@ class Deform(Spoken):
     save_job: Written | None = flag("write a TOML file with the flags of this run")
     picture: Picture | None = flag("draw the mesh before and after: .png, in 3-D also a page (.html)", everyday=True)
     zone: int | None = flag(ZONE)
-    groups: tuple[MotionFlags, ...] = several(MotionFlags)
+    groups: tuple[MotionFlags, ...] = dataclasses.field(default=(), metadata={"fields": MotionFlags})
     boundary: BoundaryFlags = part(BoundaryFlags)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
     method: MethodFlags = part(MethodFlags)

@@ -50,15 +50,11 @@ class BoxPart(AbstractPart):
             if variable.kind in TURNS:
                 change = TURNS[variable.kind](self, variable, part[0], control)
             else:
-                change = jnp.tensordot(part, jnp.asarray(self._factors(variable), part.dtype), 1)
+                factors = np.zeros((variable.size, *start.shape))  # what a unit of each value adds
+                ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
+                change = jnp.tensordot(part, jnp.asarray(factors, part.dtype), 1)
             control, row = control + change, row + variable.size
         return control - start
-
-    def _factors(self, variable: Variable) -> Float[np.ndarray, "k ..."]:
-        """Computes what a unit of each value adds to the control points: (k, *counts, d)."""
-        factors = np.zeros((variable.size, *self.control.shape))
-        ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
-        return factors
 
     def is_fixed(self, *index: int) -> bool:
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
@@ -178,9 +174,8 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
     boxes = []
     for (name, *words), own in zip(groups, degrees, strict=True):
-        numbers = [
-            options.number("FFD_DEFINITION", word) for word in options.taken("FFD_DEFINITION", f"box {name}", words, 24)
-        ]
+        corners = options.taken("FFD_DEFINITION", f"box {name}", words, 24)
+        numbers = [options.number("FFD_DEFINITION", word) for word in corners]
         counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
         if len(counts) < d or math.prod(counts) > MOST:
             found = " x ".join(map(str, counts))
