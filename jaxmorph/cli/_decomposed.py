@@ -33,7 +33,8 @@ class _Bad(Exception): ...
 def deform_parts(request: Deform, out: Output) -> int:
     ranks = _ranks()
     out.is_silent = ranks.rank > 0
-    case = together(ranks, lambda: _case(request))
+    case = together(ranks, lambda: io.Decomposed(request.file))
+    together(ranks, lambda: case.check_output(request.output))
     share = range(ranks.rank, len(case), ranks.size)
     with out.progress("reading the surface"):
         sides = together(ranks, lambda: {k: (case.side(k), len(case.read(k).points)) for k in share})
@@ -41,12 +42,8 @@ def deform_parts(request: Deform, out: Output) -> int:
     gathered = ranks.gather({k: side for k, (side, _) in sides.items()})
     del sides
 
-    def prepared() -> tuple[jm.SurfaceHalf, np.ndarray] | None:
-        if not gathered:
-            return None
-        return _prepared(request, case.surface(_by_part(gathered)), out)
-
-    half, path = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
+    prepared = together(ranks, lambda: _prepared(request, case.surface(_by_part(gathered)), out) if gathered else None)
+    half, path = ranks.bcast(prepared)  # pyright: ignore[reportGeneralTypeIssues]
     with out.progress("choosing the share of the fit"):
         half = half.judged(((part, io.global_nodes(part)) for part in map(case.read, share)), ranks)
     part = functools.partial(_part, request, case, half, path, largest)
@@ -115,12 +112,6 @@ def _ranks() -> Any:
             "mpiexec of mpi4py's library, or srun --mpi= with a name that this library knows (srun --mpi=list)."
         )
     return world
-
-
-def _case(request: Deform) -> io.Decomposed:
-    case = io.Decomposed(request.file)
-    case.check_output(request.output)
-    return case
 
 
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray]:

@@ -1,6 +1,7 @@
 """`jaxmorph deform`: one mesh, one motion, and other methods where it fails."""
 
 import dataclasses
+import functools
 import itertools
 import re
 import warnings
@@ -16,6 +17,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 from jaxmorph.extend import complete, quickly_compiled
 
+from ._early import lattice_files
 from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Distances, Motion, distances, motion
@@ -57,13 +59,6 @@ class Attempt:
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
-    def with_fewest_steps(self, plan: jm.Plan) -> "Attempt":
-        wall, least = self.base[self.patches.nodes], self.request.gates.min_jacobian_ratio or 0.0
-        moves = lambda share: self.motion.at(wall, share)  # noqa: E731
-        found = jm.fewest_steps(plan, self.patches.mesh, moves, min_jacobian_ratio=least, max_steps=MOST)
-        request = dataclasses.replace(self.request, steps=found.count)
-        return dataclasses.replace(self, request=request, reached=found.fraction)
-
     def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
         """Moves the points by chunks, in double precision; only `--proven` keeps all steps."""
         path, base, wall = self.path(steps), self.base, self.patches.nodes
@@ -102,8 +97,11 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         nodes, plan = next(chunks)
     if request.steps == AUTO:
         with out.progress("seeking the fewest steps"):
-            attempt = attempt.with_fewest_steps(plan)
-            request = attempt.request
+            least = request.gates.min_jacobian_ratio or 0.0
+            at = functools.partial(attempt.motion.at, attempt.base[patches.nodes])
+            found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST)
+        request = dataclasses.replace(request, steps=found.count)
+        attempt = dataclasses.replace(attempt, request=request, reached=found.fraction)
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
@@ -194,9 +192,8 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
     angle, height, nodes = np.asarray(wall.angle), np.asarray(wall.height), np.asarray(wall.nodes)
     if not len(nodes):
         return []
-    steepest, lowest = (
-        f"   node {node} near {coordinates(points[node])}" for node in nodes[[angle.argmax(), height.argmin()]]
-    )
+    worst = nodes[[angle.argmax(), height.argmin()]]
+    steepest, lowest = (f"   node {node} near {coordinates(points[node])}" for node in worst)
     return [
         ("mean wall angle", 0, float(angle.mean()), ""),
         ("max wall angle", 0, float(angle.max()), steepest),
@@ -213,11 +210,8 @@ def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, 
     for names in dict.fromkeys(group.patches for group in request.groups):
         nodes = mesh.patch(*names)
         row("moving", names, f"{count(len(nodes), 'node')}, by up to {way[np.isin(patches.nodes, nodes)].max():.4g}")
-    row(
-        "fixed",
-        request.boundary.fixed or ["no patch"],
-        count(len(np.setdiff1d(mesh.patch(*patches.fixed), patches.nodes)), "node"),
-    )
+    still = np.setdiff1d(mesh.patch(*patches.fixed), patches.nodes)
+    row("fixed", request.boundary.fixed or ["no patch"], count(len(still), "node"))
     for what, names in (("symmetry", patches.symmetry), ("sliding", patches.sliding)):
         if names:
             row(what, names, count(len(mesh.patch(*names)), "node"))
@@ -234,8 +228,13 @@ def write_job(request: Deform, moves: Motion, out: Output) -> None:
         with complete(request.save_job) as partial:
             partial.write_bytes(text_of(request, request.save_job.parent).encode())
         out.say(f"job      {request.save_job}")
-    for file in moves.write_lattices():
-        out.say(f"lattice  {file}")
+    for name, group in moves.groups.items():
+        if group.flags.lattice is not None:
+            box: Any = dict(zip(group.shape.names, group.shape.shapes, strict=True))["box"]
+            states = (None, moves.parameters[name]["box"])
+            for file, values in zip(lattice_files(group.flags.lattice), states, strict=True):
+                io.write_lattice(file, box.lattice(values))
+                out.say(f"lattice  {file}")
 
 
 def _advice(attempt: Attempt, out: Output) -> str:

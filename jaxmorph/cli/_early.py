@@ -55,7 +55,6 @@ def check(request: Request) -> None:
 
 
 def _checked(request: Any, kinds: tuple[Any, ...]) -> Files:
-    """Checks the files of these kinds that a request names, and lists them."""
     files: Files = []
     for field, value in values_of(request):
         kind, metavar = kind_of(field) or Path, field.metadata["settings"].get("metavar")
@@ -75,18 +74,10 @@ def _paths(value: Any) -> list[Path]:
     return [value] if isinstance(value, Path) else []
 
 
-def _check_input(path: Path) -> None:
-    input_path(path).stat()
-
-
 def _check_mesh(path: Path) -> None:
     if is_folder(input_path(path)) and not path.is_dir():
         raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
     path.stat()
-
-
-def _check_new_mesh(path: Path) -> None:
-    output_path(path, folder=path.suffix != ".pvd" and is_folder(path))
 
 
 def _check_folder(path: Path) -> None:
@@ -95,15 +86,14 @@ def _check_folder(path: Path) -> None:
 
 
 CHECKS: dict[Any, Callable[[Path], Any]] = {
-    Path: _check_input,
+    Path: lambda path: input_path(path).stat(),
     MeshFile: _check_mesh,
-    NewMesh: _check_new_mesh,
+    NewMesh: lambda path: output_path(path, folder=path.suffix != ".pvd" and is_folder(path)),
     Written: output_path,
     Picture: lambda path: output_path(path, ".png", ".html"),
     Lattice: lambda path: output_path(path, *LATTICES),
     Folder: _check_folder,
 }
-"""Checks of a file by its kind."""
 
 INPUTS, OUTPUTS = (Path, MeshFile), (NewMesh, Written, Picture, Lattice, Folder)
 
@@ -199,4 +189,3 @@ OF_COMMAND: dict[Any, Callable[[Any, Files, Files], None]] = {
     SU2: _check_su2,
     Quality: _check_quality,
 }
-"""Checks of commands beside those of their files."""

@@ -163,11 +163,16 @@ def begin_jax() -> None:
     config.update("jax_enable_x64", True)
     if config.jax_compilation_cache_dir:
         return
+    facts = [platform.machine()]
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    machine = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
     try:
         import filelock  # noqa: F401  JAX locks the folder with it
         import platformdirs
 
-        folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / _machine()
+        folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / machine
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         about = folder.stat()  # machine code in it may do anything: this user alone may write to it
     except (ImportError, OSError):
@@ -177,11 +182,3 @@ def begin_jax() -> None:
         config.update("jax_compilation_cache_dir", str(folder))
         config.update("jax_compilation_cache_max_size", LIMIT)
         config.update("jax_persistent_cache_min_compile_time_secs", 0)  # reading takes a tenth of any compilation
-
-
-def _machine() -> str:
-    facts = [platform.machine()]
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
-    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]

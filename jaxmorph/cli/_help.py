@@ -23,16 +23,14 @@ class Page:
 
     def below(self, is_short: bool) -> str:
         above, _, below = self.text.partition(EXAMPLES)
+        if not is_short and "[METHOD ...]" not in self.usage:
+            return self.text
         if not is_short:
-            return self.text if "[METHOD ...]" not in self.usage else f"{above}{_methods()}\n\n{EXAMPLES}{below}"
+            lines = [f"  {name + ' *' * entry.needs_cells:<17} {entry.sentence}" for name, entry in METHODS.items()]
+            return "\n".join([f"{above}methods (* is solved on the cells):", *lines, "", EXAMPLES + below])
         examples, _, status = below.partition("\n\n")
         few = "\n".join(examples.split("\n")[: self.few])
         return f"{self.more}\n\n{EXAMPLES}{few}\n\n{status}"
-
-
-def _methods() -> str:
-    lines = [f"  {name + ' *' * entry.needs_cells:<17} {entry.sentence}" for name, entry in METHODS.items()]
-    return "\n".join(["methods (* is solved on the cells):", *lines])
 
 
 MAIN = """\

@@ -89,10 +89,8 @@ ALWAYS = ("dimension", "points", "cells", "low", "high", "patches", "kinds")
 
 def _facts(mesh: Mesh) -> dict[str, Any]:
     points = np.asarray(mesh.points)
-    corners = [
-        np.ravel(ids)
-        for ids in (*mesh.cells.values(), *([] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels]))
-    ]
+    faces = [] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels]
+    corners = map(np.ravel, (*mesh.cells.values(), *faces))
     return {
         "dimension": points.shape[1],
         "points": len(points),

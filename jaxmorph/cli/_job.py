@@ -25,8 +25,6 @@ JOB: Keys = {field.name: field for field, _ in flags_of(Deform) if field.name no
 
 
 class JobParser(Parser):
-    """Parses the words that a job stands for."""
-
     def __init__(self, path: Path):
         super().__init__(add_help=False)
         self.path = path

@@ -29,19 +29,6 @@ def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
     return meshes[zone - 1]
 
 
-def method_of(request: MethodFlags, wall: np.ndarray) -> jm.AbstractMethod | None:
-    """Makes the method for moving points (m, d); None for the default."""
-    if request.method == "default" and request.sources is None:
-        return None
-    method = jm.METHODS[request.method].make(float(np.ptp(wall, axis=0).max()))
-    if request.sources is None or not isinstance(method, jm.SurfaceReconstruction):
-        return method
-    is_all = request.sources >= len(wall)
-    rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall))
-    coarse = jm.FittedRBF(rbf) if isinstance(method.coarse, jm.FittedRBF) else rbf
-    return jm.SurfaceReconstruction(coarse, method.correction)
-
-
 def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
     is_carrying = request.method == "default" and isinstance(plan.method, jm.InverseDistance)
     listed = jm.METHODS["turning" if is_carrying else request.method]
@@ -53,8 +40,6 @@ def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Patches:
-    """A mesh and the names of its patches, by what they do."""
-
     mesh: jm.Mesh
     request: MethodFlags
     moving: tuple[str, ...]
@@ -81,7 +66,17 @@ class Patches:
 
     @property
     def method(self) -> jm.AbstractMethod | None:
-        return method_of(self.request, np.asarray(self.mesh.points)[self.nodes])
+        """The method for the moving points; None for the default."""
+        request, wall = self.request, np.asarray(self.mesh.points)[self.nodes]
+        if request.method == "default" and request.sources is None:
+            return None
+        method = jm.METHODS[request.method].make(float(np.ptp(wall, axis=0).max()))
+        if request.sources is None or not isinstance(method, jm.SurfaceReconstruction):
+            return method
+        is_all = request.sources >= len(wall)
+        rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall))
+        coarse = jm.FittedRBF(rbf) if isinstance(method.coarse, jm.FittedRBF) else rbf
+        return jm.SurfaceReconstruction(coarse, method.correction)
 
     def chunks(self, size: int | None = None) -> Chunks:
         """Yields nodes and plan of each chunk of `size` inner nodes, or of the whole mesh."""
@@ -101,14 +96,17 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
     """
     flags = request.boundary
     _check_names(request, mesh)
-    moving, symmetry, sliding, free = (
-        mesh.patch_names(*names) for names in (request.moving, flags.symmetry, flags.sliding, flags.free)
-    )
+    lists = (request.moving, flags.symmetry, flags.sliding, flags.free)
+    moving, symmetry, sliding, free = (mesh.patch_names(*names) for names in lists)
     periodic = _periodic(flags.periodic, mesh, {*moving, *flags.fixed, *symmetry, *sliding, *free})
     repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
     elsewhere = {*moving, *symmetry, *sliding, *repeating}
     fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
-    symmetry += tuple(_planes_of_file(mesh, {*elsewhere, *fixed, *free}))
+    known = {*elsewhere, *fixed, *free}
+    for name in (name for name in io.symmetry(mesh) if name not in known):
+        with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
+            jm.Plane.of_patch(mesh, name)
+            symmetry += (name,)
     return Patches(mesh, request.method, moving, fixed, symmetry, sliding, periodic, free)
 
 
@@ -122,13 +120,6 @@ def _check_names(request: PlanRequest, mesh: jm.Mesh) -> None:
     both = sorted({*mesh.patch_names(*request.moving)} & {*request.boundary.fixed})
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
-
-
-def _planes_of_file(mesh: jm.Mesh, lists: set[str]) -> Iterator[str]:
-    for name in (name for name in io.symmetry(mesh) if name not in lists):
-        with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
-            jm.Plane.of_patch(mesh, name)
-            yield name
 
 
 def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:

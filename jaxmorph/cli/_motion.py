@@ -17,7 +17,7 @@ from jaxmorph import Mesh, io, shapes
 from jaxmorph._host.package.text import read
 from jaxmorph.extend import finite_array
 
-from ._early import is_given, lattice_files
+from ._early import is_given
 from ._output import coordinates, some
 from ._requests import Deform, MotionFlags, Table
 
@@ -88,17 +88,6 @@ class Motion:
     def at(self, surface: Points, share: float) -> Points:
         values = jax.tree.map(lambda a, b: a + share * (b - a), self.shape.neutral(), self.parameters)
         return np.asarray(shapes.path(self.shape, surface, values, 1))[0]
-
-    def write_lattices(self) -> list[Path]:
-        files = []
-        for name, group in self.groups.items():
-            if group.flags.lattice is not None:
-                box: Any = dict(zip(group.shape.names, group.shape.shapes, strict=True))["box"]
-                before, after = lattice_files(group.flags.lattice)
-                io.write_lattice(before, box.lattice(None))
-                io.write_lattice(after, box.lattice(self.parameters[name]["box"]))
-                files += [before, after]
-        return files
 
 
 def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
@@ -182,10 +171,9 @@ def _displacement(patch: MovingPatch) -> Parametrised:
 
 def _onto(patch: MovingPatch) -> Parametrised:
     mesh, d = patch.mesh, patch.dimension
-    names = [
-        name for name in mesh.patch_names(*patch.symmetry) if np.isin(mesh.patch(name), patch.nodes).sum() >= d - 1
-    ]
-    planes = [jm.Plane.through(np.asarray(mesh.points), mesh.patch(name)) for name in names]
+    sides = [mesh.patch(name) for name in mesh.patch_names(*patch.symmetry)]
+    touching = [nodes for nodes in sides if np.isin(nodes, patch.nodes).sum() >= d - 1]
+    planes = [jm.Plane.through(np.asarray(mesh.points), nodes) for nodes in touching]
     wall, target = jm.Facets.of(mesh, *patch.group.patches), io.read_facets(str(patch.group.onto), d)
     u = shapes.onto(wall, target, symmetry=planes)
     return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0

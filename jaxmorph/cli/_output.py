@@ -123,7 +123,6 @@ def count(number: int, what: str) -> str:
 
 
 def some(ids: Any) -> str:
-    """Lists up to five ids."""
     return ", ".join(map(str, ids[:5])) + (", ..." if len(ids) > 5 else "")
 
 

@@ -24,8 +24,7 @@ Folder = NewType("Folder", Path)
 FILES = (Path, MeshFile, NewMesh, Written, Picture, Lattice, Folder)
 
 Fields = type[Any]
-"""A dataclass whose fields are made by `flag`, `positional`, `switch`, `part` and `several`."""
-
+"""A dataclass whose fields are made by `flag`, `positional`, `switch` and `part`."""
 
 MOTION = "motion of the patches of the last --moving (at least one flag)"
 BAD = "when cells are bad"
@@ -84,10 +83,6 @@ def switch(what: str, *names: str, default: bool = False, **settings: Any) -> An
 
 def part(fields: Fields) -> Any:
     return dataclasses.field(default_factory=fields, metadata={"fields": fields})
-
-
-def several(fields: Fields) -> Any:
-    return dataclasses.field(default=(), metadata={"fields": fields})
 
 
 def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:

@@ -41,8 +41,6 @@ def _prepared(request: PlanRequest, patches: Patches, out: Output, what: str = "
 
 
 class Case(NamedTuple):
-    """One shape times one amplitude, its output, and its time in a series."""
-
     number: int
     mode: int
     amplitude: float
@@ -55,9 +53,8 @@ def modes(request: ModesRequest, out: Output) -> int:
     mesh, outputs = patches.mesh, [request.output, *(case.output for case in cases)]
     for output in outputs[1:]:
         io.check_output(output, mesh)
-    check_apart(
-        [("IN", request.file), *(("--mode", file) for file in request.mode)], [("OUT", file) for file in outputs]
-    )
+    inputs = [("IN", request.file), *(("--mode", file) for file in request.mode)]
+    check_apart(inputs, [("OUT", file) for file in outputs])
     with out.progress("reading the modes"):
         u = np.stack([io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode])
     what = f"{count(len(u), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
@@ -80,13 +77,6 @@ def modes(request: ModesRequest, out: Output) -> int:
             stage.done(case.number / len(cases))
     _end(request, good, len(cases), out)
     return int(bad > 0)
-
-
-def _check_outputs(request: ModesRequest, outputs: list[Path], mesh: jm.Mesh) -> None:
-    for output in outputs[1:]:
-        io.check_output(output, mesh)
-    inputs = [("IN", request.file), *(("--mode", file) for file in request.mode)]
-    check_apart(inputs, [("OUT", file) for file in outputs])
 
 
 def _end(request: ModesRequest, good: list[Case], total: int, out: Output) -> None:
@@ -141,12 +131,10 @@ def _tell(case: Case, file: Path, verdict: jm.Verdict, out: Output) -> None:
 
 def sensitivity(request: SensitivityRequest, out: Output) -> int:
     job = job_of(request)
-    asked, moves = job or request, None
+    asked = job or request
     patches = _read(asked, out)
     mesh, moving = patches.mesh, patches.nodes
-    wall = np.asarray(mesh.points, float)[moving]
-    if job is not None:
-        moves = motion(job, mesh, moving)
+    wall, moves = np.asarray(mesh.points, float)[moving], None if job is None else motion(job, mesh, moving)
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
     if len(given) == len(mesh.points):

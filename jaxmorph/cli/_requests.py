@@ -27,7 +27,6 @@ from ._parser import (
     part,
     positional,
     positive,
-    several,
     switch,
 )
 
@@ -52,15 +51,13 @@ def markers(file: Path) -> list[str]:
 
 def _completer(prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
     """Lists patches and groups of the mesh that the words before name; none for what is no mesh."""
-    file = getattr(parsed_args, "file", None)
     with contextlib.suppress(Exception):  # the shell's line is no place for a fault
-        if file is not None and file.suffix.lower() == ".su2":
-            return markers(file)
-        if file is not None:
-            from jaxmorph import io
+        if parsed_args.file.suffix.lower() == ".su2":
+            return markers(parsed_args.file)
+        from jaxmorph import io
 
-            mesh = io.read(file)
-            return [*mesh.patches, *mesh.groups]
+        mesh = io.read(parsed_args.file)
+        return [*mesh.patches, *mesh.groups]
     return []
 
 
@@ -159,8 +156,6 @@ MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacemen
 
 @dataclasses.dataclass(frozen=True)
 class BoundaryFlags:
-    """Patches by what they do: names, patterns or groups."""
-
     SECTION: ClassVar = "surface"
 
     fixed: tuple[str, ...] = _patches("patches that stay", everyday=True)
@@ -172,16 +167,9 @@ class BoundaryFlags:
 
 @dataclasses.dataclass(frozen=True)
 class MethodFlags:
-    """The method's name, its number of sources (None: its own default), and the precision."""
-
     SECTION: ClassVar = "method"
 
-    method: str = flag(
-        "one of the methods listed below",
-        metavar="NAME",
-        choices=[*jm.METHODS],
-        default="default",
-    )
+    method: str = flag("one of the methods listed below", metavar="NAME", choices=[*jm.METHODS], default="default")
     sources: int | None = flag("about how many nodes of the moving patches are sources", everyday=True)
     dtype: str = flag(
         "precision of the calculation; float32 takes half the memory, and is too coarse for boundary layers",
@@ -224,15 +212,11 @@ class Speech:
 
 @dataclasses.dataclass(frozen=True)
 class Spoken:
-    """Request of a command that prints what it does."""
-
     speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Planned(Spoken):
-    """Request of a command that makes one plan of a mesh."""
-
     file: MeshFile = positional(MESH, "IN")
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
@@ -250,7 +234,7 @@ class Deform(Spoken):
     save_job: Written | None = flag("write a TOML file with the flags of this run")
     picture: Picture | None = flag("draw the mesh before and after: .png, in 3-D also a page (.html)", everyday=True)
     zone: int | None = flag(ZONE)
-    groups: tuple[MotionFlags, ...] = several(MotionFlags)
+    groups: tuple[MotionFlags, ...] = dataclasses.field(default=(), metadata={"fields": MotionFlags})
     boundary: BoundaryFlags = part(BoundaryFlags)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
     method: MethodFlags = part(MethodFlags)
@@ -292,8 +276,6 @@ class ModesRequest(Planned):
 
 @dataclasses.dataclass(frozen=True)
 class SensitivityRequest(Planned):
-    """Request of `jaxmorph sensitivity`; with a job the result is by design variables."""
-
     sensitivity: Path = positional(
         "dJ/d(points): SU2's, OpenFOAM's, rows of node id, dJ/dx, dJ/dy[, dJ/dz], or .npz", "SENS"
     )
@@ -315,8 +297,6 @@ class NativeRequest:
 
 @dataclasses.dataclass(frozen=True)
 class SU2(Spoken):
-    """Request of `jaxmorph su2`: `action` is `def` or `dot`."""
-
     action: str = positional("def moves the mesh, dot projects sensitivities", "ACTION", choices=("def", "dot"))
     file: Path = positional("SU2's config file; the files it names are relative to its folder", "CONFIG")
     sensitivity: Path | None = flag(
@@ -332,8 +312,6 @@ class SU2(Spoken):
 
 @dataclasses.dataclass(frozen=True)
 class Quality(Spoken):
-    """Request of `jaxmorph quality`. `moved` is the file of the moved mesh."""
-
     file: MeshFile = positional(MESH, "FILE")
     moved: MeshFile | None = positional("the same mesh, deformed", "FILE2", nargs="?")
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")

@@ -44,7 +44,6 @@ def _values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
 
 
 def _listed(numbers: np.ndarray) -> str:
-    """Lists up to four numbers, and only the least and the largest of more."""
     if len(numbers) > 4:
         return f"{numbers.min():g} to {numbers.max():g}"
     return ", ".join(f"{number:g}" for number in numbers)

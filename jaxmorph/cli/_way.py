@@ -19,7 +19,6 @@ from ._parser import flag_of
 
 PROVEN = "min_proven_margin"
 
-
 T = TypeVar("T")
 Points = Float[np.ndarray, "n d"]
 
@@ -139,10 +138,8 @@ def say_verdict(
     assert verdict.before is not None
     out.say(f"\n{verdict.table(more)}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
-        valid = verdict.cells - gate.beyond
-        out.say(
-            wrapped(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {instants(is_straight, steps)}.")
-        )
+        valid, when = verdict.cells - gate.beyond, instants(is_straight, steps)
+        out.say(wrapped(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {when}."))
         out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
 
 

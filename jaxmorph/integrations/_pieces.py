@@ -31,9 +31,8 @@ def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.n
         return None
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
     # between them
-    cells = {}
-    for kind, ids, is_first, _ in _marked(comm, solid(mesh.linear), nodes, is_shared):
-        cells[kind] = ids[is_first]
+    marked = _marked(comm, solid(mesh.linear), nodes, is_shared)
+    cells = {kind: ids[is_first] for kind, ids, is_first, _ in marked}
 
     def outer() -> dict[str, np.ndarray]:
         if mesh.polyhedra is not None and mesh.between is None and comm.size > 1:

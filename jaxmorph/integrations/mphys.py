@@ -18,7 +18,6 @@ import jaxmorph as jm
 from .openmdao import MovedMesh, Traced, TracedComponent, Values, add_parameters, first_parameters, from_inputs
 
 SURFACE = MPhysVariables.Aerodynamics.Surface
-VOLUME = "aero_vol_coords"
 
 
 class ShapeBuilder(Builder):
@@ -109,7 +108,7 @@ class Volume(MovedMesh):
         points: Any = np.asarray(self.options["plan"].points, float)
         wall, tags = points[np.asarray(self.options["plan"].moving)], ["mphys_coupling"]
         self.add_input(SURFACE.COORDINATES, wall.ravel(), distributed=True, units="m", tags=["mphys_coordinates"])
-        self.add_output(VOLUME, points.ravel(), distributed=True, units="m", tags=tags)
+        self.add_output("aero_vol_coords", points.ravel(), distributed=True, units="m", tags=tags)
 
     def traced(self) -> Traced:
         return eqx.Partial(_deformed, self.options["plan"])

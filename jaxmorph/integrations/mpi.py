@@ -175,10 +175,7 @@ def _own(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any) -> tup
 
 
 def attach(
-    comm: Any,
-    half: jm.SurfaceHalf,
-    points: Real[ArrayLike, "n d"],
-    nodes: Int[ArrayLike, " n"] | Sequence[int],
+    comm: Any, half: jm.SurfaceHalf, points: Real[ArrayLike, "n d"], nodes: Int[ArrayLike, " n"] | Sequence[int]
 ) -> Piece:
     """Attaches this process' piece of a mesh to a prepared surface; all processes call it together.
 

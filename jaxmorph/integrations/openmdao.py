@@ -25,7 +25,6 @@ Points = Float[Array, "n d"]
 Traced = Callable[[Values], Any]
 """A pytree that computes one array from arrays by name."""
 
-
 OPTIONS: dict[str, dict[str, Any]] = {
     "plan": {"types": jm.Plan, "recordable": False, "desc": "what jaxmorph.prepare returned"},
     "mesh": {

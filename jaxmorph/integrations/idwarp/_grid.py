@@ -44,9 +44,8 @@ class DistributedGrid:
     def read(comm: Any, path: str) -> "DistributedGrid":
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return DistributedGrid._decomposed(comm, path)
-        return DistributedGrid.shared(
-            comm, together(comm, lambda: None if comm.rank else _in_space(io.read(path), path))
-        )
+        mesh = together(comm, lambda: None if comm.rank else _in_space(io.read(path), path))
+        return DistributedGrid.shared(comm, mesh)
 
     @staticmethod
     def shared(comm: Any, mesh: jm.Mesh | None) -> "DistributedGrid":

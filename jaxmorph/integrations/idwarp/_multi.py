@@ -48,8 +48,7 @@ class MultiUSMesh:
         expected = "d" if self._number is float else "D"
         if dtype != expected:
             raise ValueError(f"`dtype` is {dtype!r}; {expected!r} is taken: complex steps have a class, MultiUSMesh_C.")
-        read = (None, None) if self.comm.rank else None
-        mesh, grids = together(self.comm, lambda: read or _read(CGNSFile, optionsDict))
+        mesh, grids = together(self.comm, lambda: (None, None) if self.comm.rank else _read(CGNSFile, optionsDict))
         names, self._zones, counts = self.comm.bcast(grids)
         self._grid = np.repeat(self._zones, counts)
         self._whole = DistributedGrid.shared(self.comm, mesh)

@@ -27,8 +27,6 @@ SAME = 1e-12
 NEAR = 0.1
 """Distance of a node from its face, as a share of its longest edge: facets cut corners."""
 
-Patches = dict[str, tuple[str, ...]]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Definition:
@@ -78,7 +76,7 @@ def spacing(points: np.ndarray) -> np.ndarray:
     return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
-def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> Patches:
+def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Lists patches of `wall`, `symmetry` and `overset` by option, kind in the file, or name."""
     found: dict[str, list[str]] = {kind: [] for kind in (*WORDS.values(), "")}
     for name in mesh.patches:

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.interpolate
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
 
@@ -50,15 +50,11 @@ class BoxPart(AbstractPart):
             if variable.kind in TURNS:
                 change = TURNS[variable.kind](self, variable, part[0], control)
             else:
-                change = jnp.tensordot(part, jnp.asarray(self._factors(variable), part.dtype), 1)
+                factors = np.zeros((variable.size, *start.shape))  # what a unit of each value adds
+                ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
+                change = jnp.tensordot(part, jnp.asarray(factors, part.dtype), 1)
             control, row = control + change, row + variable.size
         return control - start
-
-    def _factors(self, variable: Variable) -> Float[np.ndarray, "k ..."]:
-        """Computes what a unit of each value adds to the control points: (k, *counts, d)."""
-        factors = np.zeros((variable.size, *self.control.shape))
-        ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
-        return factors
 
     def is_fixed(self, *index: int) -> bool:
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
@@ -178,9 +174,8 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
     boxes = []
     for (name, *words), own in zip(groups, degrees, strict=True):
-        numbers = [
-            options.number("FFD_DEFINITION", word) for word in options.taken("FFD_DEFINITION", f"box {name}", words, 24)
-        ]
+        corners = options.taken("FFD_DEFINITION", f"box {name}", words, 24)
+        numbers = [options.number("FFD_DEFINITION", word) for word in corners]
         counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
         if len(counts) < d or math.prod(counts) > MOST:
             found = " x ".join(map(str, counts))
@@ -225,7 +220,10 @@ def box_parts(
     nodes, parts = mesh.patch(*moving), []
     taken = np.zeros(len(nodes), bool)
     for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
-        places = _places_of(box, nodes, moving)
+        places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
+        for ids, inside in (box.surface[name] for name in moving if name in box.surface):
+            moves = np.isin(ids, nodes)
+            places[np.searchsorted(nodes, ids[moves])] = inside[moves]
         places[taken] = OUTSIDE
         taken |= (places != OUTSIDE).any(axis=1)
         if own := tuple(variable for variable in listed if variable.box == box.name):
@@ -233,14 +231,6 @@ def box_parts(
             rows, move = tuple(row for variable in own for row in variable.rows), box.shape.box.at(jnp.asarray(places))
             parts.append(BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move))
     return parts[::-1]
-
-
-def _places_of(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Names) -> Float[np.ndarray, "m d"]:
-    places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
-    for ids, inside in (box.surface[name] for name in moving if name in box.surface):
-        moves = np.isin(ids, nodes)
-        places[np.searchsorted(nodes, ids[moves])] = inside[moves]
-    return places
 
 
 def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:

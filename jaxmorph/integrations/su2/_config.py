@@ -42,8 +42,6 @@ EXTENSIONS = {
 
 NORMAL = ("surface_sensitivity", "sensitivity")
 """Columns of the continuous adjoint's derivative by a motion into the body."""
-ANGLE = 4
-"""Place of the derivative by the angle of attack among the eight numbers behind a restart."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -347,7 +345,7 @@ def _by_angle(file: pathlib.Path) -> float | None:
     is_restart = len(sizes) == 5 and sizes[0] == 535532
     begin = 20 + 33 * int(sizes[1]) + 8 * int(sizes[1]) * int(sizes[2]) if is_restart else -1
     if begin > 0 and file.stat().st_size == begin + 4 + 64:
-        return float(np.fromfile(file, "<f8", count=8, offset=begin + 4)[ANGLE])
+        return float(np.fromfile(file, "<f8", count=8, offset=begin + 4)[4])  # the fifth of eight numbers
     for text in ([] if begin > 0 else [file]) + [file.with_suffix(".meta")]:
         found = re.search(rb"SENS_AOA\s*=\s*([-+.\deE]+)", text.read_bytes()) if text.is_file() else None
         if found:

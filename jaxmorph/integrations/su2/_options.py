@@ -2,7 +2,6 @@
 
 import dataclasses
 import difflib
-import os
 import pathlib
 import re
 from collections.abc import Mapping
@@ -10,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmorph.extend import checked, input_path, warn
+from jaxmorph.extend import input_path, warn
 
 Words = list[str]
 
@@ -225,17 +224,6 @@ Listed = tuple[list[Variable], Words]
 """Design variables, and names of their markers."""
 
 
-@checked
-def checked_options(path: str | os.PathLike[str], *, definition: bool = False) -> Options:
-    """Reads the options of a config file, and checks what needs no mesh.
-
-    `path`, `definition` and the errors are as of `read_config`.
-    """
-    options = read_options(pathlib.Path(path))
-    checked_variables(options, definition)
-    return options
-
-
 def checked_variables(options: Options, definition: bool) -> Listed:
     """Lists the design variables and their markers, and reads every number.
 
@@ -336,7 +324,5 @@ def _variable(options: Options, name: str, kind: str, words: Words, scale: float
     words = options.taken(name, kind, words, count)
     box, start = (words[0], 1) if sort == "box" else ("", 0)
     numbers = tuple(options.number(name, word) for word in words[start:])
-    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(
-        numbers[len(indices) :]
-    )  # no direction: a value for each
+    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(numbers[len(indices) :])  # a value for each direction
     return Variable(kind, box, numbers, len(indices) if is_free else 1, scale)
