@@ -179,13 +179,7 @@ class FreeForm(AbstractLinearShape):
         return points if control is None else points + jnp.asarray(control)
 
     @checked
-    def linked(
-        self,
-        *,
-        free: np.ndarray | None = None,
-        groups: Groups = (),
-        mirror: int | None = None,
-    ) -> Linked:
+    def linked(self, *, free: np.ndarray | None = None, groups: Groups = (), mirror: int | None = None) -> Linked:
         """Makes a shape with fewer parameters (q,): frozen, linked and mirrored control points.
 
         **Arguments:**
