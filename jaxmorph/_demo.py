@@ -16,19 +16,13 @@ from jaxmorph import cases, io, plot, shapes  # before matplotlib: it says what 
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-ANGLES = (5.0, 10.0, 15.0)
-"""Degrees, nose up, at the end of each step."""
+ANGLES = (5.0, 10.0, 15.0)  # degrees, nose up, at the end of each step
 
 QUARTER_CHORD = np.array([0.25, 0.0])
 
-FAR_FIELD = jm.KDTree(2)
-"""Six sources on the paper's far field."""
-
-LEAVES = (1, 2, 4, 8)
-"""Leaves of the wall's trees to compare, with four sources a leaf."""
-
-SIZE = 5.5, 4.6
-"""Inches of a figure, in which 10 points are legible at a column of a journal and on a phone."""
+FAR_FIELD = jm.KDTree(2)  # six sources on the paper's far field
+LEAVES = (1, 2, 4, 8)  # leaves of the wall's trees to compare, with four sources a leaf
+SIZE = 5.5, 4.6  # inches of a figure, in which 10 points are legible at a column of a journal and on a phone
 
 AIRFOIL: plot.Window = ((-0.35, 1.45), (-0.62, 0.48))
 TRAILING_EDGE: plot.Window = ((0.915, 1.035), (-0.2325, -0.1592))

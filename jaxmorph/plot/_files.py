@@ -49,11 +49,8 @@ window.addEventListener("resize", look);
 BARE = {"grid_visible": False, "menu_visibility": False, "camera_auto_fit": False, "colorbar_object_id": 0}
 LINES = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
 
-HALF_VIEW = np.tan(np.deg2rad(15))
-"""Half of what a page's camera sees across the smaller side, over its distance."""
-
-SEEN = 1.15
-"""Width that a page's camera sees, over the largest side of the scene."""
+HALF_VIEW = np.tan(np.deg2rad(15))  # half of what a page's camera sees across the smaller side, over its distance
+SEEN = 1.15  # width that a page's camera sees, over the largest side of the scene
 
 
 @checked

@@ -17,8 +17,7 @@ from ._plane import Figure, plt
 from ._space import before_after_3d, surface
 from ._style import BLUE, STILL, WIDTH, Column, Ids, Places, bodies, check_cells, finite
 
-FLAT = 0.45
-"""Height over width of a window below which two of them stand one above the other."""
+FLAT = 0.45  # height over width of a window below which two of them stand one above the other
 
 
 @checked

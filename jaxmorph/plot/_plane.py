@@ -51,30 +51,15 @@ except ImportError as error:
 Window = tuple[tuple[float, float], tuple[float, float]]
 Outlines = Float[np.ndarray, "_ c 2"]
 
-THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
-"""Line widths in points: of cells a sixth of the cell, so that layers stay light; of walls."""
-
-NARROW = 0.8
-"""Width in points below which cells show their colour and no line."""
-
-SEEN = 0.5
-"""The part of the area below which lines of the cells that are wide enough for one are left out."""
-
-LABEL = 0.3
-"""Inches of an axis for a number at least: numbers of a small window have many digits."""
-
-UNLABELLED = 0.775
-"""The part of a figure's width that axes have until their labels are laid out."""
-
-STEPS = 1, 2, 2.5, 5, 10
-"""Steps between round numbers, times powers of ten."""
-
-PIECES = 200_000
-"""Pieces of curved cells that a picture has about at most."""
-
-ROOM, INTERNAL = 0.4, 0.7
-"""Margin around the bodies, relative to their extent, unless a window is given; and the part of the
-mesh, along one axis, beyond which the window is the mesh's own."""
+THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4  # widths of lines in points: of cells, a sixth of the cell; of walls
+NARROW = 0.8  # width in points below which cells show their colour and no line
+SEEN = 0.5  # the part of the area below which lines of the cells that are wide enough for one are left out
+LABEL = 0.3  # inches of an axis for a number at least: numbers of a small window have many digits
+UNLABELLED = 0.775  # the part of a figure's width that axes have until their labels are laid out
+STEPS = 1, 2, 2.5, 5, 10  # steps between round numbers, times powers of ten
+PIECES = 200_000  # pieces of curved cells that a picture has about at most
+ROOM = 0.4  # margin around the bodies, relative to their extent, unless a window is given
+INTERNAL = 0.7  # part of the mesh, along one axis, beyond which the window is the mesh's own
 
 
 @checked

@@ -14,8 +14,7 @@ from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above
 from ._space import add_legend, aim, aim_again, lines_of, new_plotter
 from ._style import GREEN, GREY, ORANGE, Places
 
-FEW = 30
-"""Sources up to which they are drawn as large dots, without covering each other."""
+FEW = 30  # sources up to which they are drawn as large dots, without covering each other
 
 
 @checked

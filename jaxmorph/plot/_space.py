@@ -35,20 +35,14 @@ LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_widt
 
 Direction = Sequence[float] | np.ndarray
 
-VIEWER = -1.0, -2.5, 1.8
-"""The direction towards the viewer: x right, y away, z up; mirrored for an open surface."""
+VIEWER = -1.0, -2.5, 1.8  # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
 
 AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 """The view that `aim` gave each plotter, its direction, and the window."""
 
-WINDOW, TEXT = (1200, 900), 30
-"""Width and largest height of a picture, height of letters in pixels."""
-
-ALONG = 0.97
-"""Cosine between an axis and the view from which the axis is a point, and has no name."""
-
-EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25
-"""Margins relative to width: sides; below for axes, scale; above a legend; right a colour bar."""
+WINDOW, TEXT = (1200, 900), 30  # width and largest height of a picture, height of letters in pixels
+ALONG = 0.97  # cosine between an axis and the view from which the axis is a point, and has no name
+EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25  # over the width: sides; below for axes; a legend; a colour bar
 
 
 @checked

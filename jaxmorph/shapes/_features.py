@@ -18,8 +18,7 @@ from ._arguments import Column, Positions, rows_of, shown_place
 Ids = Int[np.ndarray | Array, " _"]
 Borders = tuple[tuple[Plane, Ids], ...]
 
-SAME, REACH = 1e-6, 0.25
-"""Shares of the extent: distance of points that are on a plane; the farthest edge or corner."""
+SAME, REACH = 1e-6, 0.25  # shares of the extent: distance of points that are on a plane; the farthest edge or corner
 
 
 class Rail(Module):

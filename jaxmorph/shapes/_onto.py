@@ -23,14 +23,10 @@ from ._smooth import stiffness_of
 
 Motion = tuple[np.ndarray, np.ndarray]
 
-FIRST, LAST, STEPS, SETTLED = 0.5, 0.01, 8, 4
-"""First and last length over the wall's extent; steps from one to the other, and at the last."""
-
-FAR = 0.2
-"""Distance over the wall's extent from which on there are three times as many steps."""
-
-HARD, STILL = 100.0, 1e-4
-"""Weight of edges, corners and planes over the stiffness; of staying, against sliding away."""
+FIRST, LAST = 0.5, 0.01  # first and last length over the wall's extent
+STEPS, SETTLED = 8, 4  # steps from one to the other, and at the last
+FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
+HARD, STILL = 100.0, 1e-4  # weight of edges, corners and planes over the stiffness; of staying, against sliding away
 
 
 class Onto(Module):
@@ -308,8 +304,7 @@ def onto(
     return moved - x
 
 
-COLLAPSED = 0.01
-"""Share of a face's size that must be left, of the median of all."""
+COLLAPSED = 0.01  # share of a face's size that must be left, of the median of all
 
 
 def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:

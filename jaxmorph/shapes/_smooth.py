@@ -22,8 +22,7 @@ from ._features import Borders, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._walls import faces_of, wall_faces
 
-ROUNDS, FAR = 40, 1e30
-"""Most balls that are tried at a node, the last ones hardly differ; radius without a ball."""
+ROUNDS, FAR = 40, 1e30  # most balls that are tried at a node, the last ones hardly differ; radius without a ball
 
 
 class Smoother(AbstractLinearShape):
