@@ -18,9 +18,10 @@ from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
-from ._features import SAME, Borders, Clip, Rail, borders_of, clipped, guides_of, height_of
+from ._features import SAME, Borders, Clip, Planes, Rail, borders_of, clipped, guides_of, height_of
 from ._smooth import stiffness_of
 
+Target = Facets | Callable
 Motion = tuple[np.ndarray, np.ndarray]
 
 FIRST, LAST = 0.5, 0.01  # first and last length over the wall's extent
@@ -68,13 +69,7 @@ class Onto(Module):
 
     @checked
     def __init__(
-        self,
-        wall: Facets,
-        target: Facets | Callable,
-        *,
-        symmetry: Plane | Sequence[Plane] = (),
-        features: Sequence[Any] = (),
-        length: float = 0.0,
+        self, wall: Facets, target: Target, *, symmetry: Planes = (), features: Sequence[Any] = (), length: float = 0.0
     ):
         between("length", length, 0, ends="[)")
         self.borders = borders_of(wall, symmetry)
@@ -221,7 +216,7 @@ FITS, SAMPLE, NEAR, WHOLE = 20, 300, 0.05, 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
 
-def _rigid(wall: Facets, target: Facets | Callable, closest: Callable, planes: Sequence[Plane]) -> Motion:
+def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Plane]) -> Motion:
     """Finds a turn (d, d) and a shift (d,) that halve the distance, from here and from the axes.
 
     Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
@@ -246,7 +241,7 @@ def _rigid(wall: Facets, target: Facets | Callable, closest: Callable, planes: S
     return best
 
 
-def _starts(x: np.ndarray, target: Facets | Callable, planes: Sequence[Plane]) -> list[Motion]:
+def _starts(x: np.ndarray, target: Target, planes: Sequence[Plane]) -> list[Motion]:
     """From where the wall is, and with its axes laid on the target's, the smallest turn first."""
     d = x.shape[1]
     starts = [(np.eye(d), np.zeros(d))]
@@ -283,12 +278,7 @@ def _free_motions(planes: Sequence[Plane], d: int) -> np.ndarray:
 
 @checked
 def onto(
-    wall: Facets,
-    target: Facets | Callable,
-    *,
-    symmetry: Plane | Sequence[Plane] = (),
-    features: Sequence[Any] = (),
-    length: float = 0.0,
+    wall: Facets, target: Target, *, symmetry: Planes = (), features: Sequence[Any] = (), length: float = 0.0
 ) -> Float[np.ndarray, "m d"]:
     """Computes the displacement (m, d) of a wall's nodes onto a target, on the host.
 

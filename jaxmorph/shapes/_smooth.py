@@ -2,7 +2,7 @@
 its normals, as far as its sides leave room.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -14,11 +14,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
-from jaxmorph import Facets, Mesh, Plane
+from jaxmorph import Facets, Mesh
 from jaxmorph.extend import between, checked, finite_array, host_call, norm, rows_of
 
 from ._arguments import Column, Numbers, Positions, known_positions, positions
-from ._features import Borders, borders_of
+from ._features import Borders, Planes, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._walls import faces_of, wall_faces
 
@@ -185,7 +185,7 @@ class Offset(AbstractShape):
         field: Numbers | None = None,
         *,
         length: float = 0.0,
-        symmetry: Plane | Sequence[Plane] = (),
+        symmetry: Planes = (),
         share: float = 0.9,
     ):
         between("share", share, 0, 1, ends="(]")
