@@ -124,7 +124,8 @@ def compare(mesh: jm.Mesh) -> list[Study]:
 def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     """Prepares, marches twice (once without compiling), and judges the mesh after each step."""
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
-    path = np.stack([rotation(np.asarray(mesh.points)[moving], angle) for angle in ANGLES])
+    wall = np.asarray(mesh.points)[moving]
+    path = np.stack([np.asarray(shapes.rotate(wall, -np.deg2rad(up), QUARTER_CHORD)) - wall for up in ANGLES])
     times = [time.perf_counter()]
     plan = jm.prepare(mesh.points, moving, fixed, method=study.method)
     plans, end = jm.march(plan, path, rebuild=study.rebuild)
@@ -137,11 +138,6 @@ def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     error = np.abs(points[moving] - mesh.points[moving] - path[-1]).max()
     first, again = np.diff(times).tolist()
     return Outcome(study, points, reports, float(change), float(error), first, again)
-
-
-def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
-    """Computes the displacements (m, 2) that turn points nose up about the quarter chord."""
-    return np.asarray(shapes.rotate(points, -np.deg2rad(degrees), QUARTER_CHORD)) - points
 
 
 def near_wall(mesh: jm.Mesh) -> np.ndarray:

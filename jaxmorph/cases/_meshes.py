@@ -300,7 +300,10 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
     Raises `ValueError` for fewer than 300 points, a first cell that does not fit, and a section
     whose upper end lies below its lower one. Also where the rays leave a cell that is not convex.
     """
-    counts = _counts(points)
+    if points < 300:
+        raise ValueError(f"`points` is {points}; a C-grid needs at least 300.")
+    scale = np.sqrt(points / REFERENCE_POINTS)
+    counts = Counts(*(max(2, round(scale * count)) for count in REFERENCE))
     largest = 0.9 * RAY_LENGTH / counts.normal
     if not SMALLEST_CELL <= first_cell <= largest:
         raise ValueError(
@@ -320,13 +323,6 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
     mesh = _assemble(rays, counts, is_sharp)
     _check_convex(mesh)
     return mesh
-
-
-def _counts(points: int) -> Counts:
-    if points < 300:
-        raise ValueError(f"`points` is {points}; a C-grid needs at least 300.")
-    scale = np.sqrt(points / REFERENCE_POINTS)
-    return Counts(*(max(2, round(scale * count)) for count in REFERENCE))
 
 
 def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:

@@ -37,14 +37,13 @@ from ._style import (
 try:
     import matplotlib.pyplot as plt
     from matplotlib.axes import Axes as Axes
-    from matplotlib.collections import LineCollection as LineCollection
-    from matplotlib.collections import PolyCollection
+    from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_hex as to_hex
     from matplotlib.figure import Figure as Figure
     from matplotlib.font_manager import findfont as findfont
-    from matplotlib.patches import Patch as Patch
+    from matplotlib.patches import Patch
     from matplotlib.textpath import TextPath as TextPath
-    from matplotlib.ticker import MaxNLocator as MaxNLocator
+    from matplotlib.ticker import MaxNLocator
 except ImportError as error:
     raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
 
@@ -109,7 +108,7 @@ def mesh(
     if every is None:
         ax = show(given_or_new(ax, window), window)
     else:
-        seen = cells.inside(window)
+        seen = seen_in(cells.outlines, window)
         colours, ends, *beyond = scale_of(every[seen], cells.areas[seen], limits)
         ax = show(given_or_new(ax, window, bar=bar), window)
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
@@ -233,12 +232,9 @@ class PlaneCells:
         )
         return np.abs(a * d - b * c) / 2
 
-    def inside(self, window: Window) -> Ids:
-        return seen_in(self.outlines, window)
-
     def drawn(self, window: Window | None) -> Ids:
         """Lists the cells in a given window; else all, for views that move."""
-        return np.arange(len(self.ids)) if window is None else self.inside(window)
+        return np.arange(len(self.ids)) if window is None else seen_in(self.outlines, window)
 
     def edges(self, cells: Ids) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""

@@ -130,7 +130,9 @@ def cut(
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[mesh.patch(*bodies(mesh))]
-    near = _met(body, normal, origin) if plotter is None else None
+    away = (body - origin) @ normal
+    is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
+    near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
     section, walls = (
         _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
         for part in (grid, outside(mesh, points, None, ()))
@@ -142,14 +144,6 @@ def cut(
     if plotter is None:
         aim(drawn, viewer)
     return drawn
-
-
-def _met(body: np.ndarray, normal: np.ndarray, origin: np.ndarray) -> np.ndarray | None:
-    """Finds the points of a body near a plane; None where the plane does not meet it."""
-    away = (body - origin) @ normal
-    if not len(body) or not away.min() <= 0 <= away.max():
-        return None
-    return body[np.abs(away) <= np.quantile(np.abs(away), 0.1)]
 
 
 def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:
@@ -385,7 +379,9 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
     if mesh.is_curved:
         faces = _curved_faces(mesh, points, values, patches)
     else:
-        grid = _grid_of(mesh, points, values)
+        grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
+        if values is not None:
+            grid.cell_data["values"] = cell_values(mesh, values)
         faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
         if on_patch is not None:
             faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
@@ -426,13 +422,6 @@ def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
     if mesh.points.shape[1] != 3:
         raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
     return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-
-
-def _grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
-    grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)
-    return grid
 
 
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:

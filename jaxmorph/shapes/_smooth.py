@@ -55,10 +55,10 @@ class Smoother(AbstractLinearShape):
     @checked
     def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
         known = known_positions(points, "points").astype(float)
-        pieces = _pieces(faces, known)
+        kinds = faces_of(faces, known.shape)
         between("length", length, 0, ends="[)")
         held = rows_of("held", held, len(known))
-        masses, stiffness = _elements(known, pieces)
+        masses, stiffness = _elements(known, kinds)
         if (masses <= 0).any():
             raise ValueError(f"{(masses <= 0).sum()} nodes are in no face, first row {int(np.argmin(masses))}.")
         free = np.ones(len(known))
@@ -111,20 +111,15 @@ class Smoother(AbstractLinearShape):
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
 
-def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Cuts faces into segments or triangles: a quad into four triangles of half weight."""
-    corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
-    return [
-        (np.concatenate([ids[:, three] for three in corners]), 0.5) if ids.shape[1] == 4 else (ids, 1.0)
-        for ids in faces_of(faces, points.shape)
-    ]
-
-
-def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, Any]:
+def _elements(points: np.ndarray, kinds: list[np.ndarray]) -> tuple[np.ndarray, Any]:
     """Assembles lumped masses (m,) and the stiffness matrix (m, m) of linear elements."""
     m = len(points)
     masses, stiffness = np.zeros(m), sparse.csr_matrix((m, m))
-    for ids, weight in pieces:
+    for ids in kinds:
+        weight = 1.0
+        if ids.shape[1] == 4:  # a quad as four triangles of half weight
+            corners, weight = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)], 0.5
+            ids = np.concatenate([ids[:, three] for three in corners])
         size, local = stiffness_of(points[ids])
         if (size <= 0).any():
             raise ValueError(
