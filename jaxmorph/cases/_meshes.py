@@ -97,11 +97,8 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
         raise ValueError(f"`code` is {code!r}: by its last two digits the section has no thickness.")
     if camber > 0 and place == 0:
         raise ValueError(f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 tenths.")
-    return c_grid(
-        functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015),
-        points=points,
-        first_cell=first_cell,
-    )
+    section = functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015)
+    return c_grid(section, points=points, first_cell=first_cell)
 
 
 def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
@@ -148,10 +145,9 @@ def wing(
     layers = cells + n * np.arange(stations)[:, None, None]
     corners = np.concatenate([layers[1:], layers[:-1]], axis=-1).reshape(-1, 8)
     ids = ids_of(stations, n)
-    patches = {
-        name: ids[:, section.patch(patch)].ravel() for name, patch in (("wing", "airfoil"), ("farfield", "farfield"))
-    }
-    return jm.Mesh(places, {"hexahedron": corners}, patches | {"root": ids[0], "tip": ids[-1]})
+    wall, far = (ids[:, section.patch(name)].ravel() for name in ("airfoil", "farfield"))
+    patches = {"wing": wall, "farfield": far, "root": ids[0], "tip": ids[-1]}
+    return jm.Mesh(places, {"hexahedron": corners}, patches)
 
 
 @checked

@@ -94,8 +94,6 @@ def mesh(
       of internal flow, and by `whole(mesh.points)`, all.
     - `ax`: matplotlib's axes; new ones by default, in a figure of the window's shape.
 
-    **Returns:** the axes.
-
     **Raises:** `ValueError` for a mesh in 3-D, points of another shape, a number of values that is
     not that of the cells, and a `label` without values.
     """
@@ -166,8 +164,6 @@ def graph(
     - `interior`: True shows the nodes of the volume too, where the plan's method puts them.
     - `ax`: matplotlib's axes; new ones by default.
 
-    **Returns:** the axes.
-
     **Raises:** `ValueError` for a plan in 3-D, and when the shape of `u` is not (m, 2).
     """
     points = in_dimension(plan.points)
@@ -227,9 +223,8 @@ class PlaneCells:
 
     @property
     def areas(self) -> Column:
-        (a, b), (c, d) = (
-            np.moveaxis(self.points[self.ids[:, k + 2]] - self.points[self.ids[:, k]], 1, 0) for k in (0, 1)
-        )
+        corners = self.outlines
+        (a, b), (c, d) = (np.moveaxis(corners[:, k + 2] - corners[:, k], 1, 0) for k in (0, 1))
         return np.abs(a * d - b * c) / 2
 
     def drawn(self, window: Window | None) -> Ids:
@@ -335,13 +330,7 @@ def in_dimension(points: Any, dimension: int = 2) -> Places:
 
 @checked
 def whole(points: Float[Any, "n 2"]) -> Window:
-    """Computes the window that shows all points.
-
-    **Arguments:**
-
-    - `points`: (n, 2).
-
-    **Returns:** ((left, right), (bottom, top)).
+    """Computes the window ((left, right), (bottom, top)) that shows all points (n, 2).
 
     **Raises:** `ValueError` for points that are not in 2-D.
     """

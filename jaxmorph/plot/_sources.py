@@ -35,8 +35,6 @@ def sources(
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
-    **Returns:** the axes.
-
     **Raises:** `ValueError` for points in 3-D, a plan without radial basis functions, points
     without a `reduction` and a plan with one.
     """

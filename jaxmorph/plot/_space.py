@@ -246,7 +246,16 @@ def new_plotter() -> Any:
 
 
 def _add_axes(plotter: Any) -> None:
-    axes, scale = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3), _scale()
+    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
+
+    axes, scale = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3), vtkAxisActor2D()
+    scale.SetNumberOfLabels(2)
+    scale.AdjustLabelsOff()
+    scale.LabelVisibilityOff()
+    scale.GetProperty().SetLineWidth(3)
+    scale.UseFontSizeFromPropertyOn()
+    for part in (scale.GetProperty(), scale.GetTitleTextProperty()):
+        part.SetColor(pyvista().Color(DARK).float_rgb)
     texts = [scale.GetTitleTextProperty()]
     for name in "XYZ":
         caption = getattr(axes, f"Get{name}AxisCaptionActor2D")()
@@ -279,20 +288,6 @@ def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
         text.SetFontSize(round(TEXT * width / WINDOW[0]))
     for name, along in zip("xyz", camera.direction, strict=True):
         getattr(axes, f"Set{name.upper()}AxisLabelText")(name if abs(along) < ALONG else "")
-
-
-def _scale() -> Any:
-    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
-
-    scale = vtkAxisActor2D()
-    scale.SetNumberOfLabels(2)
-    scale.AdjustLabelsOff()
-    scale.LabelVisibilityOff()
-    scale.GetProperty().SetLineWidth(3)
-    scale.UseFontSizeFromPropertyOn()
-    for part in (scale.GetProperty(), scale.GetTitleTextProperty()):
-        part.SetColor(pyvista().Color(DARK).float_rgb)
-    return scale
 
 
 def aim(plotter: Any, viewer: Direction = VIEWER) -> None:

@@ -167,9 +167,8 @@ class Onto(Module):
 
 @eqx.filter_jit
 def _moved(onto: Onto, x: Positions, target: Facets | None) -> Positions:
-    start = (
-        jnp.matmul(x, jnp.asarray(onto.turn, x.dtype).T, precision="highest") + jnp.asarray(onto.shift, x.dtype)[None]
-    )
+    turn, shift = (jnp.asarray(part, x.dtype) for part in (onto.turn, onto.shift))
+    start = jnp.matmul(x, turn.T, precision="highest") + shift[None]
     is_last = np.arange(len(onto.lengths)) >= STEPS
     nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
     y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]

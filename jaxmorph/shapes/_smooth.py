@@ -204,9 +204,8 @@ class Offset(AbstractShape):
         if self.smoother is not None:
             heights = self.smoother.apply(jnp.stack([heights, heights], axis=1))[:, 0]
         normals = self._normals(x)
-        room = self.share * jnp.where(
-            heights > 0, *(self._radius(x, sign * normals, k) for k, sign in enumerate((1, -1)))
-        )
+        ahead, back = (self._radius(x, sign * normals, k) for k, sign in enumerate((1, -1)))
+        room = self.share * jnp.where(heights > 0, ahead, back)
         ratio = jnp.abs(heights) / room
         # equal in value, slope and curvature at one half
         limited = jnp.where(ratio > 0.5, room * (0.5 + 0.5 * jnp.tanh(2 * ratio - 1)), jnp.abs(heights))
