@@ -16,19 +16,13 @@ from jaxmorph import cases, io, plot, shapes  # before matplotlib: it says what 
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-ANGLES = (5.0, 10.0, 15.0)
-"""Degrees, nose up, at the end of each step."""
+ANGLES = (5.0, 10.0, 15.0)  # degrees, nose up, at the end of each step
 
 QUARTER_CHORD = np.array([0.25, 0.0])
 
-FAR_FIELD = jm.KDTree(2)
-"""Six sources on the paper's far field."""
-
-LEAVES = (1, 2, 4, 8)
-"""Leaves of the wall's trees to compare, with four sources a leaf."""
-
-SIZE = 5.5, 4.6
-"""Inches of a figure, in which 10 points are legible at a column of a journal and on a phone."""
+FAR_FIELD = jm.KDTree(2)  # six sources on the paper's far field
+LEAVES = (1, 2, 4, 8)  # leaves of the wall's trees to compare, with four sources a leaf
+SIZE = 5.5, 4.6  # inches of a figure, in which 10 points are legible at a column of a journal and on a phone
 
 AIRFOIL: plot.Window = ((-0.35, 1.45), (-0.62, 0.48))
 TRAILING_EDGE: plot.Window = ((0.915, 1.035), (-0.2325, -0.1592))
@@ -130,7 +124,8 @@ def compare(mesh: jm.Mesh) -> list[Study]:
 def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     """Prepares, marches twice (once without compiling), and judges the mesh after each step."""
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
-    path = np.stack([rotation(np.asarray(mesh.points)[moving], angle) for angle in ANGLES])
+    wall = np.asarray(mesh.points)[moving]
+    path = np.stack([np.asarray(shapes.rotate(wall, -np.deg2rad(up), QUARTER_CHORD)) - wall for up in ANGLES])
     times = [time.perf_counter()]
     plan = jm.prepare(mesh.points, moving, fixed, method=study.method)
     plans, end = jm.march(plan, path, rebuild=study.rebuild)
@@ -143,11 +138,6 @@ def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     error = np.abs(points[moving] - mesh.points[moving] - path[-1]).max()
     first, again = np.diff(times).tolist()
     return Outcome(study, points, reports, float(change), float(error), first, again)
-
-
-def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
-    """Computes the displacements (m, 2) that turn points nose up about the quarter chord."""
-    return np.asarray(shapes.rotate(points, -np.deg2rad(degrees), QUARTER_CHORD)) - points
 
 
 def near_wall(mesh: jm.Mesh) -> np.ndarray:

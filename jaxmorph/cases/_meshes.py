@@ -97,11 +97,8 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
         raise ValueError(f"`code` is {code!r}: by its last two digits the section has no thickness.")
     if camber > 0 and place == 0:
         raise ValueError(f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 tenths.")
-    return c_grid(
-        functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015),
-        points=points,
-        first_cell=first_cell,
-    )
+    section = functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015)
+    return c_grid(section, points=points, first_cell=first_cell)
 
 
 def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
@@ -148,10 +145,9 @@ def wing(
     layers = cells + n * np.arange(stations)[:, None, None]
     corners = np.concatenate([layers[1:], layers[:-1]], axis=-1).reshape(-1, 8)
     ids = ids_of(stations, n)
-    patches = {
-        name: ids[:, section.patch(patch)].ravel() for name, patch in (("wing", "airfoil"), ("farfield", "farfield"))
-    }
-    return jm.Mesh(places, {"hexahedron": corners}, patches | {"root": ids[0], "tip": ids[-1]})
+    wall, far = (ids[:, section.patch(name)].ravel() for name in ("airfoil", "farfield"))
+    patches = {"wing": wall, "farfield": far, "root": ids[0], "tip": ids[-1]}
+    return jm.Mesh(places, {"hexahedron": corners}, patches)
 
 
 @checked
@@ -300,7 +296,10 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
     Raises `ValueError` for fewer than 300 points, a first cell that does not fit, and a section
     whose upper end lies below its lower one. Also where the rays leave a cell that is not convex.
     """
-    counts = _counts(points)
+    if points < 300:
+        raise ValueError(f"`points` is {points}; a C-grid needs at least 300.")
+    scale = np.sqrt(points / REFERENCE_POINTS)
+    counts = Counts(*(max(2, round(scale * count)) for count in REFERENCE))
     largest = 0.9 * RAY_LENGTH / counts.normal
     if not SMALLEST_CELL <= first_cell <= largest:
         raise ValueError(
@@ -320,13 +319,6 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
     mesh = _assemble(rays, counts, is_sharp)
     _check_convex(mesh)
     return mesh
-
-
-def _counts(points: int) -> Counts:
-    if points < 300:
-        raise ValueError(f"`points` is {points}; a C-grid needs at least 300.")
-    scale = np.sqrt(points / REFERENCE_POINTS)
-    return Counts(*(max(2, round(scale * count)) for count in REFERENCE))
 
 
 def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:

@@ -53,10 +53,7 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Column:
 
 @checked
 def convergence(
-    history: History,
-    *,
-    bounds: Mapping[str, tuple[float | int, float | int]] | None = None,
-    ax: Axes | None = None,
+    history: History, *, bounds: Mapping[str, tuple[float | int, float | int]] | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draws an optimisation's progress: the objective, each constraint and each measure against the
     iterations, one below the other, each on its own scale; what is beyond bounds is shaded.

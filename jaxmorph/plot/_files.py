@@ -49,11 +49,8 @@ window.addEventListener("resize", look);
 BARE = {"grid_visible": False, "menu_visibility": False, "camera_auto_fit": False, "colorbar_object_id": 0}
 LINES = {"indices_type": "segment", "shader": "simple", "color": int(DARK[1:], 16)}
 
-HALF_VIEW = np.tan(np.deg2rad(15))
-"""Half of what a page's camera sees across the smaller side, over its distance."""
-
-SEEN = 1.15
-"""Width that a page's camera sees, over the largest side of the scene."""
+HALF_VIEW = np.tan(np.deg2rad(15))  # half of what a page's camera sees across the smaller side, over its distance
+SEEN = 1.15  # width that a page's camera sees, over the largest side of the scene
 
 
 @checked
@@ -109,7 +106,10 @@ def page(
         "TICKS": [(100 * (tick - low) / (high - low), f"{tick:.6g}") for tick in round_numbers(low, high, 4)],
         "HALF_VIEW": HALF_VIEW,
     }
-    code = scene.get_snapshot(additional_js_code=_with_words(SLIDER, words)).encode()
+    # as JSON in ASCII without `<`, in one pass
+    data = {name: json.dumps(text).replace("<", "\\u003c") for name, text in words.items()}
+    script = re.sub("|".join(words), lambda match: data[match[0]], SLIDER)
+    code = scene.get_snapshot(additional_js_code=script).encode()
     with complete(path) as partial:
         partial.write_bytes(code)
     return path
@@ -137,12 +137,6 @@ def _shade(lengths: np.ndarray, values: Any, limits: Limits | None) -> tuple[str
     places = np.linspace(0, 1, 64)
     colour_map = np.column_stack([places, plt.get_cmap(colours)(places)[:, :3]]).ravel().tolist()
     return colours, (low, high), style | {"color_map": colour_map, "color_range": [low, high]}
-
-
-def _with_words(code: str, words: dict[str, Any]) -> str:
-    """Puts texts and numbers into a script as JSON in ASCII without `<`, in one pass."""
-    data = {name: json.dumps(text).replace("<", "\\u003c") for name, text in words.items()}
-    return re.sub("|".join(words), lambda match: data[match[0]], code)
 
 
 def _camera(shown: Places, viewer: np.ndarray) -> list[float]:

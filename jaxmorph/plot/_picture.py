@@ -17,8 +17,7 @@ from ._plane import Figure, plt
 from ._space import before_after_3d, surface
 from ._style import BLUE, STILL, WIDTH, Column, Ids, Places, bodies, check_cells, finite
 
-FLAT = 0.45
-"""Height over width of a window below which two of them stand one above the other."""
+FLAT = 0.45  # height over width of a window below which two of them stand one above the other
 
 
 @checked
@@ -54,7 +53,10 @@ def picture(
     if side is None and points is not None:
         return _in_3d(path, before, places, nodes)
     verdict = jm.judge(before, points) if verdict is None or verdict.judged is None else verdict
-    return _alone(path, before, verdict) if side is None else _in_2d(path, side, nodes, verdict)
+    if side is not None:
+        return _in_2d(path, side, nodes, verdict)
+    colours = {"label": _measure(verdict).replace("_", " "), "values": _of_cells(verdict)}
+    _page_or_png(path, page, surface, before, np.asarray(before.points), **colours)
 
 
 def _moved(mesh: jm.Mesh, places: Places) -> Ids:
@@ -66,11 +68,6 @@ def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: np.ndarray
     nodes = np.union1d(moving, mesh.patch(*bodies(mesh)))
     only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
     _page_or_png(path, page, before_after_3d, only, places, patch="drawn" if len(nodes) else None)
-
-
-def _alone(path: pathlib.Path, mesh: jm.Mesh, verdict: jm.Verdict) -> None:
-    colours = {"label": _measure(verdict).replace("_", " "), "values": _of_cells(verdict)}
-    _page_or_png(path, page, surface, mesh, np.asarray(mesh.points), **colours)
 
 
 def _page_or_png(path: pathlib.Path, page: Any, draw: Any, *drawn: Any, **settings: Any) -> None:

@@ -37,44 +37,28 @@ from ._style import (
 try:
     import matplotlib.pyplot as plt
     from matplotlib.axes import Axes as Axes
-    from matplotlib.collections import LineCollection as LineCollection
-    from matplotlib.collections import PolyCollection
+    from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import to_hex as to_hex
     from matplotlib.figure import Figure as Figure
     from matplotlib.font_manager import findfont as findfont
-    from matplotlib.patches import Patch as Patch
+    from matplotlib.patches import Patch
     from matplotlib.textpath import TextPath as TextPath
-    from matplotlib.ticker import MaxNLocator as MaxNLocator
+    from matplotlib.ticker import MaxNLocator
 except ImportError as error:
     raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
 
 Window = tuple[tuple[float, float], tuple[float, float]]
 Outlines = Float[np.ndarray, "_ c 2"]
 
-THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
-"""Line widths in points: of cells a sixth of the cell, so that layers stay light; of walls."""
-
-NARROW = 0.8
-"""Width in points below which cells show their colour and no line."""
-
-SEEN = 0.5
-"""The part of the area below which lines of the cells that are wide enough for one are left out."""
-
-LABEL = 0.3
-"""Inches of an axis for a number at least: numbers of a small window have many digits."""
-
-UNLABELLED = 0.775
-"""The part of a figure's width that axes have until their labels are laid out."""
-
-STEPS = 1, 2, 2.5, 5, 10
-"""Steps between round numbers, times powers of ten."""
-
-PIECES = 200_000
-"""Pieces of curved cells that a picture has about at most."""
-
-ROOM, INTERNAL = 0.4, 0.7
-"""Margin around the bodies, relative to their extent, unless a window is given; and the part of the
-mesh, along one axis, beyond which the window is the mesh's own."""
+THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4  # widths of lines in points: of cells, a sixth of the cell; of walls
+NARROW = 0.8  # width in points below which cells show their colour and no line
+SEEN = 0.5  # the part of the area below which lines of the cells that are wide enough for one are left out
+LABEL = 0.3  # inches of an axis for a number at least: numbers of a small window have many digits
+UNLABELLED = 0.775  # the part of a figure's width that axes have until their labels are laid out
+STEPS = 1, 2, 2.5, 5, 10  # steps between round numbers, times powers of ten
+PIECES = 200_000  # pieces of curved cells that a picture has about at most
+ROOM = 0.4  # margin around the bodies, relative to their extent, unless a window is given
+INTERNAL = 0.7  # part of the mesh, along one axis, beyond which the window is the mesh's own
 
 
 @checked
@@ -110,8 +94,6 @@ def mesh(
       of internal flow, and by `whole(mesh.points)`, all.
     - `ax`: matplotlib's axes; new ones by default, in a figure of the window's shape.
 
-    **Returns:** the axes.
-
     **Raises:** `ValueError` for a mesh in 3-D, points of another shape, a number of values that is
     not that of the cells, and a `label` without values.
     """
@@ -124,7 +106,7 @@ def mesh(
     if every is None:
         ax = show(given_or_new(ax, window), window)
     else:
-        seen = cells.inside(window)
+        seen = seen_in(cells.outlines, window)
         colours, ends, *beyond = scale_of(every[seen], cells.areas[seen], limits)
         ax = show(given_or_new(ax, window, bar=bar), window)
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
@@ -181,8 +163,6 @@ def graph(
     - `window`: as in `plot.mesh`; the moving nodes and some room by default.
     - `interior`: True shows the nodes of the volume too, where the plan's method puts them.
     - `ax`: matplotlib's axes; new ones by default.
-
-    **Returns:** the axes.
 
     **Raises:** `ValueError` for a plan in 3-D, and when the shape of `u` is not (m, 2).
     """
@@ -243,17 +223,13 @@ class PlaneCells:
 
     @property
     def areas(self) -> Column:
-        (a, b), (c, d) = (
-            np.moveaxis(self.points[self.ids[:, k + 2]] - self.points[self.ids[:, k]], 1, 0) for k in (0, 1)
-        )
+        corners = self.outlines
+        (a, b), (c, d) = (np.moveaxis(corners[:, k + 2] - corners[:, k], 1, 0) for k in (0, 1))
         return np.abs(a * d - b * c) / 2
-
-    def inside(self, window: Window) -> Ids:
-        return seen_in(self.outlines, window)
 
     def drawn(self, window: Window | None) -> Ids:
         """Lists the cells in a given window; else all, for views that move."""
-        return np.arange(len(self.ids)) if window is None else self.inside(window)
+        return np.arange(len(self.ids)) if window is None else seen_in(self.outlines, window)
 
     def edges(self, cells: Ids) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""
@@ -354,13 +330,7 @@ def in_dimension(points: Any, dimension: int = 2) -> Places:
 
 @checked
 def whole(points: Float[Any, "n 2"]) -> Window:
-    """Computes the window that shows all points.
-
-    **Arguments:**
-
-    - `points`: (n, 2).
-
-    **Returns:** ((left, right), (bottom, top)).
+    """Computes the window ((left, right), (bottom, top)) that shows all points (n, 2).
 
     **Raises:** `ValueError` for points that are not in 2-D.
     """

@@ -1,6 +1,5 @@
 """Drawings of the sources among a surface's nodes, and of k-d tree leaves (paper, figure 1)."""
 
-import dataclasses
 import itertools
 from typing import Any
 
@@ -14,8 +13,7 @@ from ._plane import ROOM, Axes, Window, given_or_new, in_dimension, legend_above
 from ._space import add_legend, aim, aim_again, lines_of, new_plotter
 from ._style import GREEN, GREY, ORANGE, Places
 
-FEW = 30
-"""Sources up to which they are drawn as large dots, without covering each other."""
+FEW = 30  # sources up to which they are drawn as large dots, without covering each other
 
 
 @checked
@@ -37,24 +35,22 @@ def sources(
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
-    **Returns:** the axes.
-
     **Raises:** `ValueError` for points in 3-D, a plan without radial basis functions, points
     without a `reduction` and a plan with one.
     """
-    picture = _picture(surface, reduction, fixed, dimension=2)
-    drawn = np.concatenate([picture.nodes, picture.boxes.reshape(-1, 2)])
+    nodes, chosen, boxes = _drawn(surface, reduction, fixed, dimension=2)
+    drawn = np.concatenate([nodes, boxes.reshape(-1, 2)])
     if window is None:
         room = ROOM / 10 * np.ptp(drawn, axis=0).max()
         window = whole(np.concatenate([drawn - room, drawn + room]))
     ax = show(given_or_new(ax, window, above=0.35), window)
-    if picture.leaves:
-        outline = picture.boxes[:, [0, 1, 1, 0, 0], 0], picture.boxes[:, [0, 0, 1, 1, 0], 1]
+    if len(boxes):
+        outline = boxes[:, [0, 1, 1, 0, 0], 0], boxes[:, [0, 0, 1, 1, 0], 1]
         ax.plot(*(side.T for side in outline), color=GREEN, linewidth=1.2)
-        ax.plot([], [], color=GREEN, label=f"{picture.leaves} leaves")
-    size = float(np.clip(7 * np.sqrt(FEW / max(len(picture.sources), 1)), 3.5, 7))
-    ax.plot(*picture.nodes.T, ".", color=GREY, markersize=0.7 * size, label=f"{len(picture.nodes)} nodes", zorder=2)
-    ax.plot(*picture.sources.T, "o", color=ORANGE, markersize=size, label=f"{len(picture.sources)} sources", zorder=3)
+        ax.plot([], [], color=GREEN, label=f"{len(boxes)} leaves")
+    size = float(np.clip(7 * np.sqrt(FEW / max(len(chosen), 1)), 3.5, 7))
+    ax.plot(*nodes.T, ".", color=GREY, markersize=0.7 * size, label=f"{len(nodes)} nodes", zorder=2)
+    ax.plot(*chosen.T, "o", color=ORANGE, markersize=size, label=f"{len(chosen)} sources", zorder=3)
     legend_above(ax)
     return ax
 
@@ -77,34 +73,24 @@ def sources_3d(
 
     **Returns:** the plotter. **Raises:** `ValueError` as `sources` does, for points in 2-D.
     """
-    picture = _picture(surface, reduction, fixed, dimension=3)
+    nodes, chosen, boxes = _drawn(surface, reduction, fixed, dimension=3)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    legend = [(f"{len(picture.nodes)} nodes", GREY), (f"{len(picture.sources)} sources", ORANGE)]
+    legend = [(f"{len(nodes)} nodes", GREY), (f"{len(chosen)} sources", ORANGE)]
     balls = {"render_points_as_spheres": True, "lighting": False}
-    plotter.add_points(picture.nodes, color=GREY, point_size=5, **balls)
-    plotter.add_points(picture.sources, color=ORANGE, point_size=22, **balls)
-    if picture.leaves:
-        plotter.add_mesh(_wires(picture.boxes), color=GREEN, line_width=1.5, lighting=False)
-        legend.append((f"{picture.leaves} leaves", GREEN))
+    plotter.add_points(nodes, color=GREY, point_size=5, **balls)
+    plotter.add_points(chosen, color=ORANGE, point_size=22, **balls)
+    if len(boxes):
+        plotter.add_mesh(_wires(boxes), color=GREEN, line_width=1.5, lighting=False)
+        legend.append((f"{len(boxes)} leaves", GREEN))
     add_legend(plotter, legend)
     (aim if new else aim_again)(plotter)
     return plotter
 
 
-@dataclasses.dataclass(frozen=True)
-class _Picture:
-    """A drawing: coordinates of nodes and sources, corners of leaves' boxes."""
-
-    nodes: Places
-    sources: Places
-    boxes: Float[np.ndarray, "l 2 d"]
-
-    @property
-    def leaves(self) -> int:
-        return len(self.boxes)
-
-
-def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, dimension: int) -> _Picture:
+def _drawn(
+    surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, dimension: int
+) -> tuple[Places, Places, Float[np.ndarray, "l 2 d"]]:
+    """Returns coordinates of nodes and sources, corners of leaves' boxes."""
     if isinstance(surface, jm.Plan):
         if reduction is not None:
             raise ValueError("a plan has its own reductions: give points with `reduction`, or the plan alone.")
@@ -117,7 +103,7 @@ def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, 
     nodes = in_dimension(np.concatenate([points for points, _ in parts]), dimension)
     trees = [(tree, points) for points, tree in parts if isinstance(tree, jm.KDTree) and len(points)]
     boxes = [np.zeros((0, 2, dimension)), *(tree.boxes(points) for tree, points in trees)]
-    return _Picture(nodes, chosen, np.concatenate(boxes))
+    return nodes, chosen, np.concatenate(boxes)
 
 
 def _radial_basis_functions(plan: jm.Plan) -> jm.RBF:

@@ -35,20 +35,14 @@ LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_widt
 
 Direction = Sequence[float] | np.ndarray
 
-VIEWER = -1.0, -2.5, 1.8
-"""The direction towards the viewer: x right, y away, z up; mirrored for an open surface."""
+VIEWER = -1.0, -2.5, 1.8  # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
 
 AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 """The view that `aim` gave each plotter, its direction, and the window."""
 
-WINDOW, TEXT = (1200, 900), 30
-"""Width and largest height of a picture, height of letters in pixels."""
-
-ALONG = 0.97
-"""Cosine between an axis and the view from which the axis is a point, and has no name."""
-
-EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25
-"""Margins relative to width: sides; below for axes, scale; above a legend; right a colour bar."""
+WINDOW, TEXT = (1200, 900), 30  # width and largest height of a picture, height of letters in pixels
+ALONG = 0.97  # cosine between an axis and the view from which the axis is a point, and has no name
+EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25  # over the width: sides; below for axes; a legend; a colour bar
 
 
 @checked
@@ -136,7 +130,9 @@ def cut(
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
     body = np.asarray(grid.points)[mesh.patch(*bodies(mesh))]
-    near = _met(body, normal, origin) if plotter is None else None
+    away = (body - origin) @ normal
+    is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
+    near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
     section, walls = (
         _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
         for part in (grid, outside(mesh, points, None, ()))
@@ -148,14 +144,6 @@ def cut(
     if plotter is None:
         aim(drawn, viewer)
     return drawn
-
-
-def _met(body: np.ndarray, normal: np.ndarray, origin: np.ndarray) -> np.ndarray | None:
-    """Finds the points of a body near a plane; None where the plane does not meet it."""
-    away = (body - origin) @ normal
-    if not len(body) or not away.min() <= 0 <= away.max():
-        return None
-    return body[np.abs(away) <= np.quantile(np.abs(away), 0.1)]
 
 
 def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:
@@ -258,7 +246,16 @@ def new_plotter() -> Any:
 
 
 def _add_axes(plotter: Any) -> None:
-    axes, scale = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3), _scale()
+    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
+
+    axes, scale = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3), vtkAxisActor2D()
+    scale.SetNumberOfLabels(2)
+    scale.AdjustLabelsOff()
+    scale.LabelVisibilityOff()
+    scale.GetProperty().SetLineWidth(3)
+    scale.UseFontSizeFromPropertyOn()
+    for part in (scale.GetProperty(), scale.GetTitleTextProperty()):
+        part.SetColor(pyvista().Color(DARK).float_rgb)
     texts = [scale.GetTitleTextProperty()]
     for name in "XYZ":
         caption = getattr(axes, f"Get{name}AxisCaptionActor2D")()
@@ -291,20 +288,6 @@ def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
         text.SetFontSize(round(TEXT * width / WINDOW[0]))
     for name, along in zip("xyz", camera.direction, strict=True):
         getattr(axes, f"Set{name.upper()}AxisLabelText")(name if abs(along) < ALONG else "")
-
-
-def _scale() -> Any:
-    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
-
-    scale = vtkAxisActor2D()
-    scale.SetNumberOfLabels(2)
-    scale.AdjustLabelsOff()
-    scale.LabelVisibilityOff()
-    scale.GetProperty().SetLineWidth(3)
-    scale.UseFontSizeFromPropertyOn()
-    for part in (scale.GetProperty(), scale.GetTitleTextProperty()):
-        part.SetColor(pyvista().Color(DARK).float_rgb)
-    return scale
 
 
 def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
@@ -391,7 +374,9 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
     if mesh.is_curved:
         faces = _curved_faces(mesh, points, values, patches)
     else:
-        grid = _grid_of(mesh, points, values)
+        grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
+        if values is not None:
+            grid.cell_data["values"] = cell_values(mesh, values)
         faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
         if on_patch is not None:
             faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
@@ -432,13 +417,6 @@ def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
     if mesh.points.shape[1] != 3:
         raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
     return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-
-
-def _grid_of(mesh: jm.Mesh, points: Any, values: Any) -> Any:
-    grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)
-    return grid
 
 
 def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:

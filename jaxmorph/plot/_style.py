@@ -18,30 +18,17 @@ Values = Real[Any, " k"] | Sequence[float | int]
 DARK, GREY, BLUE, ORANGE, GREEN = "#1b1b1b", "#9a9a9a", "#0072b2", "#d55e00", "#009e73"
 """Colours of Okabe and Ito, told apart by colour-blind readers."""
 
-LIGHT, BODY, RULE = "#f7cfae", "#c4cad3", "#dddddd"
-"""Undeformed bodies, what is not mesh, and the lines of a diagram."""
+LIGHT, BODY, RULE = "#f7cfae", "#c4cad3", "#dddddd"  # undeformed bodies, what is not mesh, and the lines of a diagram
 
 COLOURS = "YlOrBr"
 """For qualities: light where a cell is good, so that its outline is seen; by lightness."""
 
-DISPLACEMENT = "YlGnBu"
-"""For lengths of displacements: of another hue, ordered by lightness too."""
-
-UNNAMED = "values of the cells"
-"""What a bar says of values without a label."""
-
-WIDTH, TALLEST = 5.0, 5.0
-"""A new figure's width and largest height in inches: 10 points are legible at 3.5 inches too."""
-
-OUTLIERS, FAR = 0.01, 0.3
-"""Share of values that may lie beyond the colours, and the stretch from which they do."""
-
-STILL = 0.01
-"""Share of the largest displacement below which a node counts as still."""
-
-
-SEGMENTS, PIECES = 4, 1_000_000
-"""Pieces of a curved edge, for each order of its polynomial; about the most pieces of a picture."""
+DISPLACEMENT = "YlGnBu"  # for lengths of displacements: of another hue, ordered by lightness too
+UNNAMED = "values of the cells"  # what a bar says of values without a label
+WIDTH, TALLEST = 5.0, 5.0  # a new figure's width and largest height in inches: 10 points are legible at 3.5 inches too
+OUTLIERS, FAR = 0.01, 0.3  # share of values that may lie beyond the colours, and the stretch from which they do
+STILL = 0.01  # share of the largest displacement below which a node counts as still
+SEGMENTS, PIECES = 4, 1_000_000  # pieces of a curved edge, for each order of its polynomial; of a picture
 
 
 def finite(points: Any) -> np.ndarray:

@@ -261,7 +261,9 @@ def _station(t: Column, height: Column, airfoil: Vector) -> Column:
         rate = _rate(s, *position)
         s = s - _away(s, *position) / jnp.where(jnp.abs(rate) > 0.1, rate, jnp.inf)
     offset = jnp.abs(_offset(s, *position))
-    half = (_half_thickness(jnp.clip(s, 0, 1), airfoil[2], last) for last in LAST)
+    x = jnp.clip(s, 0, 1)
+    root = 0.2969 * jnp.sqrt(x)
+    half = (5 * airfoil[2] * (root + x * (-0.126 + x * (-0.3516 + x * (0.2843 - last * x)))) for last in LAST)
     miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(_away(s, *position))
     first = jnp.argmax(miss <= miss.min(axis=0, keepdims=True) + slack(s.dtype), axis=0)
     return jnp.take_along_axis(s, first[None], axis=0)[0]
@@ -290,11 +292,6 @@ def _borders(height: Column, airfoil: Vector) -> Float[Array, "5 m"]:
     ahead, behind = jnp.minimum(jnp.sqrt(jnp.maximum(square, 0)), REACH)
     last = jnp.full_like(height, REACH)
     return place + jnp.stack([-last, -ahead, 0 * last, behind, last])
-
-
-def _half_thickness(s, thickness, last: float) -> Array:
-    rest = s * (-0.126 + s * (-0.3516 + s * (0.2843 - last * s)))
-    return 5 * thickness * (0.2969 * jnp.sqrt(s) + rest)
 
 
 def _offset(s, t, height, airfoil: Vector) -> Array:

@@ -16,10 +16,10 @@ from jaxmorph.extend import Module
 from ._arguments import Column, Positions, rows_of, shown_place
 
 Ids = Int[np.ndarray | Array, " _"]
+Planes = Plane | Sequence[Plane]
 Borders = tuple[tuple[Plane, Ids], ...]
 
-SAME, REACH = 1e-6, 0.25
-"""Shares of the extent: distance of points that are on a plane; the farthest edge or corner."""
+SAME, REACH = 1e-6, 0.25  # shares of the extent: distance of points that are on a plane; the farthest edge or corner
 
 
 class Rail(Module):
@@ -57,7 +57,7 @@ class Clip(Module):
         return jnp.where(self.on[:, None], place, a)
 
 
-def borders_of(wall: Facets, symmetry: Plane | Sequence[Plane]) -> Borders:
+def borders_of(wall: Facets, symmetry: Planes) -> Borders:
     """Finds the rows of a wall's border that stand in each plane."""
     planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
     x, rim = np.asarray(wall.points, float), np.unique(wall.rim)

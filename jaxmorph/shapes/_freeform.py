@@ -36,6 +36,8 @@ from ._shape import AbstractLinearShape, Linked, Move
 Control = Float[Array, "..."]  # (*counts, d)
 Mask = Bool[np.ndarray, "..."]
 Groups = Sequence[Sequence[tuple[int, ...]]]
+Counts = Sequence[int]
+Degree = int | Sequence[int | None] | None
 
 SLAB = 8192  # points in a block: intermediate sums are larger than the result
 
@@ -91,13 +93,7 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def __init__(
-        self,
-        origin: Numbers,
-        axes: Numbers,
-        counts: Sequence[int],
-        *,
-        degree: int | Sequence[int | None] | None = None,
-        continuity: int | None = None,
+        self, origin: Numbers, axes: Numbers, counts: Counts, *, degree: Degree = None, continuity: int | None = None
     ):
         origin, axes = jnp.asarray(origin, float), jnp.asarray(axes, float)
         check_finite(origin=origin, axes=axes)
@@ -116,12 +112,7 @@ class FreeForm(AbstractLinearShape):
     @staticmethod
     @checked
     def around(
-        points: Numbers,
-        counts: Sequence[int],
-        *,
-        margin: float = 0.05,
-        degree: int | Sequence[int | None] | None = None,
-        continuity: int | None = None,
+        points: Numbers, counts: Counts, *, margin: float = 0.05, degree: Degree = None, continuity: int | None = None
     ) -> "FreeForm":
         """Makes the box along the axes around points (m, d).
 
@@ -179,13 +170,7 @@ class FreeForm(AbstractLinearShape):
         return points if control is None else points + jnp.asarray(control)
 
     @checked
-    def linked(
-        self,
-        *,
-        free: np.ndarray | None = None,
-        groups: Groups = (),
-        mirror: int | None = None,
-    ) -> Linked:
+    def linked(self, *, free: np.ndarray | None = None, groups: Groups = (), mirror: int | None = None) -> Linked:
         """Makes a shape with fewer parameters (q,): frozen, linked and mirrored control points.
 
         **Arguments:**
@@ -312,14 +297,7 @@ class Hexahedron(AbstractLinearShape):
     box: FreeForm
 
     @checked
-    def __init__(
-        self,
-        corners: Numbers,
-        counts: Sequence[int],
-        *,
-        degree: int | Sequence[int | None] | None = None,
-        continuity: int | None = None,
-    ):
+    def __init__(self, corners: Numbers, counts: Counts, *, degree: Degree = None, continuity: int | None = None):
         listed = jnp.asarray(corners, float)
         check_finite(corners=listed)
         if listed.shape not in ((4, 2), (8, 3)):

@@ -18,19 +18,16 @@ from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
-from ._features import SAME, Borders, Clip, Rail, borders_of, clipped, guides_of, height_of
+from ._features import SAME, Borders, Clip, Planes, Rail, borders_of, clipped, guides_of, height_of
 from ._smooth import stiffness_of
 
+Target = Facets | Callable
 Motion = tuple[np.ndarray, np.ndarray]
 
-FIRST, LAST, STEPS, SETTLED = 0.5, 0.01, 8, 4
-"""First and last length over the wall's extent; steps from one to the other, and at the last."""
-
-FAR = 0.2
-"""Distance over the wall's extent from which on there are three times as many steps."""
-
-HARD, STILL = 100.0, 1e-4
-"""Weight of edges, corners and planes over the stiffness; of staying, against sliding away."""
+FIRST, LAST = 0.5, 0.01  # first and last length over the wall's extent
+STEPS, SETTLED = 8, 4  # steps from one to the other, and at the last
+FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
+HARD, STILL = 100.0, 1e-4  # weight of edges, corners and planes over the stiffness; of staying, against sliding away
 
 
 class Onto(Module):
@@ -72,13 +69,7 @@ class Onto(Module):
 
     @checked
     def __init__(
-        self,
-        wall: Facets,
-        target: Facets | Callable,
-        *,
-        symmetry: Plane | Sequence[Plane] = (),
-        features: Sequence[Any] = (),
-        length: float = 0.0,
+        self, wall: Facets, target: Target, *, symmetry: Planes = (), features: Sequence[Any] = (), length: float = 0.0
     ):
         between("length", length, 0, ends="[)")
         self.borders = borders_of(wall, symmetry)
@@ -176,9 +167,8 @@ class Onto(Module):
 
 @eqx.filter_jit
 def _moved(onto: Onto, x: Positions, target: Facets | None) -> Positions:
-    start = (
-        jnp.matmul(x, jnp.asarray(onto.turn, x.dtype).T, precision="highest") + jnp.asarray(onto.shift, x.dtype)[None]
-    )
+    turn, shift = (jnp.asarray(part, x.dtype) for part in (onto.turn, onto.shift))
+    start = jnp.matmul(x, turn.T, precision="highest") + shift[None]
     is_last = np.arange(len(onto.lengths)) >= STEPS
     nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
     y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
@@ -225,7 +215,7 @@ FITS, SAMPLE, NEAR, WHOLE = 20, 300, 0.05, 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
 
-def _rigid(wall: Facets, target: Facets | Callable, closest: Callable, planes: Sequence[Plane]) -> Motion:
+def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Plane]) -> Motion:
     """Finds a turn (d, d) and a shift (d,) that halve the distance, from here and from the axes.
 
     Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
@@ -250,7 +240,7 @@ def _rigid(wall: Facets, target: Facets | Callable, closest: Callable, planes: S
     return best
 
 
-def _starts(x: np.ndarray, target: Facets | Callable, planes: Sequence[Plane]) -> list[Motion]:
+def _starts(x: np.ndarray, target: Target, planes: Sequence[Plane]) -> list[Motion]:
     """From where the wall is, and with its axes laid on the target's, the smallest turn first."""
     d = x.shape[1]
     starts = [(np.eye(d), np.zeros(d))]
@@ -287,12 +277,7 @@ def _free_motions(planes: Sequence[Plane], d: int) -> np.ndarray:
 
 @checked
 def onto(
-    wall: Facets,
-    target: Facets | Callable,
-    *,
-    symmetry: Plane | Sequence[Plane] = (),
-    features: Sequence[Any] = (),
-    length: float = 0.0,
+    wall: Facets, target: Target, *, symmetry: Planes = (), features: Sequence[Any] = (), length: float = 0.0
 ) -> Float[np.ndarray, "m d"]:
     """Computes the displacement (m, d) of a wall's nodes onto a target, on the host.
 
@@ -308,8 +293,7 @@ def onto(
     return moved - x
 
 
-COLLAPSED = 0.01
-"""Share of a face's size that must be left, of the median of all."""
+COLLAPSED = 0.01  # share of a face's size that must be left, of the median of all
 
 
 def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:

@@ -168,6 +168,7 @@ def _flat(design: Any) -> Vector:
     return jnp.asarray(finite_array("design", design, (None,)), float)
 
 
+Named = Mapping[str, Any] | None
 FIELDS = ("design", "value", "constraints", "measures")  # fields of an iteration in the file
 
 
@@ -200,13 +201,10 @@ class History:
                 row: Any = json.loads(line)
             except (ValueError, RecursionError):
                 row = None
-            if not self._is_like(row):
+            good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
+            if not good or (self.rows and len(row["design"]) != len(self.rows[0]["design"])):
                 raise ValueError(f"{self.path}, line {number}: no iteration of one optimisation; found {line[:60]!r}.")
             self.rows.append(row)
-
-    def _is_like(self, row: Any) -> bool:
-        good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
-        return good and (not self.rows or len(row["design"]) == len(self.rows[0]["design"]))
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -240,14 +238,7 @@ class History:
         return tuple(dict.fromkeys(name for row in self.rows for name in (*row["constraints"], *row["measures"])))
 
     @checked
-    def add(
-        self,
-        design: Any,
-        value: Any,
-        *,
-        constraints: Mapping[str, Any] | None = None,
-        measures: Mapping[str, Any] | None = None,
-    ) -> None:
+    def add(self, design: Any, value: Any, *, constraints: Named = None, measures: Named = None) -> None:
         """Adds an iteration, and writes it to the disk.
 
         It has design variables (p,), the objective, and numbers or lists of numbers by name; a
@@ -268,14 +259,11 @@ class History:
             file.flush()
             os.fsync(file.fileno())
             self._end = file.tell()
-        print(self._line(row), file=sys.stderr, flush=True)
+        others = [f"{name} {_shown(numbers)}" for name, numbers in (row["constraints"] | row["measures"]).items()]
+        shown, seconds = ", ".join([_shown(row["value"]), *others]), f"{time.monotonic() - self._began:.3g}"
+        print(f"iteration {len(self)}: {shown} ({seconds} s{self._word})", file=sys.stderr, flush=True)
         self.rows.append(row)
         self._began, self._word = time.monotonic(), ""
-
-    def _line(self, row: dict[str, Any]) -> str:
-        others = [f"{name} {_shown(numbers)}" for name, numbers in (row["constraints"] | row["measures"]).items()]
-        seconds = f"{time.monotonic() - self._began:.3g} s{self._word}"
-        return f"iteration {len(self)}: {', '.join([_shown(row['value']), *others])} ({seconds})"
 
 
 def _shown(value: Any) -> str:

@@ -22,8 +22,7 @@ TIE = 1e-12  # difference in chords within which two tours are equally long
 AT = 1e-3  # share of an edge within which the nose or the tail is the node at its end
 BLUNT = 0.1  # largest length in chords of a blunt tail whose corner is given as the tail
 
-CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
-"""Cosines of the turn of a loop at a corner of a blunt tail: an upper and a lower bound."""
+CORNER, SHARP = np.cos(np.deg2rad([45, 135]))  # cosines of turns at a corner of a blunt tail: upper, lower bound
 
 
 class Chord(Module):

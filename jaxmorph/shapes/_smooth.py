@@ -2,7 +2,7 @@
 its normals, as far as its sides leave room.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -14,16 +14,15 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
-from jaxmorph import Facets, Mesh, Plane
+from jaxmorph import Facets, Mesh
 from jaxmorph.extend import between, checked, finite_array, host_call, norm, rows_of
 
 from ._arguments import Column, Numbers, Positions, known_positions, positions
-from ._features import Borders, borders_of
+from ._features import Borders, Planes, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._walls import faces_of, wall_faces
 
-ROUNDS, FAR = 40, 1e30
-"""Most balls that are tried at a node, the last ones hardly differ; radius without a ball."""
+ROUNDS, FAR = 40, 1e30  # most balls that are tried at a node, the last ones hardly differ; radius without a ball
 
 
 class Smoother(AbstractLinearShape):
@@ -56,10 +55,10 @@ class Smoother(AbstractLinearShape):
     @checked
     def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
         known = known_positions(points, "points").astype(float)
-        pieces = _pieces(faces, known)
+        kinds = faces_of(faces, known.shape)
         between("length", length, 0, ends="[)")
         held = rows_of("held", held, len(known))
-        masses, stiffness = _elements(known, pieces)
+        masses, stiffness = _elements(known, kinds)
         if (masses <= 0).any():
             raise ValueError(f"{(masses <= 0).sum()} nodes are in no face, first row {int(np.argmin(masses))}.")
         free = np.ones(len(known))
@@ -112,20 +111,15 @@ class Smoother(AbstractLinearShape):
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
 
-def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Cuts faces into segments or triangles: a quad into four triangles of half weight."""
-    corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
-    return [
-        (np.concatenate([ids[:, three] for three in corners]), 0.5) if ids.shape[1] == 4 else (ids, 1.0)
-        for ids in faces_of(faces, points.shape)
-    ]
-
-
-def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, Any]:
+def _elements(points: np.ndarray, kinds: list[np.ndarray]) -> tuple[np.ndarray, Any]:
     """Assembles lumped masses (m,) and the stiffness matrix (m, m) of linear elements."""
     m = len(points)
     masses, stiffness = np.zeros(m), sparse.csr_matrix((m, m))
-    for ids, weight in pieces:
+    for ids in kinds:
+        weight = 1.0
+        if ids.shape[1] == 4:  # a quad as four triangles of half weight
+            corners, weight = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)], 0.5
+            ids = np.concatenate([ids[:, three] for three in corners])
         size, local = stiffness_of(points[ids])
         if (size <= 0).any():
             raise ValueError(
@@ -186,7 +180,7 @@ class Offset(AbstractShape):
         field: Numbers | None = None,
         *,
         length: float = 0.0,
-        symmetry: Plane | Sequence[Plane] = (),
+        symmetry: Planes = (),
         share: float = 0.9,
     ):
         between("share", share, 0, 1, ends="(]")
@@ -210,9 +204,8 @@ class Offset(AbstractShape):
         if self.smoother is not None:
             heights = self.smoother.apply(jnp.stack([heights, heights], axis=1))[:, 0]
         normals = self._normals(x)
-        room = self.share * jnp.where(
-            heights > 0, *(self._radius(x, sign * normals, k) for k, sign in enumerate((1, -1)))
-        )
+        ahead, back = (self._radius(x, sign * normals, k) for k, sign in enumerate((1, -1)))
+        room = self.share * jnp.where(heights > 0, ahead, back)
         ratio = jnp.abs(heights) / room
         # equal in value, slope and curvature at one half
         limited = jnp.where(ratio > 0.5, room * (0.5 + 0.5 * jnp.tanh(2 * ratio - 1)), jnp.abs(heights))
