@@ -173,11 +173,8 @@ def _convex(energy: Callable, stretch: Float[Array, "s k d d"], floor: Any) -> F
     (Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005).
     """
     d = stretch.shape[-1]
-
-    def of_entries(entries):
-        return energy(jnp.sum(entries**2) / d, determinant(list(entries.reshape(d, d))))
-
-    values, vectors = jnp.linalg.eigh(jax.vmap(jax.hessian(of_entries))(stretch.reshape(-1, d * d)))
+    hessian = jax.hessian(lambda entries: energy(jnp.sum(entries**2) / d, determinant(list(entries.reshape(d, d)))))
+    values, vectors = jnp.linalg.eigh(jax.vmap(hessian)(stretch.reshape(-1, d * d)))
     scaled = vectors * jnp.maximum(values, floor)[:, None]
     return jnp.matmul(scaled, vectors.mT, precision="highest").reshape(*stretch.shape, d, d)
 

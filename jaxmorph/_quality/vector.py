@@ -85,10 +85,6 @@ def unit(a: Vector) -> Vector:
     return a * divide(namespace(a[0]).ones_like(a[0]), norm(a), 0.0)
 
 
-def stack(vectors: Sequence[Vector]) -> Vector:
-    return Vector(map(namespace(vectors[0][0]).stack, zip(*vectors, strict=True)))
-
-
 def join(vectors: Iterable[Vector]) -> Vector:
     return Vector(namespace(parts[0]).concatenate(parts) for parts in zip(*vectors, strict=True))
 

@@ -336,7 +336,13 @@ class Verdict:
         lines = [f"quality of {self.cells} cells{parts}, inverted by {self.rule}{note}", *self._measures()]
         if self.parts:
             lines.append(f"{self.between} faces between parts are not judged: their skewness and non-orthogonality.")
-        return "\n\n".join(filter(None, ["\n".join([*lines, *more]), self._limits()]))
+        tables = ["\n".join([*lines, *more])]
+        if self.gates:
+            now = "now" if self.before is None else "after"
+            rows, worst = zip(*(gate.lines(self.cells) for gate in self.gates), strict=True)
+            head = f"{'gate':<23}{'limit':>12}{'before':>12}{now:>12}   cells beyond"
+            tables.append("\n".join([head, *rows, *itertools.chain(*worst)]))
+        return "\n\n".join(tables)
 
     def _measures(self) -> list[str]:
         """A row for each measure: without ratios, or after a motion without volume."""
@@ -352,14 +358,6 @@ class Verdict:
         if self.before is not None:
             lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
         return lines
-
-    def _limits(self) -> str:
-        if not self.gates:
-            return ""
-        now = "now" if self.before is None else "after"
-        rows, worst = zip(*(gate.lines(self.cells) for gate in self.gates), strict=True)
-        head = f"{'gate':<23}{'limit':>12}{'before':>12}{now:>12}   cells beyond"
-        return "\n".join([head, *rows, *itertools.chain(*worst)])
 
     def __str__(self) -> str:
         return "\n\n".join(filter(None, [self.table(), "\n".join(self.faults())]))
