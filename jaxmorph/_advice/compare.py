@@ -30,7 +30,6 @@ from .._quality.wall_quality import wall_quality
 from .methods import METHODS, MOST_POINTS
 
 MOST_PAIRS = 300_000_000  # points times nodes of the surface up to which inverse distances are tried
-
 COLUMNS = ("sources", "inverted", "ratio", "angle", "seconds")
 NUMBERS = operator.attrgetter(*COLUMNS)
 

@@ -418,9 +418,8 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"], moved: np.ndarray | None 
     share = np.linalg.norm((moved - points)[inner], axis=1) / size.max()
     base, active = points[moving], np.flatnonzero(size > size.max() / 2)
     rows = np.flatnonzero(share > RESTS)
-    far, nearest = map(
-        np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=np.ptp(base, axis=0).max())
-    )
+    reach = np.ptp(base, axis=0).max()
+    far, nearest = map(np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=reach))
     rows, nearest, far = rows[np.isfinite(far)], nearest[np.isfinite(far)], far[np.isfinite(far)]
     away = points[inner[rows]] - base[nearest]
     towards = base[active[np.asarray(Tree(base[active]).query(base[nearest])[1])]] - base[nearest]

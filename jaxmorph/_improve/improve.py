@@ -22,7 +22,6 @@ from .constraints import prepared
 from .stages import Minimum, Search, judged, softened, stiffened
 
 MINIMUM = 1e-2
-
 SAME = 1e-6  # difference of two margins that is round-off
 GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
 
@@ -184,7 +183,5 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
     steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
     counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & is_inverted)
-    energy = energy / sum(map(len, distortion.cells.values()))
-    return Improvement(
-        moved, jnp.sum(before), jnp.sum(is_inverted), *counts, energy, residual, steps, report.count
-    ), report
+    was, now, energy = jnp.sum(before), jnp.sum(is_inverted), energy / sum(map(len, distortion.cells.values()))
+    return Improvement(moved, was, now, *counts, energy, residual, steps, report.count), report

@@ -185,11 +185,8 @@ def _stacked(rows: Any) -> Array:
 
 def _columns(function: Callable, y: Nodal) -> Float[Array, "n d d"]:
     """Derivatives of a function row by row; the last axis is the axis of y."""
-
-    def column(axis):
-        return jax.jvp(function, (y,), (jnp.broadcast_to(axis, y.shape),))[1]
-
-    return jax.vmap(column, out_axes=2)(jnp.eye(y.shape[1], dtype=y.dtype))
+    axes = jnp.broadcast_to(jnp.eye(y.shape[1], dtype=y.dtype)[:, None], (y.shape[1], *y.shape))
+    return jax.vmap(lambda axis: jax.jvp(function, (y,), (axis,))[1], out_axes=2)(axes)
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:

@@ -60,9 +60,8 @@ class JacobianForm:
 
     @functools.cached_property
     def space(self) -> Space:
-        degrees = [[degree for _, degree in space] for space in self.spaces]
         return tuple(
-            (m, sum(powers)) for (m, _), powers in zip(self.spaces[0], zip(*degrees, strict=True), strict=True)
+            (factors[0][0], sum(degree for _, degree in factors)) for factors in zip(*self.spaces, strict=True)
         )
 
     def columns(self, x: list[Either]) -> Columns:

@@ -82,21 +82,13 @@ class Proof(Report):
     valid = property(lambda self: int(self.is_valid.sum()))
     invalid = property(lambda self: int(self.is_invalid.sum()))
     unknown = property(lambda self: int(self.is_unknown.sum()))
+    from_start = property(lambda self: 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum()))
     is_unknown = property(lambda self: self.counted & ~self.is_valid & ~self.is_invalid)
     margin = property(lambda self: self.lower / self._unit)
     min_margin = property(lambda self: self.min("margin"))
 
-    @property
-    def from_start(self) -> int:
-        return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
-
-    @property
-    def _unit(self) -> Values:
-        return np.where(self.size > 0, self.size, 1)
-
-    @property
-    def _least(self) -> Values:
-        return np.where(self.is_invalid, self.upper, self.lower) / self._unit
+    _unit = property(lambda self: np.where(self.size > 0, self.size, 1))
+    _least = property(lambda self: np.where(self.is_invalid, self.upper, self.lower) / self._unit)
 
     @property
     def _levels(self) -> Numbers:

@@ -185,10 +185,8 @@ def _columns(cells: ByType, links: Links, points: Points, standards: dict[str, S
     else:
         signs = {kind: standard.sign for kind, standard in standards.items()}
         columns = by_type(_judged, points, cells, standards)
-    columns = joined(namespace(points), columns) | {
-        "non_orthogonality": non_orthogonality(points, cells, signs, links.neighbour)
-    }
-    return columns | {"centroid": columns["centroid"].T}
+    columns, angles = joined(namespace(points), columns), non_orthogonality(points, cells, signs, links.neighbour)
+    return columns | {"non_orthogonality": angles, "centroid": columns["centroid"].T}
 
 
 @by_place

@@ -56,7 +56,6 @@ def columns(x: Vector, table: Iterable[Sequence[int]]) -> list[Vector]:
 
 
 def combined(table: np.ndarray, x: Vector) -> Vector:
-    """Multiplies rows by a matrix, in full precision."""
     return Vector(contracted(table.astype(a.dtype), a) for a in x)
 
 

@@ -18,8 +18,6 @@ from .report import QualityReport, Report
 
 WORST = 5
 
-Mask = Bool[np.ndarray, " k"]
-
 BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
 """Measures of faces, by their names in limits and tables. The plain names are those of corners."""
 
@@ -104,16 +102,14 @@ class Judged:
         return np.flatnonzero(self.report.counted)
 
     @functools.cached_property
-    def inverted(self) -> Mask:
+    def inverted(self) -> Bool[np.ndarray, " k"]:
         """Mask of inverted cells; old ones are so until they are sound by themselves."""
         now = np.asarray(self.report.is_inverted)
         if self.by_faces or not self._old.any():
             return now
         return np.where(self._old, quality(self.mesh.moved(self.points)).is_inverted, now)
 
-    @property
-    def _old(self) -> Mask:
-        return np.zeros(1, bool) if self.before is None else self.before.inverted
+    _old = property(lambda self: np.zeros(1, bool) if self.before is None else self.before.inverted)
 
     @property
     def spoilt(self) -> np.ndarray:
