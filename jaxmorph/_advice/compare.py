@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+import operator
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -29,8 +30,8 @@ from .._quality.wall_quality import wall_quality
 from .methods import METHODS, MOST_POINTS
 
 MOST_PAIRS = 300_000_000  # points times nodes of the surface up to which inverse distances are tried
-
 COLUMNS = ("sources", "inverted", "ratio", "angle", "seconds")
+NUMBERS = operator.attrgetter(*COLUMNS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,13 +68,9 @@ class Comparison:
         width = max(len("method"), *(len(row.method) for row in self.rows))
         lines = [f"{'method':<{width}}" + "".join(f"{name:>10}" for name in COLUMNS)]
         for row in self.rows:
-            cells = (getattr(row, name) for name in COLUMNS)
-            lines.append(f"{row.method:<{width}}" + "".join(f"{_shown(cell):>10}" for cell in cells))
+            cells = ("-" if x is None else f"{x:.3g}" if isinstance(x, float) else x for x in NUMBERS(row))
+            lines.append(f"{row.method:<{width}}" + "".join(f"{cell:>10}" for cell in cells))
         return "\n".join([*lines, *(f"{row.method}: {row.refused}" for row in self.rows if row.refused)])
-
-
-def _shown(value: float | int | None) -> str:
-    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 @checked
@@ -116,10 +113,14 @@ def compare(
         raise ValueError("`motions` is zero: no method moves a node. Give what the mesh is to bear, (s, m, d).")
     pairs = []
     for name, make in _makers(boundary, methods).items():
-        plan = _plan(boundary, make)
-        is_made = isinstance(plan, Plan)
-        trial = _trial(mesh, plan, motions, name) if is_made else Trial(name, refused=plan)
-        pairs.append((trial, plan if is_made else None))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
+            try:
+                plan = plan_of(boundary, make())
+            except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
+                pairs.append((Trial(name, refused=str(error) or repr(error)), None))
+                continue
+        pairs.append((_trial(mesh, plan, motions, name), plan))
     rows, plans = zip(*sorted(pairs, key=lambda pair: pair[0].badness), strict=True)
     if plans[0] is None:
         raise ValueError(f"every method is refused. {rows[0].method}: {rows[0].refused}")
@@ -150,15 +151,6 @@ def _small_enough(make: Any, size: float, boundary: Boundary) -> AbstractMethod:
         nodes = len(boundary.nodes)
         raise ValueError(f"skipped: {n} points times {nodes} nodes of the surface; tried up to {MOST_PAIRS} pairs")
     return method
-
-
-def _plan(boundary: Boundary, make: Any) -> Plan | str:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
-        try:
-            return plan_of(boundary, make())
-        except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
-            return str(error) or repr(error)
 
 
 def _trial(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str) -> Trial:

@@ -175,7 +175,12 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: 
     if plan.is_linear:
         said += f", the first after {100 * largest_step(plan, np.zeros_like(u), u, mesh).step:.3g} % of the motion"
     for cure in _cures(plan.boundary, mesh, u):
-        if _folds_none(plan, mesh, u, cure):
+        is_cured = False
+        # ImportError: a solver for large 3-D meshes is not installed
+        with warnings.catch_warnings(), contextlib.suppress(ValueError, ImportError):
+            warnings.simplefilter("ignore")
+            is_cured = not int(quality(mesh, _moved(plan, mesh, u, cure)).inverted)
+        if is_cured:
             how = ""
             if cure.steps > 1:
                 how = f": `march(plan, jm.Turn.of(plan.moving_points, u).path({cure.steps}))`"
@@ -183,15 +188,6 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: 
         tried.append(str(cure))
     last = f"{', '.join(tried)} do not cure it" if tried else "jm.fewest_steps tells how many steps it takes"
     return f"{said}: {last}."
-
-
-def _folds_none(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> bool:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            return not int(quality(mesh, _moved(plan, mesh, u, cure)).inverted)
-        except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
-            return False
 
 
 def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:

@@ -12,7 +12,7 @@ from .._boundary.outer_faces import mask, outer_faces, row_of
 from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import checked, finite_array, rows_of
 from .._host.package.cores import Beside
-from .._host.package.errors import MeshError
+from .._host.package.errors import check_none
 from .._host.package.rounding import Tree, roundoff
 from .._host.sources.reduction import KDTree, drop_close
 from .._host.surface.gaps import crossing_faces, share_left
@@ -242,7 +242,11 @@ def inspect(
     plan.check_surface("inspect")
     ids, is_whole = _ids(plan, mesh, nodes), mesh is not None and nodes is None
     surface, vectors = np.asarray(plan.surface_nodes), np.asarray(plan.of_surface(u))
-    _check_finite(u, surface[: plan.n_moving])
+    finite, n = np.isfinite(np.asarray(u)).all(axis=1), plan.n_moving
+    check_none(
+        surface[:n][~finite],
+        f"{{count}} of {n} displacements are not finite, first that of node {{node}} (row {int(np.argmin(finite))}).",
+    )
     if moved is not None or is_whole:
         moved = finite_array("moved", deform(plan, u) if moved is None else moved, plan.points.shape)
     if mesh is None:
@@ -325,16 +329,6 @@ def _of_plan(plan: Plan, u: Any, vectors: np.ndarray, moved: np.ndarray | None) 
     )
 
 
-def _check_finite(u: Any, nodes: np.ndarray) -> None:
-    finite = np.isfinite(np.asarray(u)).all(axis=1)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise MeshError(
-            f"{(~finite).sum()} of {len(nodes)} displacements are not finite, first that of node {{node}} (row {row}).",
-            nodes[~finite],
-        )
-
-
 def _slope(points: np.ndarray, u: np.ndarray) -> float:
     """Measures how steeply `u` changes along the edges of a wall, without its affine part."""
     pairs = edges(points, len(points))
@@ -408,9 +402,7 @@ def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
     return names.tolist()
 
 
-def overshoot(
-    plan: Plan, u: Float[np.ndarray, "m d"], moved: Float[np.ndarray, "n d"] | None = None
-) -> tuple[float, float]:
+def overshoot(plan: Plan, u: Float[np.ndarray, "m d"], moved: np.ndarray | None = None) -> tuple[float, float]:
     """Compares the largest motion off the surface with that of the surface; also behind what rests.
 
     A node lies behind a part that rests if three conditions hold. The nearest node of the moving
@@ -426,9 +418,8 @@ def overshoot(
     share = np.linalg.norm((moved - points)[inner], axis=1) / size.max()
     base, active = points[moving], np.flatnonzero(size > size.max() / 2)
     rows = np.flatnonzero(share > RESTS)
-    far, nearest = map(
-        np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=np.ptp(base, axis=0).max())
-    )
+    reach = np.ptp(base, axis=0).max()
+    far, nearest = map(np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=reach))
     rows, nearest, far = rows[np.isfinite(far)], nearest[np.isfinite(far)], far[np.isfinite(far)]
     away = points[inner[rows]] - base[nearest]
     towards = base[active[np.asarray(Tree(base[active]).query(base[nearest])[1])]] - base[nearest]

@@ -10,7 +10,6 @@ from typing import Any
 if typing.TYPE_CHECKING:
     from .._methods.base import AbstractMethod
 
-
 MOST_POINTS = {2: 100_000, 3: 40_000}  # points of a mesh, by dimension, up to which methods on its cells are tried
 
 

@@ -81,11 +81,8 @@ class ValidSteps(Module, optx.AbstractSearch):
     ) -> tuple[Any, Any, Any, Any]:
         """Accepts the variables that were tried, or gives a shorter step."""
         before, after, bounds = self.mesh.points(y), self.mesh.points(y_eval), self.mesh.bounds
-
-        def share(before: Any, after: Any) -> Any:
-            return bounds.largest_share(before, after).step
-
-        way = host_call(share, jax.ShapeDtypeStruct((), before.dtype), before, after)
+        share = jax.ShapeDtypeStruct((), before.dtype)
+        way = host_call(lambda *ends: bounds.largest_share(*ends).step, share, before, after)
         fits = (way >= 1) & bounds.hold(after)
         gain = f_info.compute_grad_dot(jax.tree.map(jnp.subtract, y_eval, y))
         falls = f_eval_info.as_min() - f_info.as_min() <= SLOPE * gain

@@ -298,7 +298,6 @@ def _guided(
 def renumbered(
     pairings: Sequence[Pairing], tracks: Sequence[Track], place: np.ndarray
 ) -> tuple[tuple[Pairing, ...], tuple[Track, ...]]:
-    """Renumbers pairs and tracks: node k becomes `place[k]`."""
     return tuple(pairing.renumbered(place) for pairing in pairings), tuple(track.renumbered(place) for track in tracks)
 
 

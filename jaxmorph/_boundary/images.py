@@ -115,9 +115,8 @@ def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:
     """
     planes, nodes = boundary.planes, boundary.nodes
     (n, d), own, on_plane = boundary.points.shape, nodes[order], boundary.on_planes[nodes]
-    pairs, own_pairs = (
-        tuple(pairing.renumbered(row_of(ids, n)) for pairing in boundary.pairings) for ids in (own, nodes)
-    )
+    numbers = row_of(own, n), row_of(nodes, n)
+    pairs, own_pairs = (tuple(pairing.renumbered(row) for pairing in boundary.pairings) for row in numbers)
     powers, flags = _elements(planes, pairs)
     transforms = np.stack([_transform(planes, pairs, *element, d) for element in zip(powers, flags, strict=True)])
     matrices, shifts = transforms[:, :-1, :-1], transforms[:, :-1, -1]

@@ -36,7 +36,6 @@ class OuterFaces:
 
 
 def mask(n: int, *nodes: Any) -> Bool[np.ndarray, " n"]:
-    """Marks nodes among n."""
     marked = np.zeros(n, dtype=bool)
     for ids in nodes:
         marked[np.asarray(ids)] = True

@@ -181,40 +181,31 @@ def _of_faces(slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Faces 
 
 
 def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Walls:
-    """Makes a wall of each part of faces, rows of `nodes`, between sharp edges."""
+    """Makes a wall of each part of faces, rows of `nodes`, between edges (2-D: corners) that turn by
+    more than 60 degrees. Faces that fold back, the two sides of a thin plate, are one part.
+    """
     area = normals(points[nodes[elements]])
     size = np.linalg.norm(area, axis=1)
     has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
-    elements, walls = elements[has_area], []
-    part = _smooth_parts(elements, area[has_area] / size[has_area, None])
+    elements, unit, walls = elements[has_area], area[has_area] / size[has_area, None], []
+    faces = np.repeat(np.arange(len(elements)), elements.shape[1])
+    touch = csr_array((np.ones(faces.size), (elements.ravel(), faces)))
+    beside = (touch.T @ touch).tocoo()
+    cosine = np.sum(unit[beside.row] * unit[beside.col], axis=1)
+    joined = (cosine > CONTINUES - 1e-9) | (cosine < -SMOOTH)
+    part = parts_of(beside.row[joined], beside.col[joined], len(elements))
     if len(np.unique(elements)) < len(nodes):  # nodes of no face belong to all parts
         part[:] = 0
     for number in range(part.max() + 1):
         corners = elements[part == number]
         rows = np.unique(corners) if part.any() else np.arange(len(nodes))
         ids, corners = nodes[rows], np.searchsorted(rows, corners).astype(np.int32)
-        walls.append((_wall_of(ids, points, corners), ids))
+        try:
+            plane = Plane.through(points, ids)
+            walls.append((FlatFaces(plane.normal, plane.origin, ids, points[ids], corners), ids))
+        except ValueError:
+            walls.append((Faceted.of(ids, points[ids], corners), ids))
     return walls
-
-
-def _wall_of(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> AbstractWall:
-    try:
-        plane = Plane.through(points, nodes)
-    except ValueError:
-        return Faceted.of(nodes, points[nodes], elements)
-    return FlatFaces(plane.normal, plane.origin, nodes, points[nodes], elements)
-
-
-def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "e d"]) -> Int[np.ndarray, " e"]:
-    """The parts of a patch between edges (2-D: corners) that turn by more than 60 degrees. Faces
-    that fold back onto each other, the two sides of a thin plate, are one part.
-    """
-    ids = np.repeat(np.arange(len(elements)), elements.shape[1])
-    touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)))
-    beside = (touch.T @ touch).tocoo()
-    cosine = np.sum(normals[beside.row] * normals[beside.col], axis=1)
-    joined = (cosine > CONTINUES - 1e-9) | (cosine < -SMOOTH)
-    return parts_of(beside.row[joined], beside.col[joined], len(elements))
 
 
 def filled(
@@ -225,9 +216,16 @@ def filled(
     a Delaunay triangulation in the rim's mean plane makes the faces. Old faces come first.
     """
     if faces.shape[1] == 2:
-        new = [_joined(faces, vertices, moves)]
-    else:
-        new = [_across(rim, faces, vertices) for rim in _closed_rims(faces, moves)]
+        return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)
+    # closed rims of moving vertices: edges (r, 2) against the faces beside them
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    size = int(faces.max()) + 1
+    is_rim = ~np.isin(edges @ [1, size], edges @ [size, 1]) & moves[edges].all(axis=1)
+    edges = edges[is_rim][:, ::-1]
+    part = parts_of(edges[:, 0], edges[:, 1], size)[edges[:, 0]]
+    rims = [edges[part == number] for number in np.unique(part)]
+    # as many edges begin at a node as end
+    new = [_across(rim, faces, vertices) for rim in rims if np.array_equal(*np.sort(rim, axis=0).T)]
     return np.concatenate([faces, *new]).astype(faces.dtype)
 
 
@@ -248,17 +246,6 @@ def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.nd
     return np.stack([end[last[kept]], start[first[best[kept]]]], axis=1)
 
 
-def _closed_rims(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
-    """Closed rims of moving vertices: edges (r, 2) against the faces beside them."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    size = int(faces.max()) + 1
-    is_rim = ~np.isin(edges @ [1, size], edges @ [size, 1]) & moves[edges].all(axis=1)
-    edges = edges[is_rim][:, ::-1]
-    part = parts_of(edges[:, 0], edges[:, 1], size)[edges[:, 0]]
-    rims = [edges[part == number] for number in np.unique(part)]
-    return [rim for rim in rims if np.array_equal(*np.sort(rim, axis=0).T)]  # as many begin at a node as end
-
-
 def _across(rim: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """Triangles (k, 3) across a rim, unless they would turn off from the faces beside it."""
     nodes, ends = np.unique(rim), vertices[rim]
@@ -271,18 +258,14 @@ def _across(rim: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> np.ndar
         corners = nodes[Delaunay(vertices[nodes] @ axes.T).simplices]
     except QhullError:
         return faces[:0]
-    corners = corners[_inside(vertices[corners].mean(axis=1) @ axes.T, ends @ axes.T)]
-    is_back = normals(vertices[corners]) @ area < 0
-    return np.where(is_back[:, None], corners[:, ::-1], corners)
-
-
-def _inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Marks the points (k, 2) within closed lines, given by their edges (r, 2, 2)."""
-    (a, b), (c, d) = np.moveaxis(ends, 0, 2)
-    across, up = x.T[..., None]
+    # within the rim a middle is to the left of an odd number of edges
+    (a, b), (c, d) = np.moveaxis(ends @ axes.T, 0, 2)
+    across, up = (vertices[corners].mean(axis=1) @ axes.T).T[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):  # of level edges, which none crosses
         is_left = across < a + (up - b) * (c - a) / (d - b)
-    return np.sum(((b > up) != (d > up)) & is_left, axis=1) % 2 == 1
+    corners = corners[np.sum(((b > up) != (d > up)) & is_left, axis=1) % 2 == 1]
+    is_back = normals(vertices[corners]) @ area < 0
+    return np.where(is_back[:, None], corners[:, ::-1], corners)
 
 
 def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:

@@ -32,10 +32,8 @@ class Plane(Module):
     origin: np.ndarray
 
     def __init__(self, normal, origin):
-        normal, origin = (
-            finite_array(name, values, (2,), (3,)).astype(float)
-            for name, values in (("normal", normal), ("origin", origin))
-        )
+        normal = finite_array("normal", normal, (2,), (3,)).astype(float)
+        origin = finite_array("origin", origin, (2,), (3,)).astype(float)
         length = np.linalg.norm(normal)
         if normal.shape != origin.shape or not length > 0:
             raise ValueError(

@@ -71,10 +71,7 @@ class Track(eqx.Module):
 
 
 def smoothed(track: Track) -> Track:
-    walls = [
-        SmoothFaces(wall.nodes, wall.vertices, wall.faces, wall.around) if type(wall) is Faceted else wall
-        for wall in track.walls
-    ]
+    walls = (SmoothFaces(**vars(wall)) if type(wall) is Faceted else wall for wall in track.walls)
     return Track(np.asarray(track.rows), tuple(walls))
 
 

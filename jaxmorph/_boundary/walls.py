@@ -172,7 +172,12 @@ class Faceted(AbstractWall):
     def has_end(self, x):
         faces = np.asarray(self.faces)
         face, shares, _ = closest(np.asarray(self.vertices)[faces], x)
-        return np.asarray(((shares <= END) & _at_rim(faces)[face]).any(axis=1))
+        # corners whose opposite edge (2-D: end) is of no other face
+        sides = np.stack([np.delete(np.sort(faces, axis=1), k, axis=1) for k in range(faces.shape[1])], axis=1)
+        _, place, count = np.unique(sides.reshape(faces.size, -1), axis=0, return_inverse=True, return_counts=True)
+        is_rim = (count[place.ravel()] == 1).reshape(faces.shape)
+        is_rim = np.take_along_axis(is_rim, np.argsort(np.argsort(faces, axis=1), axis=1), axis=1)
+        return np.asarray(((shares <= END) & is_rim[face]).any(axis=1))
 
     def at(self, points):
         return dataclasses.replace(self, vertices=points[self.nodes])
@@ -206,14 +211,6 @@ class Faceted(AbstractWall):
         """The vertex nearest to x, and the nodes of the faces near it."""
         vertex = jnp.argmin(jnp.sum((vertices - x[None]) ** 2, axis=1))
         return vertex, jnp.asarray(faces)[jnp.asarray(self.around)[vertex]]
-
-
-def _at_rim(faces: Int[np.ndarray, "e d"]) -> Bool[np.ndarray, "e d"]:
-    """Marks corners of faces whose opposite edge (2-D: end) is of no other face."""
-    sides = np.stack([np.delete(np.sort(faces, axis=1), k, axis=1) for k in range(faces.shape[1])], axis=1)
-    _, place, count = np.unique(sides.reshape(faces.size, -1), axis=0, return_inverse=True, return_counts=True)
-    is_rim = (count[place.ravel()] == 1).reshape(faces.shape)
-    return np.take_along_axis(is_rim, np.argsort(np.argsort(faces, axis=1), axis=1), axis=1)
 
 
 def _closest(x: Point, corners: Float[Array, "w d d"]) -> tuple[Point, Number]:

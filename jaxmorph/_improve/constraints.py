@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from .._boundary.boundary import Boundary
 from .._boundary.outer_faces import mask
-from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track, check_repeated, smoothed, tracks_of
 from .._boundary.walls import Flat
 from .._host.cells.pieces import boundary_faces
@@ -28,7 +27,11 @@ def prepared(boundary: Boundary, mesh: Mesh, dtype, ideal: bool, size_weight: fl
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, d).items()}
     free = mask(n, *cells.values()) & ~mask(n, held)
     check_repeated(tracks, held, pairings, np.asarray(mesh.points), free)
-    leads = _leads(pairings, free)
+    leads = np.arange(n)  # the node with which every node moves; none moves with one that is held
+    for pairing in pairings:
+        leads[pairing.second] = leads[pairing.first]
+        free[pairing.alone] = False
+    free[np.isin(leads, np.unique(leads[~free]))] = False
     distortion = _energy(
         {kind: jnp.asarray(ids) for kind, ids in cells.items()},
         jnp.asarray(mesh.points, dtype),
@@ -66,16 +69,6 @@ def _boundary(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
     for is_led in ways:
         sides = [ids[~is_led[ids].all(axis=1)] for ids in sides]
     return np.concatenate([np.zeros(0, int), *map(np.ravel, sides)])
-
-
-def _leads(pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """The node with which every node moves. Clears `free` for nodes whose partners are held."""
-    leads = np.arange(len(free))
-    for pairing in pairings:
-        leads[pairing.second] = leads[pairing.first]
-        free[pairing.alone] = False
-    free[np.isin(leads, np.unique(leads[~free]))] = False
-    return leads
 
 
 @compiled

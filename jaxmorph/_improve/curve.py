@@ -20,13 +20,11 @@ from .._plan.deform import deform
 from .._plan.prepare import prepare
 from .._quality.quality import quality
 
-Surface = Mesh | Callable[[np.ndarray], Any] | Float[Any, "m d"]
-
 
 @checked
 def curve(
     mesh: Mesh,
-    surface: Surface,
+    surface: Mesh | Callable[[np.ndarray], Any] | Float[Any, "m d"],
     moving: str | Sequence[str] | Integer[Any, " m"],
     fixed: str | Sequence[str] | Integer[Any, " f"] = (),
     *,

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._boundary.boundary import Boundary, check_finite
 from .._host.cells.pieces import owners
@@ -22,7 +22,6 @@ from .constraints import prepared
 from .stages import Minimum, Search, judged, softened, stiffened
 
 MINIMUM = 1e-2
-
 SAME = 1e-6  # difference of two margins that is round-off
 GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
 
@@ -170,25 +169,19 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     moved = distortion.ways.matched(start, moved)
     report = quality(mesh, moved)
-    before, is_inverted = (_inverted(mesh, *pair) for pair in ((start, quality(mesh, start)), (moved, report)))
     margin = proven_margin(mesh, moved, depth=1)
     with jax.ensure_compile_time_eval():
         own, owner = proven_margin(mesh, mesh.points, depth=1), owners(jax.tree.map(np.asarray, mesh.cells))
+        old = quality(mesh).is_inverted  # these are judged by the mesh on the new points alone
+    before, is_inverted = (
+        jnp.where(old, quality(mesh.moved(x)).is_inverted, judgement.is_inverted) & judgement.counted
+        for x, judgement in ((start, quality(mesh, start)), (moved, report))
+    )
     lost = jnp.zeros_like(is_inverted)
     for kind, is_fixed in fixed.items():
         lost = lost.at[owner[kind]].max(is_fixed)
     unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
     steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
     counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & is_inverted)
-    energy = energy / sum(map(len, distortion.cells.values()))
-    return Improvement(
-        moved, jnp.sum(before), jnp.sum(is_inverted), *counts, energy, residual, steps, report.count
-    ), report
-
-
-def _inverted(mesh: Mesh, points: Array, report: QualityReport) -> Bool[Array, " k"]:
-    """Marks inverted cells: by the mesh on these points alone where they are so from the start."""
-    with jax.ensure_compile_time_eval():
-        old = quality(mesh).is_inverted
-    now = jnp.where(old, quality(mesh.moved(points)).is_inverted, report.is_inverted)
-    return now & report.counted
+    was, now, energy = jnp.sum(before), jnp.sum(is_inverted), energy / sum(map(len, distortion.cells.values()))
+    return Improvement(moved, was, now, *counts, energy, residual, steps, report.count), report

@@ -173,11 +173,8 @@ def _convex(energy: Callable, stretch: Float[Array, "s k d d"], floor: Any) -> F
     (Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005).
     """
     d = stretch.shape[-1]
-
-    def of_entries(entries):
-        return energy(jnp.sum(entries**2) / d, determinant(list(entries.reshape(d, d))))
-
-    values, vectors = jnp.linalg.eigh(jax.vmap(jax.hessian(of_entries))(stretch.reshape(-1, d * d)))
+    hessian = jax.hessian(lambda entries: energy(jnp.sum(entries**2) / d, determinant(list(entries.reshape(d, d)))))
+    values, vectors = jnp.linalg.eigh(jax.vmap(hessian)(stretch.reshape(-1, d * d)))
     scaled = vectors * jnp.maximum(values, floor)[:, None]
     return jnp.matmul(scaled, vectors.mT, precision="highest").reshape(*stretch.shape, d, d)
 
@@ -188,11 +185,8 @@ def _stacked(rows: Any) -> Array:
 
 def _columns(function: Callable, y: Nodal) -> Float[Array, "n d d"]:
     """Derivatives of a function row by row; the last axis is the axis of y."""
-
-    def column(axis):
-        return jax.jvp(function, (y,), (jnp.broadcast_to(axis, y.shape),))[1]
-
-    return jax.vmap(column, out_axes=2)(jnp.eye(y.shape[1], dtype=y.dtype))
+    axes = jnp.broadcast_to(jnp.eye(y.shape[1], dtype=y.dtype)[:, None], (y.shape[1], *y.shape))
+    return jax.vmap(lambda axis: jax.jvp(function, (y,), (axis,))[1], out_axes=2)(axes)
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:

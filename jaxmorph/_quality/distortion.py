@@ -28,7 +28,6 @@ from .vector import ByType, Vector, corners, determinant, dot, total
 
 Scalar = Float[Array, "s k"]
 PerCell = Float[Array, " k"]
-Edges = Float[Array, "e d s k"]
 Some = Float[Array, "*shape"]
 
 _HEIGHT = 3**0.5 / 2
@@ -80,11 +79,20 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     content = sign[None] * jacobians
     folded = jnp.any(content < -noise, axis=0)
     size = jnp.where(folded, jnp.abs(volume) if around is None else around, jnp.abs(volume))
-    right = _ideal(kind, sign, size)
+    # frames of ideal cells of this size; left-handed ones are their mirror images
+    shape = jnp.asarray(np.array(IDEAL[kind]).T[:, :, None], size.dtype) * jnp.ones_like(size)[None, None]
+    length = size / jnp.abs(measures.volume(kind, Vector(shape)))
+    length = jnp.where(length > 0, length, 1) ** (1 / DIMENSION[kind])
+    right = _edges(kind, Vector(shape.at[0].multiply(sign[None]) * length[None, None]))
     if ideal:
         edges = right
     else:
-        affine = _affine(kind, edges)
+        # frames of the image of the ideal cell by the mean of the corners' affine maps
+        unit = measures.frames(kind, Vector(np.array(IDEAL[kind], float).T[:, :, None]))
+        frames = np.array(unit)[..., 0].transpose(2, 0, 1)  # samples, edges, axes
+        share = np.linalg.inv(frames) / len(frames)
+        axes = jnp.einsum("sab,bcsk->ack", share, edges, precision="highest").astype(edges.dtype)
+        affine = jnp.einsum("sba,ack->bcsk", frames, axes, precision="highest").astype(edges.dtype)
         is_near = jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
         edges = jnp.where(folded, jnp.where(is_near, affine, right), edges)
     counts = (content > noise) | folded[None]
@@ -93,26 +101,8 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     return Target(rows, inverse, counts.astype(inverse.dtype))
 
 
-def _edges(kind: str, x: Vector) -> Edges:
+def _edges(kind: str, x: Vector) -> Float[Array, "e d s k"]:
     return jnp.stack([jnp.stack(edge) for edge in measures.frames(kind, x)])
-
-
-def _ideal(kind: str, sign: PerCell, volume: PerCell) -> Edges:
-    """Frames of ideal cells; left-handed ones are their mirror images."""
-    shape = jnp.asarray(np.array(IDEAL[kind]).T[:, :, None], volume.dtype) * jnp.ones_like(volume)[None, None]
-    size = volume / jnp.abs(measures.volume(kind, Vector(shape)))
-    size = jnp.where(size > 0, size, 1) ** (1 / DIMENSION[kind])
-    shape = shape.at[0].multiply(sign[None]) * size[None, None]
-    return _edges(kind, Vector(shape))
-
-
-def _affine(kind: str, edges: Edges) -> Edges:
-    """Frames of the image of the ideal cell by the mean of the corners' affine maps."""
-    unit = measures.frames(kind, Vector(np.array(IDEAL[kind], float).T[:, :, None]))
-    ideal = np.array(unit)[..., 0].transpose(2, 0, 1)  # samples, edges, axes
-    share = np.linalg.inv(ideal) / len(ideal)
-    axes = jnp.einsum("sab,bcsk->ack", share, edges, precision="highest").astype(edges.dtype)
-    return jnp.einsum("sba,ack->bcsk", ideal, axes, precision="highest").astype(edges.dtype)
 
 
 def stretch(kind: str, x: Vector, goal: Target) -> list[Vector]:

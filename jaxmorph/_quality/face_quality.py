@@ -21,7 +21,6 @@ from .report import Report
 Vectors = Float[np.ndarray, "_d _f"]
 Points = Float[np.ndarray, "n d"]
 PerCell = Float[np.ndarray, " k"]
-
 Mask = Bool[np.ndarray, " k"]
 
 FLOOR = 1e-300  # least divisor
@@ -218,12 +217,12 @@ def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> Face
         shape = _Shape.measured(sides, points)
         old = shape.volume if np.array_equal(points, base) else _Shape.measured(sides, base).volume
         if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
-            sign = np.ones(
-                len(old)
-            )  # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
+            # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
+            sign = np.ones(len(old))
             sign[mesh.cell_ids] = np.concatenate(list(signs_of(mesh).values()))
-            old = sign * old
-            shape.turn(sides, sign)
+            old, shape.volume = sign * old, shape.volume * sign
+            for block in sides.blocks:
+                shape.area[:, block.rows] *= sign[block.owner]
         return _of_shape(sides, shape, points, old)
 
 
@@ -240,11 +239,8 @@ class _Shape:
     def measured(cls, sides: Sides, points: Points) -> "_Shape":
         """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
         d, columns, count = points.shape[1], np.ascontiguousarray(points.T), sides.blocks[-1].rows.stop
-        (centre, area), means, sums = (
-            np.empty((2, d, count)),
-            np.zeros((d, sides.total)),
-            np.zeros((d + 1, sides.total)),
-        )
+        centre, area = np.empty((2, d, count))
+        means, sums = np.zeros((d, sides.total)), np.zeros((d + 1, sides.total))
         for block, found in sides.measured(functools.partial(_centre_and_area, columns)):
             centre[:, block.rows], area[:, block.rows] = found
             for _, cells in block.views:
@@ -254,11 +250,6 @@ class _Shape:
             for (_, cells), part in zip(block.views, parts, strict=True):
                 _add(sums, cells, part)
         return cls(centre, area, sums[1:] / np.where(sums[0] == 0, FLOOR, sums[0]), sums[0])
-
-    def turn(self, sides: Sides, sign: PerCell) -> None:
-        self.volume = self.volume * sign
-        for block in sides.blocks:
-            self.area[:, block.rows] *= sign[block.owner]
 
 
 def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:

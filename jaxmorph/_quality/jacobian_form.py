@@ -60,16 +60,9 @@ class JacobianForm:
 
     @functools.cached_property
     def space(self) -> Space:
-        degrees = [[degree for _, degree in space] for space in self.spaces]
         return tuple(
-            (m, sum(powers)) for (m, _), powers in zip(self.spaces[0], zip(*degrees, strict=True), strict=True)
+            (factors[0][0], sum(degree for _, degree in factors)) for factors in zip(*self.spaces, strict=True)
         )
-
-    def moving(self) -> "JacobianForm":
-        spaces = tuple((TIME, *space) for space in self.spaces)
-        matrices = tuple(np.kron(np.eye(2), matrix) for matrix in self.matrices)
-        control = np.kron(np.eye(2), self.control)
-        return JacobianForm(self.shape, spaces, matrices, (TIME, *self.map_space), control, True)
 
     def columns(self, x: list[Either]) -> Columns:
         """Scaled coefficients of the columns of J: a list of components (nodes, k)."""
@@ -144,7 +137,10 @@ class JacobianForm:
 @functools.cache
 def form_of(kind: str, has_time: bool = False) -> JacobianForm:
     if has_time:
-        return form_of(kind).moving()
+        form = form_of(kind)
+        spaces = tuple((TIME, *space) for space in form.spaces)
+        *matrices, control = (np.kron(np.eye(2), matrix) for matrix in (*form.matrices, form.control))
+        return JacobianForm(form.shape, spaces, tuple(matrices), (TIME, *form.map_space), control, True)
     cell = lagrange_types()[kind]
     space = tuple((m, cell.order) for m in FACTORS[cell.shape])
     at = bernstein.lattice(space)

@@ -241,7 +241,14 @@ def centre_of_mass(kind: str, x: Vector) -> Vector:
     if kind in ("line", "triangle", "tetra"):
         return middle(x)
     if kind == "quad":
-        return _centre_of_quad([x.at(i) for i in range(4)])
+        # weighs the triangles between the sides and the mean of the corners by projected areas
+        corners = [x.at(i) for i in range(4)]
+        centre, normal = mean(corners), area_vector(corners)
+        spokes = [corner - centre for corner in corners]
+        weights = [dot(cross(spokes[i - 1], spoke), normal) for i, spoke in enumerate(spokes)]
+        moment = total((spokes[i - 1] + spoke) * weights[i] for i, spoke in enumerate(spokes))
+        whole = sum(weights)
+        return centre + moment * divide(xp.full_like(whole, 1 / 3), whole, 0.0)
     sums = (xp.zeros_like(x[0][0]),) * 4
 
     def face(sums, corners):
@@ -264,13 +271,3 @@ def _moments(x: Vector, corners: Int[Either, " c"]) -> list:
     volumes = [dot(cross(a, b), centre) for a, b in pairs]
     moment = total((a + b + centre) * weight for (a, b), weight in zip(pairs, volumes, strict=True))
     return [sum(volumes), *moment]
-
-
-def _centre_of_quad(corners: Sequence[Vector]) -> Vector:
-    """Weighs the triangles between the sides and the mean of the corners by projected areas."""
-    centre, normal = mean(corners), area_vector(corners)
-    spokes = [corner - centre for corner in corners]
-    weights = [dot(cross(spokes[i - 1], spoke), normal) for i, spoke in enumerate(spokes)]
-    moment = total((spokes[i - 1] + spoke) * weights[i] for i, spoke in enumerate(spokes))
-    whole = sum(weights)
-    return centre + moment * divide(namespace(whole).full_like(whole, 1 / 3), whole, 0.0)

@@ -27,10 +27,6 @@ Places = Float[np.ndarray, "k d"]
 Numbers = Int[np.ndarray, " k"]
 
 
-def _number_of(mask: str) -> Any:
-    return property(lambda proof: int(getattr(proof, mask).sum()))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Proof(Report):
     """Proves of each of k cells that it folds nowhere inside, or shows where it folds.
@@ -83,23 +79,16 @@ class Proof(Report):
     is_inverted = property(lambda self: self.is_invalid)
     volume = property(lambda self: self.size)
     centroid = property(lambda self: self.near)
-    valid, invalid, unknown = map(_number_of, ("is_valid", "is_invalid", "is_unknown"))
-
+    valid = property(lambda self: int(self.is_valid.sum()))
+    invalid = property(lambda self: int(self.is_invalid.sum()))
+    unknown = property(lambda self: int(self.is_unknown.sum()))
+    from_start = property(lambda self: 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum()))
     is_unknown = property(lambda self: self.counted & ~self.is_valid & ~self.is_invalid)
     margin = property(lambda self: self.lower / self._unit)
     min_margin = property(lambda self: self.min("margin"))
 
-    @property
-    def from_start(self) -> int:
-        return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
-
-    @property
-    def _unit(self) -> Values:
-        return np.where(self.size > 0, self.size, 1)
-
-    @property
-    def _least(self) -> Values:
-        return np.where(self.is_invalid, self.upper, self.lower) / self._unit
+    _unit = property(lambda self: np.where(self.size > 0, self.size, 1))
+    _least = property(lambda self: np.where(self.is_invalid, self.upper, self.lower) / self._unit)
 
     @property
     def _levels(self) -> Numbers:
@@ -149,13 +138,7 @@ def _short(share: Any) -> str:
 
 
 @checked
-def proof(
-    mesh: Mesh,
-    points: PointsLike | None = None,
-    *,
-    base: PointsLike | None = None,
-    depth: int = DEPTH,
-) -> Proof:
+def proof(mesh: Mesh, points: PointsLike | None = None, *, base: PointsLike | None = None, depth: int = DEPTH) -> Proof:
     """Proves that cells fold nowhere inside: bounds det J, at `points` or during a motion.
 
     `quality` judges corners, between which a hexahedron or a curved cell may fold. Here det J is
@@ -256,12 +239,7 @@ TRACED_ROOM = 1 << 22  # coefficients in a block of JAX
 
 @checked
 def proven_margin(
-    mesh: Mesh,
-    points: PointsLike,
-    *,
-    base: PointsLike | None = None,
-    depth: int = 0,
-    sharpness: float | None = None,
+    mesh: Mesh, points: PointsLike, *, base: PointsLike | None = None, depth: int = 0, sharpness: float | None = None
 ) -> Float[Array, " k"]:
     """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
@@ -325,12 +303,7 @@ def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int,
 
 
 def _margin(
-    form: JacobianForm,
-    ends: tuple[Either, ...],
-    depth: int,
-    sharpness: Any,
-    ids: Int[Either, "c k"],
-    size: PerCell,
+    form: JacobianForm, ends: tuple[Either, ...], depth: int, sharpness: Any, ids: Int[Either, "c k"], size: PerCell
 ) -> PerCell:
     xp, values = namespace(ends[0]), form.coefficients(nodes_of(ids, *ends)) / size[None]
     for _ in range(depth):

@@ -151,22 +151,18 @@ class Standard(NamedTuple):
 def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str, Standard]:
     signs = signs_of(mesh, links)
     if mesh.polyhedra is not None:
-        signs = _of_pieces(mesh, signs, mesh.polyhedra.cut)
+        # pieces keep the signs that they have, where the whole polyhedron or polygon is not folded
+        volumes = by_type(volume_of, jnp.asarray(mesh.points), mesh.cells)
+        (volume, sign), ids = (joined(jnp, part) for part in (volumes, signs)), mesh.cell_ids
+        whole = jax.ops.segment_sum(sign * volume, ids, num_segments=int(ids.max()) + 1)[ids]
+        is_sound = np.isin(ids, mesh.polyhedra.cut) & (whole > 0)
+        signs = _split(jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes)
     return _standards(mesh.cells, jnp.asarray(mesh.points, dtype), signs)
 
 
 @by_place
 def _standards(cells: ByType, points: Points, signs: ByType) -> dict[str, Standard]:
     return by_type(_standard, points, cells, signs)
-
-
-def _of_pieces(mesh: Mesh, signs: ByType, cut: np.ndarray) -> ByType:
-    """Takes the signs that pieces have, where the whole polyhedron or polygon is not folded."""
-    volumes = by_type(volume_of, jnp.asarray(mesh.points), mesh.cells)
-    (volume, sign), ids = (joined(jnp, part) for part in (volumes, signs)), mesh.cell_ids
-    whole = jax.ops.segment_sum(sign * volume, ids, num_segments=int(ids.max()) + 1)[ids]
-    is_sound = np.isin(ids, cut) & (whole > 0)
-    return _split(jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes)
 
 
 def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
@@ -189,10 +185,8 @@ def _columns(cells: ByType, links: Links, points: Points, standards: dict[str, S
     else:
         signs = {kind: standard.sign for kind, standard in standards.items()}
         columns = by_type(_judged, points, cells, standards)
-    columns = joined(namespace(points), columns) | {
-        "non_orthogonality": non_orthogonality(points, cells, signs, links.neighbour)
-    }
-    return columns | {"centroid": columns["centroid"].T}
+    columns, angles = joined(namespace(points), columns), non_orthogonality(points, cells, signs, links.neighbour)
+    return columns | {"non_orthogonality": angles, "centroid": columns["centroid"].T}
 
 
 @by_place

@@ -16,10 +16,7 @@ from .._kernels.values import Either, array, is_known, largest, on_host, smalles
 PerCell = Float[Array, " k"]
 Mask = Bool[Array, " k"]
 
-MEASURES = (
-    *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
-    *("jacobian", "volume_ratio", "jacobian_ratio"),
-)
+MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian", "volume_ratio", "jacobian_ratio")
 SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio", "pyramid", "margin", "lower", "upper", "_least")
 """Measures whose smallest value is the worst; of others the largest one is."""
 

@@ -32,11 +32,7 @@ class SmoothQuality(Module):
 
 @checked
 def smooth_quality(
-    mesh: Mesh,
-    points: PointsLike | None = None,
-    *,
-    sharpness: float = 50.0,
-    softness: float = 1e-6,
+    mesh: Mesh, points: PointsLike | None = None, *, sharpness: float = 50.0, softness: float = 1e-6
 ) -> SmoothQuality:
     """Measures cells as `quality` does, with smooth twins of the measures that have kinks.
 

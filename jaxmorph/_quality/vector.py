@@ -56,7 +56,6 @@ def columns(x: Vector, table: Iterable[Sequence[int]]) -> list[Vector]:
 
 
 def combined(table: np.ndarray, x: Vector) -> Vector:
-    """Multiplies rows by a matrix, in full precision."""
     return Vector(contracted(table.astype(a.dtype), a) for a in x)
 
 
@@ -83,10 +82,6 @@ def norm(a: Vector) -> Scalar:
 def unit(a: Vector) -> Vector:
     """Divides by the length; zero where there is none."""
     return a * divide(namespace(a[0]).ones_like(a[0]), norm(a), 0.0)
-
-
-def stack(vectors: Sequence[Vector]) -> Vector:
-    return Vector(map(namespace(vectors[0][0]).stack, zip(*vectors, strict=True)))
 
 
 def join(vectors: Iterable[Vector]) -> Vector:

@@ -18,8 +18,6 @@ from .report import QualityReport, Report
 
 WORST = 5
 
-Mask = Bool[np.ndarray, " k"]
-
 BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
 """Measures of faces, by their names in limits and tables. The plain names are those of corners."""
 
@@ -104,16 +102,14 @@ class Judged:
         return np.flatnonzero(self.report.counted)
 
     @functools.cached_property
-    def inverted(self) -> Mask:
+    def inverted(self) -> Bool[np.ndarray, " k"]:
         """Mask of inverted cells; old ones are so until they are sound by themselves."""
         now = np.asarray(self.report.is_inverted)
         if self.by_faces or not self._old.any():
             return now
         return np.where(self._old, quality(self.mesh.moved(self.points)).is_inverted, now)
 
-    @property
-    def _old(self) -> Mask:
-        return np.zeros(1, bool) if self.before is None else self.before.inverted
+    _old = property(lambda self: np.zeros(1, bool) if self.before is None else self.before.inverted)
 
     @property
     def spoilt(self) -> np.ndarray:
@@ -336,7 +332,13 @@ class Verdict:
         lines = [f"quality of {self.cells} cells{parts}, inverted by {self.rule}{note}", *self._measures()]
         if self.parts:
             lines.append(f"{self.between} faces between parts are not judged: their skewness and non-orthogonality.")
-        return "\n\n".join(filter(None, ["\n".join([*lines, *more]), self._limits()]))
+        tables = ["\n".join([*lines, *more])]
+        if self.gates:
+            now = "now" if self.before is None else "after"
+            rows, worst = zip(*(gate.lines(self.cells) for gate in self.gates), strict=True)
+            head = f"{'gate':<23}{'limit':>12}{'before':>12}{now:>12}   cells beyond"
+            tables.append("\n".join([head, *rows, *itertools.chain(*worst)]))
+        return "\n\n".join(tables)
 
     def _measures(self) -> list[str]:
         """A row for each measure: without ratios, or after a motion without volume."""
@@ -352,14 +354,6 @@ class Verdict:
         if self.before is not None:
             lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
         return lines
-
-    def _limits(self) -> str:
-        if not self.gates:
-            return ""
-        now = "now" if self.before is None else "after"
-        rows, worst = zip(*(gate.lines(self.cells) for gate in self.gates), strict=True)
-        head = f"{'gate':<23}{'limit':>12}{'before':>12}{now:>12}   cells beyond"
-        return "\n".join([head, *rows, *itertools.chain(*worst)])
 
     def __str__(self) -> str:
         return "\n\n".join(filter(None, [self.table(), "\n".join(self.faults())]))

@@ -16,7 +16,6 @@ from .._mesh.mesh import Mesh
 from .quality import places
 from .vector import Points, Vector, angle, by_place, cross, dot, unit
 
-OfNodes = Float[Array, " w"]
 Heights = Float[Either, " w"]
 
 
@@ -31,8 +30,8 @@ class WallQuality(Module):
     """
 
     nodes: Int[Array, " w"]
-    angle: OfNodes
-    height: OfNodes
+    angle: Float[Array, " w"]
+    height: Float[Array, " w"]
 
     mean_angle = property(lambda self: jnp.mean(self.angle, axis=-1))
     max_angle = property(lambda self: largest(self.angle, axis=-1))
