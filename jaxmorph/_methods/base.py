@@ -22,19 +22,11 @@ einsum = functools.partial(jnp.einsum, precision="highest")
 Scalar = Float[Array, ""]
 Flag = Bool[Array, ""]
 Point = Float[Array, " d"]
-Points = Float[Array, "n d"]
-"""Coordinates or displacements of a mesh's points."""
-Rows = Float[Array, "b d"]
-"""Coordinates or displacements of the rows of a surface."""
-
-Pairs = Int[Array, "e 2"]
-"""Pairs of nodes."""
+Points = Float[Array, "n d"]  # coordinates or displacements of a mesh's points
+Rows = Float[Array, "b d"]  # coordinates or displacements of the rows of a surface
+Pairs = Int[Array, "e 2"]  # of nodes
 
 BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
-
-
-def _no_rows() -> np.ndarray:
-    return np.zeros(0, dtype=np.int32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +38,8 @@ class Control:
     - `reach`: the field's distance from the surface.
     """
 
-    sources: np.ndarray = dataclasses.field(default_factory=_no_rows)
-    matched: np.ndarray = dataclasses.field(default_factory=_no_rows)
+    sources: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     reach: float = float("inf")
 
 

@@ -36,9 +36,7 @@ from .base import (
 from .blocks import fold_rows
 from .surface import ByKind, Surface
 
-Samples = Float[Array, " q"]
-"""Values at quadrature points."""
-
+Samples = Float[Array, " q"]  # values at quadrature points
 CELLS = 4096  # cells in a block
 
 

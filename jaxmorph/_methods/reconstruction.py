@@ -6,14 +6,7 @@ import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
-from .base import (
-    AbstractField,
-    AbstractMethod,
-    AbstractPlacing,
-    Control,
-    check_kind,
-    has_part,
-)
+from .base import AbstractField, AbstractMethod, AbstractPlacing, Control, check_kind, has_part
 from .blocks import map_points, place_points
 from .corrections import DelaunayGraph, NearWall, begun_graph
 from .rbf.fitted import FittedRBF

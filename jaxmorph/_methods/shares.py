@@ -22,11 +22,8 @@ from .reconstruction import SurfaceReconstruction
 from .sparse import Interpolation
 from .surface import ByKind
 
-KEPT = 0.8
-"""Smallest Jacobian ratio that least squares alone leave after a trial motion."""
-
-LARGEST = {2: 0.2, 3: 0.5}
-"""Largest displacement of a trial motion, relative to half of the body's length."""
+KEPT = 0.8  # smallest Jacobian ratio that least squares alone leave after a trial motion
+LARGEST = {2: 0.2, 3: 0.5}  # largest displacement of a trial motion, relative to half of the body's length
 
 SHARES = {1.0: 0.82, 0.5: 0.92, 0.25: 0.92, 0.1: 0.92}
 """Shares, and how much of the ratio by least squares they must keep in all trial motions.
@@ -34,17 +31,10 @@ SHARES = {1.0: 0.82, 0.5: 0.92, 0.25: 0.92, 0.1: 0.92}
 The whole fit may lose more: it alone keeps grid lines at right angles to the wall.
 """
 
-CELLS = {2: 20_000, 3: 6_000}
-"""Most cells that are judged, by dimension."""
-
-WALLS = 8
-"""Most walls that get trial motions of their own."""
-
-AT_ONCE = 8
-"""Motions that are evaluated together."""
-
-LEAN = 0.02
-"""Share of the inertia that is added along the coordinates, more along the first ones."""
+CELLS = {2: 20_000, 3: 6_000}  # most cells that are judged, by dimension
+WALLS = 8  # most walls that get trial motions of their own
+AT_ONCE = 8  # motions that are evaluated together
+LEAN = 0.02  # share of the inertia that is added along the coordinates, more along the first ones
 
 
 def has_fit(method: Any) -> bool:

@@ -71,7 +71,9 @@ class Interpolation(eqx.Module):
         starts = [min(k * size, len(nodes) - size) for k in range(parts)]
         shares = [slice(start, start + size) for start in starts]
         tables = [tabulate(nodes[share], reached[share], count) for share in shares]
-        longest = _rounded(max(len(owner) for _, owner in tables))
+        longest = max(len(owner) for _, owner in tables)
+        step = 2 ** max(0, longest.bit_length() - 6)
+        longest = -(-longest // step) * step  # by 3 % at most, so that similar parts of a mesh share compiled code
         entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
         owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
         gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
@@ -90,12 +92,6 @@ class Interpolation(eqx.Module):
 
 
 _made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}  # cache of the tables of arrays of weights
-
-
-def _rounded(rows: int) -> int:
-    """Rounds up by 3 % at most, so that similar parts of a mesh share compiled code."""
-    step = 2 ** max(0, rows.bit_length() - 6)
-    return -(-rows // step) * step
 
 
 class Reach(eqx.Module):
@@ -184,8 +180,7 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
     return table.reshape(-1, WIDTH), np.repeat(np.arange(count, dtype=np.int32), lengths)
 
 
-SLACK = 0.05
-"""Search slack, relative to the radius: it serves bases that differ by less than half of it."""
+SLACK = 0.05  # search slack, relative to the radius: it serves bases that differ by less than half of it
 
 
 def lost_unless(is_certain: Flag, is_lost: Callable[[], Any]) -> Flag:

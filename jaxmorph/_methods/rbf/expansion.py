@@ -175,9 +175,8 @@ class Expansion(Module):
         return product + self.at_sources * beta if self.ridge else product
 
 
+# relative changes of displacements by rounding: an error, a warning, one in float32
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 3e-2, 1e-6, 1e-3
-"""Relative changes of displacements by rounding: an error, a warning, one in float32."""
-
 NEAR = 1e-3  # distance of two sources, relative to the distance of sources around, that is worth a warning
 
 
@@ -238,5 +237,5 @@ def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -
         warn(
             f"{len(first)} surface nodes nearly coincide with others, the nearest two {distance:.3g} apart near "
             f"({place_of(nodes[first[0]])}). Where such nodes move differently, {method} moves nodes around them by "
-            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect.",
+            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect."
         )

@@ -29,12 +29,8 @@ from .expansion import RBFFactors
 from .rbf import RBF, Direct
 from .system import polynomial
 
-JOINT = 0.05
-"""Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
-
-SOURCES_ALONE = 64
-"""Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
-
+JOINT = 0.05  # largest `ell`, relative to the distance of the nearest node that is fixed or of another wall
+SOURCES_ALONE = 64  # fewest leaves of the k-d tree if the field interpolates instead of being fitted
 
 ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
@@ -51,11 +47,8 @@ AT_TIP = 0.03, 0.5
 wall's slope. Cells there are small, and the wall's angle changes with the thickness.
 """
 
-WALLS = {2: 8, 3: 2}
-"""Most walls that get sources as if each were alone, by dimension; more walls share as many."""
-
-ROWS = {2: 4096, 3: 2048}
-"""Most nodes of the wall, and most edges, that enter the fit, by dimension."""
+WALLS = {2: 8, 3: 2}  # most walls that get sources as if each were alone, by dimension; more share as many
+ROWS = {2: 4096, 3: 2048}  # most nodes of the wall, and most edges, that enter the fit, by dimension
 
 
 class WallIds(eqx.Module):

@@ -87,11 +87,7 @@ def precondition(rows: Cardinals, solve_first: Callable, residual: Columns) -> C
 
 
 def iterated(
-    product: Product,
-    inverse: Product,
-    tail: Float[Array, "s p"],
-    tolerance: Scalar,
-    right: Float[Array, "t k"],
+    product: Product, inverse: Product, tail: Float[Array, "s p"], tolerance: Scalar, right: Float[Array, "t k"]
 ) -> Float[Array, "t k"]:
     """Solves K beta + T alpha = v, T' beta = g, on weights that the polynomial does not see.
     `product` multiplies by K, `inverse` by the preconditioner; `tail` is T, `right` v and g. The
