@@ -62,6 +62,14 @@ class AbstractField(Module):
         return BLOCK
 
 
+class AbstractWhole(AbstractField):
+    """A field that makes no blocks: its memory is small, or its parts make their own."""
+
+    @property
+    def block_size(self) -> None:
+        return None
+
+
 class AbstractMethod(Module):
     """Turns displacements of the surface into a displacement field.
 
@@ -149,11 +157,8 @@ def or_one(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 def has_part(method: AbstractMethod, kind: type) -> bool:
     """Checks whether a method is of a kind, or made of such a method."""
-
-    def is_part(node: object) -> bool:
-        return isinstance(node, kind)
-
-    return any(map(is_part, jax.tree.leaves(method, is_leaf=is_part)))
+    parts = jax.tree.leaves(method, is_leaf=lambda node: isinstance(node, kind))
+    return any(isinstance(part, kind) for part in parts)
 
 
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:

@@ -25,11 +25,9 @@ from .surface import ByKind
 KEPT = 0.8  # smallest Jacobian ratio that least squares alone leave after a trial motion
 LARGEST = {2: 0.2, 3: 0.5}  # largest displacement of a trial motion, relative to half of the body's length
 
+# Shares, and how much of the ratio by least squares they must keep in all trial motions. The whole
+# fit may lose more: it alone keeps grid lines at right angles to the wall.
 SHARES = {1.0: 0.82, 0.5: 0.92, 0.25: 0.92, 0.1: 0.92}
-"""Shares, and how much of the ratio by least squares they must keep in all trial motions.
-
-The whole fit may lose more: it alone keeps grid lines at right angles to the wall.
-"""
 
 CELLS = {2: 20_000, 3: 6_000}  # most cells that are judged, by dimension
 WALLS = 8  # most walls that get trial motions of their own
@@ -134,10 +132,7 @@ def largest_share(
 
 
 def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Iterator[Float[np.ndarray, "m d"]]:
-    """Yields trial motions of each wall: powers, waves and bumps along the axes of its inertia.
-
-    They are as large as half of the wall's length.
-    """
+    """Yields trial motions, half a wall long: powers, waves, bumps along the axes of its inertia."""
     labels, counts = np.unique(walls, return_counts=True)
     for label in labels[np.sort(np.argsort(-counts, kind="stable")[:WALLS])]:
         own = walls == label

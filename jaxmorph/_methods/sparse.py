@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField, Flag, Points, Rows, Scalar
+from .base import AbstractWhole, Flag, Points, Rows, Scalar
 
 WIDTH = 16  # entries in a row of the table
 
@@ -104,12 +104,8 @@ class Reach(eqx.Module):
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 
-class InterpolatedField(AbstractField):
+class InterpolatedField(AbstractWhole):
     u: Rows
-
-    @property
-    def block_size(self) -> None:
-        return None
 
     def __call__(self, x, ids: Interpolation):
         return sum((ids.weights[k] * self.u[i] for k, i in enumerate(ids.nodes)), start=jnp.zeros_like(x))

@@ -164,21 +164,13 @@ def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
     has_function = ids.nearest != own
     tape.sparse(values, rows.u, csr_array((has_function.astype(float), (own, own)), (count, count)))
     below = csr_array((factors.entries, (row, column)), (count, count))
-    order = _topological(row, column, count)
+    level, higher = np.full(count, -1), np.zeros(count, np.int64)
+    while (level != higher).any():  # until each row is above all columns of its entries
+        level, higher = higher, higher.copy()
+        np.maximum.at(higher, row, level[column] + 1)
     arrays = tape.array(below.indptr, "i8"), tape.array(below.indices), tape.array(below.data)
-    tape.step("forward", values, -1, *arrays, tape.array(order))
+    tape.step("forward", values, -1, *arrays, tape.array(np.argsort(level, kind="stable")))
     return _Interpolated(values)
-
-
-def _topological(row: Any, column: Any, count: int) -> np.ndarray:
-    """Orders rows so that each comes after all columns of its entries."""
-    level = np.zeros(count, np.int64)
-    while True:
-        least = level.copy()
-        np.maximum.at(least, row, level[column] + 1)
-        if (least == level).all():
-            return np.argsort(level, kind="stable")
-        level = least
 
 
 @recorded.register

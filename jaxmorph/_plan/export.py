@@ -208,9 +208,8 @@ def _write(path: Path, tape: Tape, counts: Sequence[int]) -> None:
     offsets = 8 * (tables + np.cumsum([0, *sizes[:-1]]))
     table = [(KINDS[array.dtype.str], array.size, offset) for array, offset in zip(tape.arrays, offsets, strict=True)]
     words = np.zeros(tables + sum(sizes), "<u8")
-    words[HEAD:tables] = (
-        np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)]).astype("<i8").view("<u8")
-    )
+    integers = np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)])
+    words[HEAD:tables] = integers.astype("<i8").view("<u8")
     words[5 : 5 + len(counts)] = np.asarray(counts, "<i8").view("<u8")
     for array, offset in zip(tape.arrays, offsets, strict=True):
         words.view(np.uint8)[offset : offset + array.nbytes] = array.view(np.uint8)

@@ -203,10 +203,7 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Columns) -> Scal
     sources, count = factors.sources, len(values)
 
     def field(weights, points):
-        def of_block(part):
-            return matmul(expansion.rows(sources, factors.scale, part), weights)
-
-        return map_rows(of_block, points, 1024)
+        return map_rows(lambda part: matmul(expansion.rows(sources, factors.scale, part), weights), points, 1024)
 
     first = factors.solve(values)
     missed = values - field(first, sources) - expansion.at_sources * first[:count]
