@@ -87,12 +87,7 @@ def _layers(cells: ByKind, is_near: np.ndarray, most: int) -> ByKind:
 
 
 def largest_share(
-    method: Any,
-    surface: Any,
-    vectors: Callable[[Any], Any],
-    trials: Iterator[Float[np.ndarray, "m d"]],
-    near: Any,
-    cells: ByKind,
+    method: Any, surface: Any, vectors: Callable, trials: Iterator[Float[np.ndarray, "m d"]], near: Any, cells: ByKind
 ) -> float:
     """Finds the largest share that keeps enough in all trial motions.
 
