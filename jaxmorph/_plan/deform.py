@@ -10,10 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
-from jax.sharding import Mesh
 from jaxtyping import Array, ArrayLike, Float, PyTree, Real
 
-from .._host.package.arguments import checked, shown
+from .._host.package.arguments import checked
 from .._host.package.cores import Beside, cores
 from .._kernels.compile import Constant, compiled, float64_mode, is_direct
 from .._kernels.values import is_known, is_readable
@@ -265,14 +264,7 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
         raise ValueError(
             f"{type(plan.method).__name__} solves for all nodes at once: its plan is not laid over devices."
         )
-    if len(devices) == 0:
-        raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
-    for device in devices:
-        if not isinstance(device, jax.Device):
-            raise ValueError(f"`devices` holds {shown(device)}, which is no device of JAX: pass jax.devices().")
-        if list(devices).count(device) > 1:
-            raise ValueError(f"`devices` has {device} more than once, among {len(devices)}: pass each device once.")
-    layout = Layout(Mesh(np.array(devices), (AXIS,)), len(plan.volume.points))
+    layout = Layout.over(devices, len(plan.volume.points))
     volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
     placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
     return dataclasses.replace(

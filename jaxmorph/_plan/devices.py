@@ -1,7 +1,8 @@
 """The layout of points over devices."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int, PyTree
+
+from .._host.package.arguments import shown
 
 AXIS = "points"
 
@@ -19,6 +22,17 @@ class Layout:
 
     mesh: Mesh
     count: int
+
+    @staticmethod
+    def over(devices: Sequence[Any], count: int) -> "Layout":
+        if len(devices) == 0:
+            raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
+        for device in devices:
+            if not isinstance(device, jax.Device):
+                raise ValueError(f"`devices` holds {shown(device)}, which is no device of JAX: pass jax.devices().")
+            if list(devices).count(device) > 1:
+                raise ValueError(f"`devices` has {device} more than once, among {len(devices)}: pass each device once.")
+        return Layout(Mesh(np.array(devices), (AXIS,)), count)
 
     def placed(self, tree: PyTree, *axes: str) -> PyTree:
         sharding = NamedSharding(self.mesh, PartitionSpec(*axes))
