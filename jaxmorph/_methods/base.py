@@ -22,19 +22,11 @@ einsum = functools.partial(jnp.einsum, precision="highest")
 Scalar = Float[Array, ""]
 Flag = Bool[Array, ""]
 Point = Float[Array, " d"]
-Points = Float[Array, "n d"]
-"""Coordinates or displacements of a mesh's points."""
-Rows = Float[Array, "b d"]
-"""Coordinates or displacements of the rows of a surface."""
-
-Pairs = Int[Array, "e 2"]
-"""Pairs of nodes."""
+Points = Float[Array, "n d"]  # coordinates or displacements of a mesh's points
+Rows = Float[Array, "b d"]  # coordinates or displacements of the rows of a surface
+Pairs = Int[Array, "e 2"]  # of nodes
 
 BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
-
-
-def _no_rows() -> np.ndarray:
-    return np.zeros(0, dtype=np.int32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +38,8 @@ class Control:
     - `reach`: the field's distance from the surface.
     """
 
-    sources: np.ndarray = dataclasses.field(default_factory=_no_rows)
-    matched: np.ndarray = dataclasses.field(default_factory=_no_rows)
+    sources: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     reach: float = float("inf")
 
 
@@ -68,6 +60,14 @@ class AbstractField(Module):
     def block_size(self) -> int | None:
         """Points in a block; None if the memory needs no blocks."""
         return BLOCK
+
+
+class AbstractWhole(AbstractField):
+    """A field that makes no blocks: its memory is small, or its parts make their own."""
+
+    @property
+    def block_size(self) -> None:
+        return None
 
 
 class AbstractMethod(Module):
@@ -157,11 +157,8 @@ def or_one(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 def has_part(method: AbstractMethod, kind: type) -> bool:
     """Checks whether a method is of a kind, or made of such a method."""
-
-    def is_part(node: object) -> bool:
-        return isinstance(node, kind)
-
-    return any(map(is_part, jax.tree.leaves(method, is_leaf=is_part)))
+    parts = jax.tree.leaves(method, is_leaf=lambda node: isinstance(node, kind))
+    return any(isinstance(part, kind) for part in parts)
 
 
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:

@@ -19,26 +19,11 @@ from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, largest, norm
-from .base import (
-    AbstractField,
-    AbstractMethod,
-    Flag,
-    Pairs,
-    Points,
-    Rows,
-    Scalar,
-    check_kind,
-    einsum,
-    matmul,
-    number,
-    or_one,
-)
+from .base import AbstractMethod, AbstractWhole, Pairs, Points, Rows, Scalar, check_kind, einsum, matmul, number, or_one
 from .blocks import fold_rows
 from .surface import ByKind, Surface
 
-Samples = Float[Array, " q"]
-"""Values at quadrature points."""
-
+Samples = Float[Array, " q"]  # values at quadrature points
 CELLS = 4096  # cells in a block
 
 
@@ -227,18 +212,14 @@ class AbstractCellMethod(AbstractMethod):
 
 
 @compiled
-def _is_solved(method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows) -> Flag:
+def _is_solved(method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows) -> Bool[Array, ""]:
     return jnp.isfinite(method.field(ids, factors, u, u).values).all()
 
 
-class NodeField(AbstractField):
+class NodeField(AbstractWhole):
     """Displacements of nodes, then of the surface's rows; a point's id is its row among them."""
 
     values: Float[Array, "k d"]
-
-    @property
-    def block_size(self) -> None:
-        return None
 
     def __call__(self, x, ids):
         return self.values[ids]

@@ -16,6 +16,7 @@ from .base import (
     AbstractField,
     AbstractMethod,
     AbstractPlacing,
+    AbstractWhole,
     Control,
     Flag,
     Point,
@@ -211,13 +212,9 @@ class WallRow(eqx.Module):
     reached: Bool[Array, "*n"]
 
 
-class NearWallField(AbstractField):
+class NearWallField(AbstractWhole):
     correction: AbstractField
     wall: InterpolatedField
-
-    @property
-    def block_size(self) -> None:
-        return None  # the correction makes its own blocks
 
     def __call__(self, x, ids: WallPlace):
         return self.wall(x, ids.wall) + ids.outside * self.correction(x, ids.correction)

@@ -78,9 +78,8 @@ class InverseDistance(AbstractMethod):
         moves = jnp.arange(len(surface)) < ids.moving
         middle = jnp.sum(jnp.where(moves[:, None], surface, 0), axis=0) / ids.moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
-        extent = or_one(extent)  # all nodes at one place: any length serves
         area = _areas(ids.faces, surface) if ids.faces else jnp.ones(len(surface), surface.dtype)
-        return InverseDistanceFactors(area, extent)
+        return InverseDistanceFactors(area, or_one(extent))  # all nodes at one place: any length serves
 
     def field(self, ids, factors, surface, u):
         turns = _turns(ids.faces, surface, u) if self.rotations else None

@@ -6,14 +6,7 @@ import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
-from .base import (
-    AbstractField,
-    AbstractMethod,
-    AbstractPlacing,
-    Control,
-    check_kind,
-    has_part,
-)
+from .base import AbstractField, AbstractMethod, AbstractPlacing, AbstractWhole, Control, check_kind, has_part
 from .blocks import map_points, place_points
 from .corrections import DelaunayGraph, NearWall, begun_graph
 from .rbf.fitted import FittedRBF
@@ -122,13 +115,9 @@ class SurfaceReconstruction(AbstractPlacing):
         return coarse, u - map_points(coarse, surface, factors[1])  # eq. (5)
 
 
-class SumField(AbstractField):
+class SumField(AbstractWhole):
     first: AbstractField
     second: AbstractField
-
-    @property
-    def block_size(self) -> None:
-        return None  # its parts make their own blocks
 
     def __call__(self, x, ids):
         return self.first(x, ids[0]) + self.second(x, ids[1])

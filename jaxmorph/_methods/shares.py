@@ -22,29 +22,17 @@ from .reconstruction import SurfaceReconstruction
 from .sparse import Interpolation
 from .surface import ByKind
 
-KEPT = 0.8
-"""Smallest Jacobian ratio that least squares alone leave after a trial motion."""
+KEPT = 0.8  # smallest Jacobian ratio that least squares alone leave after a trial motion
+LARGEST = {2: 0.2, 3: 0.5}  # largest displacement of a trial motion, relative to half of the body's length
 
-LARGEST = {2: 0.2, 3: 0.5}
-"""Largest displacement of a trial motion, relative to half of the body's length."""
-
+# Shares, and how much of the ratio by least squares they must keep in all trial motions. The whole
+# fit may lose more: it alone keeps grid lines at right angles to the wall.
 SHARES = {1.0: 0.82, 0.5: 0.92, 0.25: 0.92, 0.1: 0.92}
-"""Shares, and how much of the ratio by least squares they must keep in all trial motions.
 
-The whole fit may lose more: it alone keeps grid lines at right angles to the wall.
-"""
-
-CELLS = {2: 20_000, 3: 6_000}
-"""Most cells that are judged, by dimension."""
-
-WALLS = 8
-"""Most walls that get trial motions of their own."""
-
-AT_ONCE = 8
-"""Motions that are evaluated together."""
-
-LEAN = 0.02
-"""Share of the inertia that is added along the coordinates, more along the first ones."""
+CELLS = {2: 20_000, 3: 6_000}  # most cells that are judged, by dimension
+WALLS = 8  # most walls that get trial motions of their own
+AT_ONCE = 8  # motions that are evaluated together
+LEAN = 0.02  # share of the inertia that is added along the coordinates, more along the first ones
 
 
 def has_fit(method: Any) -> bool:
@@ -99,12 +87,7 @@ def _layers(cells: ByKind, is_near: np.ndarray, most: int) -> ByKind:
 
 
 def largest_share(
-    method: Any,
-    surface: Any,
-    vectors: Callable[[Any], Any],
-    trials: Iterator[Float[np.ndarray, "m d"]],
-    near: Any,
-    cells: ByKind,
+    method: Any, surface: Any, vectors: Callable, trials: Iterator[Float[np.ndarray, "m d"]], near: Any, cells: ByKind
 ) -> float:
     """Finds the largest share that keeps enough in all trial motions.
 
@@ -144,10 +127,7 @@ def largest_share(
 
 
 def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Iterator[Float[np.ndarray, "m d"]]:
-    """Yields trial motions of each wall: powers, waves and bumps along the axes of its inertia.
-
-    They are as large as half of the wall's length.
-    """
+    """Yields trial motions, half a wall long: powers, waves, bumps along the axes of its inertia."""
     labels, counts = np.unique(walls, return_counts=True)
     for label in labels[np.sort(np.argsort(-counts, kind="stable")[:WALLS])]:
         own = walls == label

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
-from .base import AbstractField, Flag, Points, Rows, Scalar
+from .base import AbstractWhole, Flag, Points, Rows, Scalar
 
 WIDTH = 16  # entries in a row of the table
 
@@ -71,7 +71,9 @@ class Interpolation(eqx.Module):
         starts = [min(k * size, len(nodes) - size) for k in range(parts)]
         shares = [slice(start, start + size) for start in starts]
         tables = [tabulate(nodes[share], reached[share], count) for share in shares]
-        longest = _rounded(max(len(owner) for _, owner in tables))
+        longest = max(len(owner) for _, owner in tables)
+        step = 2 ** max(0, longest.bit_length() - 6)
+        longest = -(-longest // step) * step  # by 3 % at most, so that similar parts of a mesh share compiled code
         entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
         owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
         gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
@@ -92,12 +94,6 @@ class Interpolation(eqx.Module):
 _made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}  # cache of the tables of arrays of weights
 
 
-def _rounded(rows: int) -> int:
-    """Rounds up by 3 % at most, so that similar parts of a mesh share compiled code."""
-    step = 2 ** max(0, rows.bit_length() - 6)
-    return -(-rows // step) * step
-
-
 class Reach(eqx.Module):
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n k"]
@@ -108,12 +104,8 @@ class Reach(eqx.Module):
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 
-class InterpolatedField(AbstractField):
+class InterpolatedField(AbstractWhole):
     u: Rows
-
-    @property
-    def block_size(self) -> None:
-        return None
 
     def __call__(self, x, ids: Interpolation):
         return sum((ids.weights[k] * self.u[i] for k, i in enumerate(ids.nodes)), start=jnp.zeros_like(x))
@@ -184,8 +176,7 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
     return table.reshape(-1, WIDTH), np.repeat(np.arange(count, dtype=np.int32), lengths)
 
 
-SLACK = 0.05
-"""Search slack, relative to the radius: it serves bases that differ by less than half of it."""
+SLACK = 0.05  # search slack, relative to the radius: it serves bases that differ by less than half of it
 
 
 def lost_unless(is_certain: Flag, is_lost: Callable[[], Any]) -> Flag:

@@ -12,8 +12,7 @@ from .._host.surface.skin import chords
 from .._host.surface.walls import walls
 
 T = TypeVar("T")
-ByKind = Mapping[str, np.ndarray]
-"""Corners (k, c) of cells or faces, by their type."""
+ByKind = Mapping[str, np.ndarray]  # corners (k, c) of cells or faces, by their type
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,29 +28,15 @@ CODES = (
 """Names of steps: the first has the code 1 in the file."""
 
 FUNCTIONS = (
-    bases.ThinPlateSpline,
-    bases.LinearSpline,
-    bases.CubicSpline,
-    bases.Gaussian,
-    bases.Multiquadric,
-    bases.InverseMultiquadric,
-    bases.InverseQuadratic,
-    bases.WendlandC0,
-    bases.WendlandC2,
-    bases.WendlandC4,
-    bases.WendlandC6,
-    bases.CompactC0,
-    bases.CompactC1,
-    bases.CompactC2a,
-    bases.CompactC2b,
-)
+    bases.ThinPlateSpline, bases.LinearSpline, bases.CubicSpline,
+    bases.Gaussian, bases.Multiquadric, bases.InverseMultiquadric, bases.InverseQuadratic,
+    bases.WendlandC0, bases.WendlandC2, bases.WendlandC4, bases.WendlandC6,
+    bases.CompactC0, bases.CompactC1, bases.CompactC2a, bases.CompactC2b,
+)  # fmt: skip
 """Bases, in the order of their numbers in the file."""
 
-U, POINTS = 0, 1
-"""Registers of the displacement and of the points."""
-
-FLAT, TURNED, MINUS = 1, 2, 4
-"""Flags: the components of all rows are one vector; by the transpose; subtracted."""
+U, POINTS = 0, 1  # registers of the displacement and of the points
+FLAT, TURNED, MINUS = 1, 2, 4  # flags: the components of all rows are one vector; by the transpose; subtracted
 
 
 @dataclasses.dataclass
@@ -127,8 +113,7 @@ class Places:
         return tape.array(self.share) if np.ndim(self.share) else -1
 
 
-Field = Callable[[Tape, int, Places], None]
-"""Adds a displacement field at places to a register."""
+Field = Callable[[Tape, int, Places], None]  # adds a displacement field at places to a register
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,21 +164,13 @@ def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
     has_function = ids.nearest != own
     tape.sparse(values, rows.u, csr_array((has_function.astype(float), (own, own)), (count, count)))
     below = csr_array((factors.entries, (row, column)), (count, count))
-    order = _topological(row, column, count)
+    level, higher = np.full(count, -1), np.zeros(count, np.int64)
+    while (level != higher).any():  # until each row is above all columns of its entries
+        level, higher = higher, higher.copy()
+        np.maximum.at(higher, row, level[column] + 1)
     arrays = tape.array(below.indptr, "i8"), tape.array(below.indices), tape.array(below.data)
-    tape.step("forward", values, -1, *arrays, tape.array(order))
+    tape.step("forward", values, -1, *arrays, tape.array(np.argsort(level, kind="stable")))
     return _Interpolated(values)
-
-
-def _topological(row: Any, column: Any, count: int) -> np.ndarray:
-    """Orders rows so that each comes after all columns of its entries."""
-    level = np.zeros(count, np.int64)
-    while True:
-        least = level.copy()
-        np.maximum.at(least, row, level[column] + 1)
-        if (least == level).all():
-            return np.argsort(level, kind="stable")
-        level = least
 
 
 @recorded.register
@@ -211,14 +188,6 @@ def _(method: NearWall, tape, ids, factors, rows) -> Field:
             correction(tape, out, inner)
 
     return add
-
-
-def _system_of(factors: RBFFactors) -> np.ndarray:
-    """Multiplies the factors of eq. (3) again: half of a symmetric matrix's factors is enough."""
-    lu, order = factors.lu, factors.order
-    matrix = np.empty_like(lu)
-    matrix[order] = (np.tril(lu, -1) + np.eye(len(lu))) @ np.triu(lu)
-    return (matrix + matrix.T) / 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -264,7 +233,10 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
         raise ValueError("RBF with Iterative() cannot be exported: take fewer sources, or jm.RBF(solver=jm.Direct()).")
     if kind not in FUNCTIONS:
         raise ValueError(f"the basis {kind.__name__} cannot be exported: jmplan.h has jaxmorph's own bases.")
-    tape.ldl(values, _system_of(factors))
+    # the matrix of eq. (3) again: half of a symmetric matrix's factors is enough
+    matrix = np.empty_like(factors.lu)
+    matrix[factors.order] = (np.tril(factors.lu, -1) + np.eye(len(matrix))) @ np.triu(factors.lu)
+    tape.ldl(values, (matrix + matrix.T) / 2)
     scale, basis = float(factors.scale), expansion.basis
     radius = float(getattr(basis, "radius", getattr(basis, "support_radius", 1.0)))
     factor = 1.0 if basis.scale_free else 1 / (scale * radius) ** 2

@@ -214,9 +214,7 @@ def _varying(shared: Shared, mask: tuple[bool, ...]) -> list[Array]:
 
 @compiled
 def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant) -> list[Array]:
-    """Pulls the cotangents of one share of the points back to the varying part of the common
-    data.
-    """
+    """Pulls cotangents of one share of the points back to the varying part of the common data."""
     mask, number = constant.value
     count, size = len(cotangent), -(-len(cotangent) // number)
     start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it

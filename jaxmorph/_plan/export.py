@@ -21,13 +21,9 @@ from .._methods.blocks import without_tables
 from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, recorded
 from .plan import Guide, Plan, VolumePart
 
-MAGIC, VERSION, HEAD, WORDS = b"JMPLAN\r\n", 1, 18, 9
-"""Begin and version of a file; words of its header, and of a step."""
-
+MAGIC, VERSION, HEAD, WORDS = b"JMPLAN\r\n", 1, 18, 9  # begin and version of a file; words of its header, and of a step
+KINDS = {"<f8": 1, "<i8": 2, "<i4": 3}  # of arrays in a file
 PLANES = [["0", "1"], ["0", "2"], ["1", "2"]]
-
-KINDS = {"<f8": 1, "<i8": 2, "<i4": 3}
-"""Kinds of arrays in a file."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +107,11 @@ def _check(plan: Plan) -> None:
 
 def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> int:
     """Records the plan; returns the number of the first step on the points."""
-    own = _own_rows(tape, plan, U)
+    own, guide = tape.register(len(plan.surface.nodes)), plan.surface.guide  # as `kept(plan, extended(plan, u))`
+    tape.sparse(own, U, eye(tape.rows[own], tape.rows[U]))
+    if guide is not None:
+        own = _guided(tape, guide, own)
+    _kept(tape, own, plan.images)
     field = _field(tape, plan, own)
     assigned = _assigned(tape, plan, own)
     first = len(tape.steps)
@@ -120,7 +120,6 @@ def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> 
     if volume.rests is not None:
         tape.rows_in_place("turn", POINTS, volume.rests, np.zeros((tape.dimension,) * 2))
     tape.step("shift", POINTS, -1, tape.array(volume.points))
-    guide = plan.surface.guide
     rows = np.arange(tape.rows[own]) if plan.method.exact else np.asarray([] if guide is None else guide.rows, int)
     at = place[np.asarray(plan.surface.nodes)[rows]]
     rows, at = rows[at >= 0], at[at >= 0]
@@ -128,17 +127,6 @@ def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> 
     if len(rows):
         tape.step("put", POINTS, assigned, tape.array(at[order]), tape.array(rows[order]))
     return first
-
-
-def _own_rows(tape: Tape, plan: Plan, u: int) -> int:
-    """Displacements of the surface's own rows, as `kept(plan, extended(plan, u))`."""
-    own = tape.register(len(plan.surface.nodes))
-    tape.sparse(own, u, eye(tape.rows[own], tape.rows[u]))
-    guide = plan.surface.guide
-    if guide is not None:
-        own = _guided(tape, guide, own)
-    _kept(tape, own, plan.images)
-    return own
 
 
 def _kept(tape: Tape, own: int, images: Images) -> None:
@@ -220,9 +208,8 @@ def _write(path: Path, tape: Tape, counts: Sequence[int]) -> None:
     offsets = 8 * (tables + np.cumsum([0, *sizes[:-1]]))
     table = [(KINDS[array.dtype.str], array.size, offset) for array, offset in zip(tape.arrays, offsets, strict=True)]
     words = np.zeros(tables + sum(sizes), "<u8")
-    words[HEAD:tables] = (
-        np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)]).astype("<i8").view("<u8")
-    )
+    integers = np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)])
+    words[HEAD:tables] = integers.astype("<i8").view("<u8")
     words[5 : 5 + len(counts)] = np.asarray(counts, "<i8").view("<u8")
     for array, offset in zip(tape.arrays, offsets, strict=True):
         words.view(np.uint8)[offset : offset + array.nbytes] = array.view(np.uint8)

@@ -28,8 +28,7 @@ from .._methods.surface import ByKind, Surface
 from .plan import Plan, SurfacePart, VolumePart
 from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of, with_share
 
-SAME = 1e-12
-"""Largest difference of a surface node's place in piece and half, as a share of the extent."""
+SAME = 1e-12  # largest difference of a surface node's place in piece and half, as a share of the extent
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,8 +24,7 @@ from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.shares import share_of
 from .devices import AXIS, Layout, over_points, rows_from
 
-Own = Float[Array, "o d"]
-"""Coordinates or displacements of the moving, fixed and guided nodes."""
+Own = Float[Array, "o d"]  # coordinates or displacements of the moving, fixed and guided nodes
 
 
 class SurfacePart(eqx.Module):
@@ -304,11 +303,6 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
         return moved
     places = shared.assigned if shared.are_places else volume.points[at] + shared.assigned
     return moved.at[at].set(places, mode="drop", unique_indices=True)
-
-
-def moved_surface(plan: Plan, vectors: Own) -> Own:
-    vectors, guide = kept(plan, vectors), plan.surface.guide
-    return plan.surface_points + vectors if guide is None else guide.placed(vectors)
 
 
 def kept(plan: Plan, vectors: Own) -> Own:

@@ -29,8 +29,7 @@ from .._methods.surface import ByKind, Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
 
-FEW = 50_000, 2_000
-"""Points, and surface nodes, below which compiling takes longer than one compiled run."""
+FEW = 50_000, 2_000  # points, and surface nodes, below which compiling takes longer than one compiled run
 
 
 def prepare(
@@ -160,12 +159,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     return plan
 
 
-def with_share(
-    plan: Plan,
-    surface: Surface,
-    near: VolumePart,
-    cells: ByKind,
-) -> Plan:
+def with_share(plan: Plan, surface: Surface, near: VolumePart, cells: ByKind) -> Plan:
     """Judges the share of the fit by `cells` between points `near` the walls."""
     is_own = np.asarray(plan.images.kind) == 0
     walls = np.zeros(len(plan.surface.nodes), dtype=int)

@@ -52,11 +52,9 @@ FORMAT, VERSION = "jaxmorph plan", 2
 _HEADER = "description"
 _DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, OverflowError)
 
-Plans = Plan | SurfaceHalf | Sequence[Any]
-
 
 @checked
-def save(path: str | os.PathLike[str], plan: Plans) -> None:
+def save(path: str | os.PathLike[str], plan: Plan | SurfaceHalf | Sequence[Any]) -> None:
     """Writes a plan, the plans of a `march`, or a `SurfaceHalf`, to a file that `load` reads.
 
     All arrays keep their bits. Besides arrays, fields may hold None, booleans, numbers, strings,

@@ -12,7 +12,7 @@ from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .deform import transposable
-from .plan import Own, Plan, deform_surface, moved_surface
+from .plan import Own, Plan, deform_surface, kept
 from .prepare import plan_of
 from .refit import STEP, refitted, with_boundary
 
@@ -94,7 +94,10 @@ def _advance(plan: Plan, target: Own) -> tuple[Float[Array, "n d"], Own | None]:
     points = deform_surface(plan, vectors)
     if not plan.is_piece:
         return points, None
-    return points, moved_surface(plan, vectors) if plan.method.exact else points[plan.surface.nodes]
+    if not plan.method.exact:
+        return points, points[plan.surface.nodes]
+    vectors, guide = kept(plan, vectors), plan.surface.guide
+    return points, plan.surface_points + vectors if guide is None else guide.placed(vectors)
 
 
 def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:

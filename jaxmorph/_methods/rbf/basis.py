@@ -18,14 +18,10 @@ from ..._kernels.module import Module
 from ..._kernels.values import root
 from ..base import Scalar, number
 
-Squared = Float[Array, "..."]
-"""Squared distances, or a function of them."""
-Sources = Float[Array, "s d"]
-"""Coordinates of sources."""
-Columns = Float[Array, "s k"]
-"""Values or weights at sources, in columns."""
-Weights = Float[Array, "k s"]
-"""Weights of sources, in rows."""
+Squared = Float[Array, "..."]  # squared distances, or a function of them
+Sources = Float[Array, "s d"]  # coordinates of sources
+Columns = Float[Array, "s k"]  # values or weights at sources
+Weights = Float[Array, "k s"]  # weights of sources, in rows
 
 
 class AbstractBasis(Module):

@@ -16,19 +16,9 @@ from ..._kernels.compile import compiled
 from ..._kernels.module import Module
 from ..base import AbstractField, Flag, Point, Scalar, matmul
 from ..blocks import map_rows
+from . import system
 from .basis import AbstractBasis, Columns, Sources, Weights
 from .iterations import Cardinals, iterated, precondition
-from .system import (
-    Radial,
-    block_size,
-    fused,
-    in_rows,
-    is_fused,
-    kernel_sum,
-    polynomial,
-    squared_distances,
-    symmetric_kernel_sum,
-)
 
 
 class RBFFactors(eqx.Module):
@@ -69,21 +59,21 @@ class RBFField(AbstractField):
 
     @property
     def block_size(self) -> int | None:
-        return None if is_fused(self._phi, self.sources.dtype) else block_size(len(self.sources))
+        return None if system.is_fused(self._phi, self.sources.dtype) else system.block_size(len(self.sources))
 
     @property
-    def _phi(self) -> Radial:
-        return Radial(self.basis, self.scale)
+    def _phi(self) -> system.Radial:
+        return system.Radial(self.basis, self.scale)
 
     def evaluate(self, points, ids):
         if self.block_size is None:
             x = (points - self.centre[None]) * self.scale
-            terms = polynomial(x, self.degree)[:, :, None] * self.alpha.T[None]
-            return fused(self._phi, self.sources, self.beta.T, x) + terms.sum(axis=1)
-        x = in_rows(points - self.centre[None], self.scale)
-        terms = polynomial(x.T, self.degree).T
+            terms = system.polynomial(x, self.degree)[:, :, None] * self.alpha.T[None]
+            return system.fused(self._phi, self.sources, self.beta.T, x) + terms.sum(axis=1)
+        x = system.in_rows(points - self.centre[None], self.scale)
+        terms = system.polynomial(x.T, self.degree).T
         tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
-        return (kernel_sum(self._phi, self.sources, self.beta, x) + tail).T
+        return (system.kernel_sum(self._phi, self.sources, self.beta, x) + tail).T
 
 
 class Expansion(Module):
@@ -104,11 +94,11 @@ class Expansion(Module):
         return self.sign * self.ridge
 
     def kernel(self, r2, scale):
-        kernel = Radial(self.basis, scale)(r2)
+        kernel = system.Radial(self.basis, scale)(r2)
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def factored(self, sources, scale):
-        tail = polynomial(sources, self.degree)
+        tail = system.polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges d terms
         # wrongly with the transposition that LAPACK asks for, and the jitted gradient with respect
         # to one coordinate of the sources is wrong or NaN.
@@ -120,8 +110,8 @@ class Expansion(Module):
         return lu, order
 
     def rows(self, sources, scale, points: Float[Array, "k d"]) -> Float[Array, "k t"]:
-        kernel = Radial(self.basis, scale)(squared_distances(points, sources))
-        return jnp.concatenate([kernel, polynomial(points, self.degree)], axis=1)
+        kernel = system.Radial(self.basis, scale)(system.squared_distances(points, sources))
+        return jnp.concatenate([kernel, system.polynomial(points, self.degree)], axis=1)
 
     def field(self, factors: RBFFactors, values: Columns, dtype) -> RBFField:
         """Makes the field with given values at the sources, in a given precision. Traced."""
@@ -132,7 +122,7 @@ class Expansion(Module):
         return RBFField(self.basis, self.degree, sources, centre, scale, beta, alpha)
 
     def _iterated(self, factors: RBFFactors, values: Columns) -> Float[Array, "t k"]:
-        count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
+        count, tail = len(factors.sources), system.polynomial(factors.sources, self.degree)
         right = jnp.pad(values, ((0, tail.shape[1]), (0, 0)))
 
         def product(x):
@@ -149,7 +139,7 @@ class Expansion(Module):
                     fixed, beta, cpu=constant._of_pairs, default=constant._times_kernel
                 ),
                 lambda rest: precondition(rows, lambda first: fixed.solve(first)[: len(first)], rest),
-                polynomial(fixed.sources, self.degree),
+                system.polynomial(fixed.sources, self.degree),
                 rows.tolerance,
                 right,
             )
@@ -157,27 +147,26 @@ class Expansion(Module):
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
     def _times_kernel(self, factors: RBFFactors, beta: Columns) -> Columns:
-        sources, phi = factors.sources, Radial(self.basis, factors.scale)
+        sources, phi = factors.sources, system.Radial(self.basis, factors.scale)
 
         def of_block(points):
-            return kernel_sum(phi, sources, beta.T, in_rows(points, jnp.ones((), points.dtype))).T
+            return system.kernel_sum(phi, sources, beta.T, system.in_rows(points, jnp.ones((), points.dtype))).T
 
-        if is_fused(phi, sources.dtype):
-            return self._with_ridge(fused(phi, sources, beta, sources), beta)
-        return self._with_ridge(map_rows(jax.checkpoint(of_block), sources, block_size(len(sources))), beta)
+        if system.is_fused(phi, sources.dtype):
+            return self._with_ridge(system.fused(phi, sources, beta, sources), beta)
+        return self._with_ridge(map_rows(jax.checkpoint(of_block), sources, system.block_size(len(sources))), beta)
 
     def _of_pairs(self, factors: RBFFactors, beta: Columns) -> Columns:
         """Multiplies by the kernel's matrix, on a CPU by half of its entries."""
-        product = symmetric_kernel_sum(Radial(self.basis, factors.scale), factors.sources, beta.T).T
+        product = system.symmetric_kernel_sum(system.Radial(self.basis, factors.scale), factors.sources, beta.T).T
         return self._with_ridge(product, beta)
 
     def _with_ridge(self, product, beta):
         return product + self.at_sources * beta if self.ridge else product
 
 
+# relative changes of displacements by rounding: an error, a warning, one in float32
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 3e-2, 1e-6, 1e-3
-"""Relative changes of displacements by rounding: an error, a warning, one in float32."""
-
 NEAR = 1e-3  # distance of two sources, relative to the distance of sources around, that is worth a warning
 
 
@@ -204,10 +193,7 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Columns) -> Scal
     sources, count = factors.sources, len(values)
 
     def field(weights, points):
-        def of_block(part):
-            return matmul(expansion.rows(sources, factors.scale, part), weights)
-
-        return map_rows(of_block, points, 1024)
+        return map_rows(lambda part: matmul(expansion.rows(sources, factors.scale, part), weights), points, 1024)
 
     first = factors.solve(values)
     missed = values - field(first, sources) - expansion.at_sources * first[:count]
@@ -238,5 +224,5 @@ def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -
         warn(
             f"{len(first)} surface nodes nearly coincide with others, the nearest two {distance:.3g} apart near "
             f"({place_of(nodes[first[0]])}). Where such nodes move differently, {method} moves nodes around them by "
-            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect.",
+            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect."
         )

@@ -11,16 +11,7 @@ from jaxtyping import Array, Float, Int
 from ..._host.package.rounding import SAME, roundoff
 from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
-from ..._host.surface.skin import (
-    behind_tips,
-    beside_tips,
-    drawn_in,
-    edges,
-    has_free_sides,
-    nearest_held,
-    sharp_tips,
-    thinned,
-)
+from ..._host.surface import skin
 from ..._kernels.values import as_jax, norm
 from ..base import AbstractMethod, Control, Pairs, Rows, Scalar, check_kind, einsum, matmul, number_or_none
 from ..surface import Surface
@@ -29,12 +20,8 @@ from .expansion import RBFFactors
 from .rbf import RBF, Direct
 from .system import polynomial
 
-JOINT = 0.05
-"""Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
-
-SOURCES_ALONE = 64
-"""Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
-
+JOINT = 0.05  # largest `ell`, relative to the distance of the nearest node that is fixed or of another wall
+SOURCES_ALONE = 64  # fewest leaves of the k-d tree if the field interpolates instead of being fitted
 
 ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
@@ -51,11 +38,8 @@ AT_TIP = 0.03, 0.5
 wall's slope. Cells there are small, and the wall's angle changes with the thickness.
 """
 
-WALLS = {2: 8, 3: 2}
-"""Most walls that get sources as if each were alone, by dimension; more walls share as many."""
-
-ROWS = {2: 4096, 3: 2048}
-"""Most nodes of the wall, and most edges, that enter the fit, by dimension."""
+WALLS = {2: 8, 3: 2}  # most walls that get sources as if each were alone, by dimension; more share as many
+ROWS = {2: 4096, 3: 2048}  # most nodes of the wall, and most edges, that enter the fit, by dimension
 
 
 class WallIds(eqx.Module):
@@ -94,7 +78,7 @@ class WallIds(eqx.Module):
     def found(cls, surface: Surface, moving: np.ndarray, fixed: np.ndarray, closest: float) -> "WallIds":
         """Finds the ids of a fit on the host; `closest` is how close two sources may come."""
         points, dimension = surface.points, surface.points.shape[1]
-        pairs = edges(points, surface.moving, surface.faces)
+        pairs = skin.edges(points, surface.moving, surface.faces)
         wall, ends, share = surface.walls
         chord = share * np.linalg.norm(np.subtract(*points[ends.T]), axis=1)
         tips, sharp = np.zeros((0, 3)), np.zeros((0, dimension))
@@ -102,11 +86,11 @@ class WallIds(eqx.Module):
             beside, tips, sharp = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
             moving = drop_close(points, np.concatenate([moving, beside]), roundoff(points))
         # each source has a row of its own, so that the system is regular
-        nodes = np.union1d(surface.seen[thinned(points[surface.seen], ROWS[dimension])], moving)
-        pairs = pairs[thinned(points[pairs].mean(axis=1), ROWS[dimension])]
+        nodes = np.union1d(surface.seen[skin.thinned(points[surface.seen], ROWS[dimension])], moving)
+        pairs = pairs[skin.thinned(points[pairs].mean(axis=1), ROWS[dimension])]
         label = wall[pairs[:, 0]]
-        held = nearest_held(points, surface.moving, wall, pairs)
-        far, reach = drawn_in(points, moving, fixed, surface.images)
+        held = skin.nearest_held(points, surface.moving, wall, pairs)
+        far, reach = skin.drawn_in(points, moving, fixed, surface.images)
         rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
         ell, mu = ELL[dimension] * share[label], MU[dimension] * share[label]
         near, largest = AT_TIP
@@ -150,12 +134,12 @@ def _at_tips(
     each with a node on either side. Also the places (h, 2) of all tips. `pairs` are all edges of
     the moving walls, `chord` (e,) is that of each edge's wall.
     """
-    held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
+    held = skin.nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
     room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
-    walls = sharp_tips(surface.points, pairs)
-    behind = behind_tips(walls, BEHIND * room, closest, BEYOND_TIP * room)
-    return beside_tips(walls, chord), behind, walls.points[walls.tips]
+    walls = skin.sharp_tips(surface.points, pairs)
+    behind = skin.behind_tips(walls, BEHIND * room, closest, BEYOND_TIP * room)
+    return skin.beside_tips(walls, chord), behind, walls.points[walls.tips]
 
 
 def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
@@ -254,7 +238,7 @@ class FittedRBF(AbstractMethod):
         if surface.faces is None:
             is_open = True
         elif is_open is None:
-            is_open = has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
+            is_open = skin.has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
         # The ids depend on the surface alone, so all pieces of a mesh share them. A method with
         # array leaves has no hash: its id is the key, and the entry holds the method itself, so
         # that no other object can get that id.
@@ -326,9 +310,8 @@ class FittedRBF(AbstractMethod):
     def field(self, ids: WallIds, factors: "FitFactors", surface, u):
         values = u.astype(factors.rbf.lu.dtype)
         if not len(ids.edges):  # an interpolation: fitting it to its own sources would lose half of the digits
-            return self.rbf.expansion.field(
-                factors.rbf, jnp.concatenate([values[ids.moving], values[ids.fixed]]), u.dtype
-            )
+            values = jnp.concatenate([values[ids.moving], values[ids.fixed]])
+            return self.rbf.expansion.field(factors.rbf, values, u.dtype)
         affine = factors.affine.solve(matmul(factors.polynomial.T, values))
         rest = values - matmul(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]

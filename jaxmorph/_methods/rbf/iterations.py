@@ -15,9 +15,7 @@ from .system import polynomial, squared_distances
 LIMIT = 150  # most products of a solve. A sound matrix takes 10 to 20.
 MEAN = 0.1  # residual at which steps end, as a mean over the sources, in tolerances
 
-MISSED, NOTICEABLE = 1e3, 1e-3
-"""A field is NaN that misses its sources by this many tolerances, and share of the displacement."""
-
+MISSED, NOTICEABLE = 1e3, 1e-3  # tolerances, or share of the displacement: a field that misses by more is NaN
 ROUNDINGS = 100  # units of rounding below which no tolerance goes: what single precision can reach
 GIVE = 1e-10  # corner of a small system, relative to its kernel, for neighbours that lie in one plane
 
@@ -48,8 +46,7 @@ def local_weights(
     count = earlier.shape[1]
 
     def of_one(ids):
-        is_there = jnp.arange(count) * (ids != ids[0]) > 0
-        is_there = is_there.at[0].set(True)
+        is_there = (jnp.arange(count) == 0) | (ids != ids[0])
         places = sources[ids] - sources[ids[0]][None]
         extent = jnp.abs(places).max()
         tail = polynomial(places / or_one(extent), degree) * is_there[:, None]
@@ -87,11 +84,7 @@ def precondition(rows: Cardinals, solve_first: Callable, residual: Columns) -> C
 
 
 def iterated(
-    product: Product,
-    inverse: Product,
-    tail: Float[Array, "s p"],
-    tolerance: Scalar,
-    right: Float[Array, "t k"],
+    product: Product, inverse: Product, tail: Float[Array, "s p"], tolerance: Scalar, right: Float[Array, "t k"]
 ) -> Float[Array, "t k"]:
     """Solves K beta + T alpha = v, T' beta = g, on weights that the polynomial does not see.
     `product` multiplies by K, `inverse` by the preconditioner; `tail` is T, `right` v and g. The

@@ -24,9 +24,7 @@ from .expansion import Expansion, RBFFactors, is_solved, is_sound, nearest_two, 
 from .iterations import ROUNDINGS, Cardinals, OrderedIds, local_weights
 
 MANY = 8192  # sources beyond which the system is solved by iterations
-
-DENSE, SHARE = (1000, 6000), 6
-"""Least and greatest number of sources solved densely by default; between, one of every `SHARE`."""
+DENSE, SHARE = (1000, 6000), 6  # least and most sources solved densely by default; between, one of every `SHARE`
 
 
 class Direct(Module):
