@@ -32,13 +32,9 @@ ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
     """The classes that a file may name: subclasses of `ROOTS` of the package, and `added`."""
     package = __name__.partition(".")[0]
-    modules = [(name, vars(module)) for name, module in sys.modules.items() if name.partition(".")[0] == package]
-    classes: dict[str, type] = {
-        kind.__name__: kind
-        for name, content in modules
-        for kind in content.values()
-        if isinstance(kind, type) and issubclass(kind, ROOTS) and kind.__module__ == name
-    }
+    modules = [(name, module) for name, module in sys.modules.items() if name.partition(".")[0] == package]
+    own = [kind for name, module in modules for kind in vars(module).values() if _is_of(kind, name)]
+    classes: dict[str, type] = {kind.__name__: kind for kind in own}
     for kind in added:
         if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
             raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
@@ -46,6 +42,10 @@ def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
             raise ValueError(f"two classes are called {kind.__name__}: {classes[kind.__name__]!r} and {kind!r}.")
         classes[kind.__name__] = kind
     return classes
+
+
+def _is_of(kind: Any, module: str) -> bool:
+    return isinstance(kind, type) and issubclass(kind, ROOTS) and kind.__module__ == module
 
 
 FORMAT, VERSION = "jaxmorph plan", 2
