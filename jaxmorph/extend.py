@@ -14,7 +14,7 @@ def attached(module, file):
     """Makes `__getattr__`, `__dir__` and `__all__` of a module by the imports `name as name` in its
     stub, the file for type checkers beside it.
     """
-    with open(f"{file}i", encoding="utf-8") as stub:
+    with open(f"{file.rpartition('.')[0]}.pyi", encoding="utf-8") as stub:
         imports = re.findall(r"^from (\.\S*) import (\([^)]*\)|.*)", stub.read(), re.MULTILINE)
     homes = {name: home for home, names in imports for name in re.findall(r"as (\w+)", names)}
 
