@@ -32,9 +32,9 @@ ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
     """The classes that a file may name: subclasses of `ROOTS` of the package, and `added`."""
     package = __name__.partition(".")[0]
-    modules = [(name, module) for name, module in sys.modules.items() if name.partition(".")[0] == package]
-    own = [kind for name, module in modules for kind in vars(module).values() if _is_of(kind, name)]
-    classes: dict[str, type] = {kind.__name__: kind for kind in own}
+    classes: dict[str, type] = {}
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        classes |= {kind.__name__: kind for kind in vars(sys.modules[name]).values() if _is_of(kind, name)}
     for kind in added:
         if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
             raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
