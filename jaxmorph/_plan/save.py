@@ -36,12 +36,16 @@ def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         classes |= {kind.__name__: kind for kind in vars(sys.modules[name]).values() if _is_of(kind, name)}
     for kind in added:
-        if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
+        if not _is_data(kind):
             raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
         if classes.get(kind.__name__, kind) is not kind:
             raise ValueError(f"two classes are called {kind.__name__}: {classes[kind.__name__]!r} and {kind!r}.")
         classes[kind.__name__] = kind
     return classes
+
+
+def _is_data(kind: Any) -> bool:
+    return isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum))
 
 
 def _is_of(kind: Any, module: str) -> bool:
