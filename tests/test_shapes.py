@@ -118,7 +118,7 @@ test_bad_input_is_refused = refusals(
     (lambda: shapes.rotate(cloud(2)[0], 1.0, [0, 0]), "positions have shape"),
     (lambda: shapes.rotate(cloud(2), 1.0, [0, 0, 0]), "`about` has shape"),
     (lambda: shapes.rotate(cloud(2), 1.0, [0, 0], [0, 0, 1]), "leave it out in 2-D"),
-    (lambda: shapes.rotate(cloud(3), 1.0, [0, 0, 0]), "`axis` is for positions in 3-D, where"),
+    (lambda: shapes.rotate(cloud(3), 1.0, [0, 0, 0]), "`axis` is missing: a rotation in 3-D needs"),
     (lambda: shapes.rotate(cloud(3), 1.0, [0, 0, 0], [0, 0, 0]), "length 0"),
     (lambda: shapes.rotate(cloud(2), [1.0, 2.0], [0, 0]), "one number"),
     (lambda: shapes.rotate(cloud(2), np.nan, [0, 0]), "a real number, not nan"),

@@ -181,8 +181,8 @@ def _of_faces(slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Faces 
 
 
 def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Walls:
-    """Makes a wall of each part of faces, rows of `nodes`, between edges (2-D: corners) that turn by
-    more than 60 degrees. Faces that fold back, the two sides of a thin plate, are one part.
+    """Makes a wall of each part of faces, rows of `nodes`, between edges (2-D: corners) that turn
+    by more than 60 degrees. Faces that fold back, the two sides of a thin plate, are one part.
     """
     area = normals(points[nodes[elements]])
     size = np.linalg.norm(area, axis=1)

@@ -127,7 +127,7 @@ def largest_share(
 
 
 def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Iterator[Float[np.ndarray, "m d"]]:
-    """Yields trial motions, half a wall long: powers, waves, bumps along the axes of its inertia."""
+    """Yields trial motions, half a wall long: powers, waves, bumps along its axes of inertia."""
     labels, counts = np.unique(walls, return_counts=True)
     for label in labels[np.sort(np.argsort(-counts, kind="stable")[:WALLS])]:
         own = walls == label
