@@ -70,7 +70,7 @@ def test_the_transpose_and_derivatives(name):
     x, d = cloud(len(counts), SLAB + 1500), len(counts)
     control, other, cotangent = (rng.normal(size=shape) for shape in ((*counts, d), (*counts, d), x.shape))
     operator = box.at(x)
-    back = jax.linear_transpose(operator, control)(cotangent)[0]
+    back = jax.vjp(operator, control)[1](cotangent)[0]
     np.testing.assert_allclose(np.vdot(operator(other), cotangent), np.vdot(other, back), rtol=1e-11)
     np.testing.assert_allclose(jax.grad(lambda c: jnp.vdot(box(x, c), cotangent))(control), back, atol=1e-11)
     several = jax.vmap(operator)(jnp.stack([control, other]))
