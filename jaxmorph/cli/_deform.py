@@ -121,7 +121,9 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
     request, judging = attempt.request, in_background(attempt.judge, way)
     off = distances(request, way.mesh, way.stored)
     with out.progress("inspecting the motion"):
-        inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes)
+        is_known = request.step_count == 1 and plan.points.dtype == way.stored.dtype
+        points = way.stored[nodes] if is_known else None
+        inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes, moved=points)
         for warning in inspection.warnings:
             out.warn(warning)
         boundary = jm.boundary_quality(plan, way.stored[nodes]).renumbered(nodes)
