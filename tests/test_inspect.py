@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from meshes import grid, ring, turn
 from runs import over, refusals
+from scipy.interpolate import RBFInterpolator
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._advice.inspect import missed
 
 
 @pytest.fixture(scope="module")
@@ -411,3 +413,13 @@ def test_a_sleeve_slides_where_no_number_of_steps_follows():
     assert cure.sliding == ("sleeve",)
     moved = jm.deform(jm.prepare(mesh, "body", sliding=cure.sliding), u)
     assert float(jm.quality(mesh, moved).min_jacobian_ratio) > 0.95
+
+
+@pytest.mark.parametrize(("count", "some", "d"), [(5000, 60, 3), (90, 1, 3), (500, 100, 2)])
+def test_what_sources_miss_is_what_scipys_interpolation_by_distances_misses(count, some, d):
+    rng = np.random.default_rng(count)
+    points = rng.random((count, d))
+    u, rows = np.sin(5 * points), np.sort(rng.choice(count, some, replace=False))
+    field = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
+    expected = np.linalg.norm(field - u, axis=1).max() / np.linalg.norm(u, axis=1).max()
+    np.testing.assert_allclose(missed(points, u, rows), expected, rtol=1e-9)
