@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary, changed, checked_points, with_faces
 from .._boundary.outer_faces import OuterFaces
+from .._host.cells.adjacency import rows_among
 from .._host.cells.topology import solid
 from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
@@ -75,7 +76,7 @@ class SurfaceHalf:
         **Raises:** `ValueError` for a node that does not move.
         """
         ids = rows_of("nodes", nodes, 2**62)
-        rows = _rows_among(self.moving, ids)
+        rows = rows_among(self.moving, ids)
         if (rows < 0).any():
             raise ValueError(f"{(rows < 0).sum()} of {len(ids)} nodes do not move, first {ids[rows < 0][0]}.")
         return rows
@@ -199,7 +200,7 @@ class SurfaceHalf:
             raise ValueError(
                 f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of {len(points)} points."
             )
-        rows = np.where(ids < 0, -1, _rows_among(self.nodes, ids))
+        rows = np.where(ids < 0, -1, rows_among(self.nodes, ids))
         present = np.flatnonzero(rows >= 0)
         rows = rows[present]
         twice = np.flatnonzero(np.bincount(rows, minlength=len(self.nodes)) > 1)
@@ -218,13 +219,6 @@ class SurfaceHalf:
         place = np.full(len(self.nodes), -1, dtype=np.int64)
         place[rows] = present
         return place
-
-
-def _rows_among(known: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds the row of each id among the `known` ones; -1 where it is absent."""
-    order = np.argsort(known, kind="stable")
-    rows = order[np.minimum(np.searchsorted(known, ids, sorter=order), len(order) - 1)]
-    return np.where(known[rows] == ids, rows, -1)
 
 
 def _check_kinds(boundary: Any, method: Any) -> None:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmorph._host.cells import topology
+from jaxmorph._host.cells.adjacency import rows_among
 from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
 from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
@@ -48,9 +49,8 @@ def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
     cell = np.repeat(np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells]))
-    order = np.argsort(numbers)
-    face = order[np.minimum(np.searchsorted(numbers, np.abs(used), sorter=order), len(numbers) - 1)]
-    if (numbers[face] != np.abs(used)).any():
+    face = rows_among(numbers, np.abs(used))
+    if (face < 0).any():
         raise ValueError("NFACE_n names faces that are in no section NGON_n")
     sides = np.full((2, len(numbers)), -1)
     sides[(used < 0).astype(int), face] = cell
