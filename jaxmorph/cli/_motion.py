@@ -130,6 +130,8 @@ def _group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) 
     patch = MovingPatch(flags, mesh, mesh.patch(*flags.patches), request.boundary.symmetry)
     if not len(patch.nodes):
         raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
+    if flags.lattice is not None:
+        io.check_lattice_output(flags.lattice)
     made, values = {}, {}
     for name in (name for name in PARTS if is_given(flags, name)):
         key = name.replace("_", "-")
