@@ -46,6 +46,8 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _solved(accuracy: float | None, starts, columns, block, order, blocks, shift, right) -> np.ndarray:
+    # The entries (a, b) of all blocks that fall on one place of the matrix are summed, then lie as
+    # (d, d) blocks in CSR order; rows of nodes stand in `order`, and the solution is put back.
     n, d = right.shape
     parts = [np.bincount(block, part, len(columns)) for part in blocks.reshape(d * d, -1)]
     data = np.stack(parts, axis=1).reshape(-1, d, d)
