@@ -69,16 +69,26 @@ def twist(base: np.ndarray, amount: float) -> np.ndarray:
     angle = np.deg2rad(20 * amount) * base[:, 1] / np.abs(base[:, 1]).max()
     x, z = base[:, 0] - 0.5 * np.median(base[:, 0]), base[:, 2]
     return np.stack(
-        [x * np.cos(angle) + z * np.sin(angle) - x, 0 * x, z * np.cos(angle) - x * np.sin(angle) - z], axis=1
+        [
+            x * np.cos(angle) + z * np.sin(angle) - x,
+            0 * x,
+            z * np.cos(angle) - x * np.sin(angle) - z,
+        ],
+        axis=1,
     )
 
 
 def turn(base: np.ndarray, amount: float) -> np.ndarray:
-    return np.asarray(jm.shapes.rotate(base, np.deg2rad(45 * amount), [0.0, 0, 0], [0.0, 1, 0])) - base
+    return (
+        np.asarray(jm.shapes.rotate(base, np.deg2rad(45 * amount), [0.0, 0, 0], [0.0, 1, 0])) - base
+    )
 
 
 WING: dict[str, Motion] = {
-    **{name: SECTION[name] for name in ("bump 3 %", "waves 2 %", "camber 5 %", "thickness 30 %", "heave 0.5")},
+    **{
+        name: SECTION[name]
+        for name in ("bump 3 %", "waves 2 %", "camber 5 %", "thickness 30 %", "heave 0.5")
+    },
     "bend": bend,
     "twist 20": twist,
     "turn 15": lambda base, amount: turn(base, amount / 3),
@@ -87,10 +97,14 @@ WING: dict[str, Motion] = {
 
 def dent(base: np.ndarray, amount: float) -> np.ndarray:
     """Pushes the floor of the cube up in its middle."""
-    return up(base, 0.3 * amount * np.exp(-8 * ((base[:, 0] - 0.5) ** 2 + (base[:, 1] - 0.5) ** 2)))[0]
+    return up(
+        base, 0.3 * amount * np.exp(-8 * ((base[:, 0] - 0.5) ** 2 + (base[:, 1] - 0.5) ** 2))
+    )[0]
 
 
-def about_middle(base: np.ndarray, amount: float, degrees: float = 0.0, growth: float = 0.0) -> np.ndarray:
+def about_middle(
+    base: np.ndarray, amount: float, degrees: float = 0.0, growth: float = 0.0
+) -> np.ndarray:
     """Turns and scales the floor of the cube in its plane."""
     z = base[:, 0] - 0.5 + 1j * (base[:, 1] - 0.5)
     z = z * ((1 + growth * amount) * np.exp(1j * np.deg2rad(degrees * amount)) - 1)
@@ -101,7 +115,9 @@ FLOOR: dict[str, Motion] = {
     "dent": dent,
     "pull": lambda base, amount: -dent(base, amount),
     "raise 0.1": lambda base, amount: up(base, np.full(len(base), 0.1 * amount))[0],
-    "tilt 10": lambda base, amount: up(base, np.tan(np.deg2rad(10 * amount)) * (base[:, 0] - 0.5))[0],
+    "tilt 10": lambda base, amount: up(base, np.tan(np.deg2rad(10 * amount)) * (base[:, 0] - 0.5))[
+        0
+    ],
     "waves 5 %": lambda base, amount: up(base, 0.05 * amount * np.sin(2 * np.pi * base[:, 0]))[0],
     "slide 0.1": lambda base, amount: np.tile([0.1 * amount, 0, 0], (len(base), 1)),
     "turn 15": lambda base, amount: about_middle(base, amount, degrees=15),
@@ -115,9 +131,13 @@ def brick(kind: str, motions: dict[str, Motion]) -> Case:
     mesh = cases.bricks(kind, cells=5)
     points = mesh.points
     floor = np.flatnonzero(points[:, 2] < 1e-9)
-    sides = np.flatnonzero(((points < 1e-9) | (points > 1 - 1e-9)).any(axis=1) & (points[:, 2] > 1e-9))
+    sides = np.flatnonzero(
+        ((points < 1e-9) | (points > 1 - 1e-9)).any(axis=1) & (points[:, 2] > 1e-9)
+    )
     patches = {"floor": floor, "sides": sides}
-    return Case(f"bricks, {kind}", jm.Mesh(points, mesh.cells, patches), "floor", ("sides",), (), motions)
+    return Case(
+        f"bricks, {kind}", jm.Mesh(points, mesh.cells, patches), "floor", ("sides",), (), motions
+    )
 
 
 def longer(base: np.ndarray, amount: float) -> np.ndarray:
@@ -127,7 +147,11 @@ def longer(base: np.ndarray, amount: float) -> np.ndarray:
 def snapped() -> list[Case]:
     """The mesh that snappyHexMesh makes, where it is installed."""
     motions = {"heave 0.5": far_away, "turn 45": turn, "stretch 30 %": longer}
-    return [Case("snapped sphere", _snapped.sphere(), "body", ("box",), (), motions)] if _snapped.is_there() else []
+    return (
+        [Case("snapped sphere", _snapped.sphere(), "body", ("box",), (), motions)]
+        if _snapped.is_there()
+        else []
+    )
 
 
 def all_cases(points: int) -> list[Case]:

@@ -25,7 +25,9 @@ RADIUS = {"WendlandC2": 0.5, "Gaussian": 0.2, "Multiquadric": 0.2}
 def sphere(count: int) -> np.ndarray:
     i = np.arange(count) + 0.5
     polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
-    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    return np.stack(
+        [np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1
+    )
 
 
 def plan_of(n: int, s: int, basis: str = "ThinPlateSpline", dtype=np.float64) -> jm.Plan:
@@ -55,18 +57,29 @@ class Cpp:
     def __init__(self):
         library = Path(tempfile.mkdtemp()) / "kernel_sum.so"
         source = Path(__file__).with_name("kernel_sum.cpp")
-        subprocess.run(["g++", *self.flags, "-shared", "-fPIC", str(source), "-o", str(library)], check=True)
+        subprocess.run(
+            ["g++", *self.flags, "-shared", "-fPIC", str(source), "-o", str(library)], check=True
+        )
         self.library = ctypes.CDLL(str(library))
-        self.version = subprocess.run(["g++", "-dumpfullversion"], capture_output=True, text=True).stdout.strip()
+        self.version = subprocess.run(
+            ["g++", "-dumpfullversion"], capture_output=True, text=True
+        ).stdout.strip()
 
     def prepared(self, plan: jm.Plan, u, basis: str):
         """A function that makes the sum, and the array (3, n) that it fills with displacements."""
         field = plan.method.field(plan.surface.ids, plan.surface.factors, plan.surface.points, u)
         scale = np.asarray(field.scale)
-        arrays = [(np.asarray(plan.points) - field.centre).T * scale, field.sources.T, field.beta, field.alpha.T]
+        arrays = [
+            (np.asarray(plan.points) - field.centre).T * scale,
+            field.sources.T,
+            field.beta,
+            field.alpha.T,
+        ]
         arrays = [np.ascontiguousarray(array, np.float64) for array in arrays]
         result = np.empty((3, plan.points.shape[0]))
-        pointers = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for array in (*arrays, result)]
+        pointers = [
+            array.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for array in (*arrays, result)
+        ]
         radius = ctypes.c_double(RADIUS.get(basis, 1.0) * float(scale))
         sizes = ctypes.c_ssize_t(result.shape[1]), ctypes.c_ssize_t(len(field.sources))
 

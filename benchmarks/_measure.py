@@ -32,7 +32,9 @@ def once(function: Callable[[], object]) -> tuple[object, float, float]:
 
 def about(**what: object) -> None:
     """One line about the machine and versions, one about the case."""
-    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("jax", "jaxlib", "numpy", "scipy"))
+    versions = ", ".join(
+        f"{name} {importlib.metadata.version(name)}" for name in ("jax", "jaxlib", "numpy", "scipy")
+    )
     load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
     print(f"{_processor()}, {os.cpu_count()} cores, {jax.default_backend()}, {load}; {versions}")
     print(
@@ -49,7 +51,9 @@ def _processor() -> str:
     return ", ".join([*sorted(names), platform.machine()])
 
 
-def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ("what", "measured", "goal")) -> None:
+def table(
+    rows: Iterable[Sequence[str]], heads: Sequence[str] = ("what", "measured", "goal")
+) -> None:
     """As Markdown, each row as it comes."""
     print("\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     for row in rows:

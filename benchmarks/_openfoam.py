@@ -65,11 +65,20 @@ def _solid(case: Case) -> tuple[np.ndarray, list[list[list[int]]]]:
 
 def _whole(faces) -> list[list[list[int]]]:
     """Returns polyhedra as their faces, each seen from outside."""
-    cells: list[list[list[int]]] = [[] for _ in range(int(max(faces.owner.max(), faces.neighbour.max())) + 1)]
+    cells: list[list[list[int]]] = [
+        [] for _ in range(int(max(faces.owner.max(), faces.neighbour.max())) + 1)
+    ]
     sides = np.stack(
-        [faces.owner, np.pad(faces.neighbour, (0, len(faces.owner) - len(faces.neighbour)), constant_values=-1)]
+        [
+            faces.owner,
+            np.pad(
+                faces.neighbour, (0, len(faces.owner) - len(faces.neighbour)), constant_values=-1
+            ),
+        ]
     )
-    for corners, owner, neighbour in zip(np.split(faces.labels, faces.starts[1:-1]), *sides.tolist(), strict=True):
+    for corners, owner, neighbour in zip(
+        np.split(faces.labels, faces.starts[1:-1]), *sides.tolist(), strict=True
+    ):
         cells[owner].append(corners.tolist())
         if neighbour >= 0:
             cells[neighbour].append(corners[::-1].tolist())
@@ -104,7 +113,9 @@ def prepare(folder: pathlib.Path, case: Case) -> list[int]:
     return list(dict.fromkeys(order))
 
 
-def move(folder: pathlib.Path, case: Case, order: list[int], u: np.ndarray, method: str) -> tuple[np.ndarray, float]:
+def move(
+    folder: pathlib.Path, case: Case, order: list[int], u: np.ndarray, method: str
+) -> tuple[np.ndarray, float]:
     """Runs one method for one motion. Returns moved points (n, d) and CPU seconds. Raises `ValueError` with what failed."""
     n, d = case.mesh.points.shape
     solver, diffusivity, count = METHODS[method]
@@ -112,20 +123,27 @@ def move(folder: pathlib.Path, case: Case, order: list[int], u: np.ndarray, meth
     whole[case.mesh.patch(case.moving), :d] = u
     motion = f'dynamicFvMesh dynamicMotionSolverFvMesh; motionSolverLibs ("libfvMotionSolvers.so"); solver {solver};\n'
     text = f"{motion}{solver}Coeffs {{ diffusivity {diffusivity}; }}"
-    (folder / "constant" / "dynamicMeshDict").write_text(_head("dictionary", "dynamicMeshDict") + text)
-    patches = "still { type fixedValue; value uniform (0 0 0); }\n" + ("empty { type empty; }" if d == 2 else "")
+    (folder / "constant" / "dynamicMeshDict").write_text(
+        _head("dictionary", "dynamicMeshDict") + text
+    )
+    patches = "still { type fixedValue; value uniform (0 0 0); }\n" + (
+        "empty { type empty; }" if d == 2 else ""
+    )
     field = "dimensions [0 1 0 0 0 0 0]; internalField uniform (0 0 0);\n"
     for old in folder.glob("[0-9]*"):
         shutil.rmtree(old)
     (folder / "0").mkdir()
     (folder / "0" / "pointDisplacement").write_text(
-        _head("pointVectorField", "pointDisplacement") + f"{field}boundaryField {{ moving {{ }}\n{patches} }}"
+        _head("pointVectorField", "pointDisplacement")
+        + f"{field}boundaryField {{ moving {{ }}\n{patches} }}"
     )
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     for step in range(count):
         _step(folder, step, whole[np.array(order) % n] * (step + 1) / count)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    rows = re.findall(r"^\(([^()]+)\)$", (folder / str(count) / "polyMesh" / "points").read_text(), re.MULTILINE)
+    rows = re.findall(
+        r"^\(([^()]+)\)$", (folder / str(count) / "polyMesh" / "points").read_text(), re.MULTILINE
+    )
     points = np.array([row.split() for row in rows], dtype=float)[:n, :d]
     return points, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
@@ -142,10 +160,17 @@ def _step(folder: pathlib.Path, step: int, displacement: np.ndarray) -> None:
         + "writeControl timeStep; writeInterval 1; writeFormat ascii; writePrecision 17; timeFormat general;"
     )
     done = subprocess.run(
-        ["moveDynamicMesh"], cwd=folder, env=foam.ENVIRONMENT, capture_output=True, text=True, check=False
+        ["moveDynamicMesh"],
+        cwd=folder,
+        env=foam.ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode or not (folder / str(step + 1) / "polyMesh" / "points").exists():
-        raise ValueError(f"moveDynamicMesh ended with {done.returncode}: {(done.stderr or done.stdout)[-150:]}")
+        raise ValueError(
+            f"moveDynamicMesh ended with {done.returncode}: {(done.stderr or done.stdout)[-150:]}"
+        )
 
 
 def moved(case: Case, names: list[str]):

@@ -26,11 +26,18 @@ def evaluations(
 def ferreus(sources, values, points):
     """Fast multipole."""
     from ferreus_rbf import RBFInterpolator
-    from ferreus_rbf.interpolant_config import Drift, FittingAccuracy, FittingAccuracyType, InterpolantSettings
+    from ferreus_rbf.interpolant_config import (
+        Drift,
+        FittingAccuracy,
+        FittingAccuracyType,
+        InterpolantSettings,
+    )
     from ferreus_rbf.interpolant_config import RBFKernelType as Kernel
 
     accuracy = FittingAccuracy(1e-10, FittingAccuracyType.Relative)
-    settings = InterpolantSettings(Kernel.ThinPlateSpline, drift=Drift.Linear, fitting_accuracy=accuracy)
+    settings = InterpolantSettings(
+        Kernel.ThinPlateSpline, drift=Drift.Linear, fitting_accuracy=accuracy
+    )
     interpolator = RBFInterpolator(sources, values, settings)
     return lambda: interpolator.evaluate(points)
 
@@ -56,7 +63,11 @@ def numba_loop(scipy: RBFInterpolator):
                 x, y, z = points[i]
                 u = v = w = 0.0
                 for j in range(len(sources)):
-                    r2 = (x - sources[j, 0]) ** 2 + (y - sources[j, 1]) ** 2 + (z - sources[j, 2]) ** 2
+                    r2 = (
+                        (x - sources[j, 0]) ** 2
+                        + (y - sources[j, 1]) ** 2
+                        + (z - sources[j, 2]) ** 2
+                    )
                     phi = 0.5 * r2 * np.log(r2 + 1e-300)
                     u += phi * beta[j, 0]
                     v += phi * beta[j, 1]

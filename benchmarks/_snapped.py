@@ -45,7 +45,12 @@ meshQualityControls
     nSmoothScale 4; errorReduction 0.75;
 }"""
 
-FILES = {"controlDict": CONTROL, "blockMeshDict": BOX, "snappyHexMeshDict": SNAPPY, "fvSolution": ""}
+FILES = {
+    "controlDict": CONTROL,
+    "blockMeshDict": BOX,
+    "snappyHexMeshDict": SNAPPY,
+    "fvSolution": "",
+}
 
 
 def is_there() -> bool:
@@ -67,5 +72,12 @@ def sphere() -> jm.Mesh:
 
 def foam_schemes() -> str:
     """Returns schemes that are asked for, and not used."""
-    names = "ddtSchemes", "gradSchemes", "divSchemes", "laplacianSchemes", "interpolationSchemes", "snGradSchemes"
+    names = (
+        "ddtSchemes",
+        "gradSchemes",
+        "divSchemes",
+        "laplacianSchemes",
+        "interpolationSchemes",
+        "snGradSchemes",
+    )
     return "\n".join(f"{name} {{ }}" for name in names)

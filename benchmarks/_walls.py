@@ -31,7 +31,9 @@ class Case:
 
 def up(base: np.ndarray, height: np.ndarray) -> np.ndarray:
     """One step along the last coordinate."""
-    return np.concatenate([np.zeros((len(base), base.shape[1] - 1)), np.reshape(height, (-1, 1))], axis=1)[None]
+    return np.concatenate(
+        [np.zeros((len(base), base.shape[1] - 1)), np.reshape(height, (-1, 1))], axis=1
+    )[None]
 
 
 def camber(base: np.ndarray, height: float = 0.1) -> np.ndarray:
@@ -67,7 +69,9 @@ def wavy(base: np.ndarray, rng: np.random.Generator, kink: bool) -> np.ndarray:
     return up(base, np.where((base[:, 1] < 0) & kink, share, 1.0) * height)
 
 
-def airfoil(part: str, name: str, mesh: jm.Mesh, motions: Callable[[np.ndarray], dict[str, np.ndarray]]) -> Case:
+def airfoil(
+    part: str, name: str, mesh: jm.Mesh, motions: Callable[[np.ndarray], dict[str, np.ndarray]]
+) -> Case:
     moving = mesh.patch("airfoil")
     return Case(part, name, mesh, moving, mesh.patch("farfield"), motions(mesh.points[moving]))
 
@@ -79,7 +83,9 @@ def kinks(points: int) -> Iterator[Case]:
 
         def motions(base, rng=rng):
             draws = [(kink, i) for kink in (True, False) for i in range(DRAWS)]
-            return {f"{'kink' if kink else 'smooth'} {i}": wavy(base, rng, kink) for kink, i in draws}
+            return {
+                f"{'kink' if kink else 'smooth'} {i}": wavy(base, rng, kink) for kink, i in draws
+            }
 
         yield airfoil("kinks", code, cases.naca4(code, points=points, first_cell=1e-6), motions)
 
@@ -111,12 +117,21 @@ def shapes(points: int) -> Iterator[Case]:
     def real(base):
         rng = np.random.default_rng(12)
         kinks = {f"kink {i}": wavy(base, rng, True) for i in range(3)}
-        return {"bump 0.1": bump(base), "pitch 15": pitch(base, 15), "flap 15": flap(base, 15)} | kinks
+        return {
+            "bump 0.1": bump(base),
+            "pitch 15": pitch(base, 15),
+            "flap 15": flap(base, 15),
+        } | kinks
 
     yield airfoil("shapes", "naca4412", cases.naca4("4412", points=points, first_cell=1e-6), few)
-    for name, file in (("euler", "naca0012-euler/naca0012_inv.su2"), ("viscous", "naca0012-cgrid/n0012_225-65.su2")):
+    for name, file in (
+        ("euler", "naca0012-euler/naca0012_inv.su2"),
+        ("viscous", "naca0012-cgrid/n0012_225-65.su2"),
+    ):
         if (SHARED / file).exists():
-            yield airfoil("shapes", name, io.read(SHARED / file), lambda base: few(base) | real(base))
+            yield airfoil(
+                "shapes", name, io.read(SHARED / file), lambda base: few(base) | real(base)
+            )
 
 
 def edges(points: int) -> Iterator[Case]:
@@ -125,13 +140,21 @@ def edges(points: int) -> Iterator[Case]:
         ("O-grid, sharp", faults.sharp_o_grid()),
         ("C-grid, sharp", cases.naca4("0012", points=points, first_cell=1e-6, sharp=True)),
     ):
-        yield airfoil("edges", name, mesh, lambda base: {"camber 10 %": camber(base), "pitch 30": pitch(base, 30)})
+        yield airfoil(
+            "edges",
+            name,
+            mesh,
+            lambda base: {"camber 10 %": camber(base), "pitch 30": pitch(base, 30)},
+        )
     mesh = cases.naca0015(points=points)
     wall = mesh.patch("airfoil")
     x = mesh.points[wall, 0]
     moving, fixed = wall[x > 0.7], np.union1d(wall[x <= 0.7], mesh.patch("farfield"))
     s = (mesh.points[moving] - [0.7, 0]) / [0.3, 1]
-    bent = {"camber of the flap": up(s, 0.03 * 4 * s[:, 0] * (1 - s[:, 0])), "flap bends": up(s, 0.06 * s[:, 0] ** 2)}
+    bent = {
+        "camber of the flap": up(s, 0.03 * 4 * s[:, 0] * (1 - s[:, 0])),
+        "flap bends": up(s, 0.06 * s[:, 0] ** 2),
+    }
     yield Case("edges", "joint", mesh, moving, fixed, bent)
 
 
@@ -141,20 +164,36 @@ def passages(points: int) -> Iterator[Case]:
     moving, sides = mesh.patch("blade"), mesh.patch("inlet", "outlet", "lower", "upper")
     base = mesh.points[moving] - [0, 0.08]
     steps = {
-        f"turn {degrees}": np.concatenate([turned(base, 0.5, degrees * (j + 1) / 5) for j in range(5)])
+        f"turn {degrees}": np.concatenate(
+            [turned(base, 0.5, degrees * (j + 1) / 5) for j in range(5)]
+        )
         for degrees in (38, 42, 44)
     }
     yield Case("passages", "cascade", mesh, moving, sides, steps)
     mesh = faults.channel()
     moving = mesh.patch("inner")
     base = mesh.points[moving]
-    half = 0.1 * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2)) * (16 * (base[:, 0] * (1 - base[:, 0])) ** 2)
-    yield Case("passages", "channel", mesh, moving, mesh.patch("outer", "inlet", "outlet"), {"bump": up(base, half)})
+    half = (
+        0.1
+        * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2))
+        * (16 * (base[:, 0] * (1 - base[:, 0])) ** 2)
+    )
+    yield Case(
+        "passages",
+        "channel",
+        mesh,
+        moving,
+        mesh.patch("outer", "inlet", "outlet"),
+        {"bump": up(base, half)},
+    )
 
 
 def bricks(points: int) -> Iterator[Case]:
     """A floor that heaves, bends and twists under a held lid, in cells of every type."""
-    meshes = {kind: cases.bricks(kind, cells=8, first_cell=0.02) for kind in ("hexahedron", "tetra", "mixed")}
+    meshes = {
+        kind: cases.bricks(kind, cells=8, first_cell=0.02)
+        for kind in ("hexahedron", "tetra", "mixed")
+    }
     sides = dict.fromkeys(meshes, ("floor", "lid"))
     if (file := SHARED / "brick-tets" / "brick_tets.su2").exists():
         meshes["shared"], sides["shared"] = io.read(file), ("z_m", "z_p")
@@ -167,7 +206,14 @@ def bricks(points: int) -> Iterator[Case]:
             "bump": 0.2 * np.exp(-20 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)),
             "twist": 0.6 * x * y,
         }
-        yield Case("bricks", name, mesh, moving, fixed, {what: up(base, height) for what, height in motions.items()})
+        yield Case(
+            "bricks",
+            name,
+            mesh,
+            moving,
+            fixed,
+            {what: up(base, height) for what, height in motions.items()},
+        )
 
 
 def wing(points: int) -> Iterator[Case]:
@@ -177,7 +223,9 @@ def wing(points: int) -> Iterator[Case]:
     base = mesh.points[moving]
     motions = {}
     for mode, sizes in ((1, (0.1, 0.25, 0.5)), (2, (0.2, 0.3))):
-        motions |= {f"mode {mode} at {size}": agard445.mode(base, mode, size)[None] for size in sizes}
+        motions |= {
+            f"mode {mode} at {size}": agard445.mode(base, mode, size)[None] for size in sizes
+        }
     middle, extent = base.mean(axis=0), np.ptp(base, axis=0)
     round_about = np.exp(-np.sum(((base - middle)[:, :2] / extent[:2] / 0.15) ** 2, axis=1))
     motions["upper bump"] = up(base, 0.03 * round_about * (base[:, 2] > 0))

@@ -204,7 +204,9 @@ def generate(gmsh: Any, sizes: Sizes) -> dict[str, np.ndarray]:
         _set_sizes(gmsh.model.mesh.field, sizes, wing, edges)
         gmsh.model.mesh.generate(3)
         gmsh.model.mesh.optimize("Relocate3D")
-        return _read(gmsh.model.mesh, volume, {"wing": wing, "symmetry": [symmetry], "farfield": farfield})
+        return _read(
+            gmsh.model.mesh, volume, {"wing": wing, "symmetry": [symmetry], "farfield": farfield}
+        )
 
 
 @contextlib.contextmanager
@@ -226,7 +228,9 @@ def _session(gmsh: Any) -> Iterator[None]:
 def _wing(geo: Any) -> tuple[list[int], dict[str, list[int]], list[int]]:
     """Makes the wing's surfaces, the curves that refine the mesh, and the root's contour."""
     root_front, root_back, root_upper, root_lower = _section(geo, 0.0, 0.0, ROOT_CHORD)
-    tip_front, tip_back, tip_upper, tip_lower = _section(geo, TIP_LEADING_EDGE, SEMI_SPAN, TIP_CHORD)
+    tip_front, tip_back, tip_upper, tip_lower = _section(
+        geo, TIP_LEADING_EDGE, SEMI_SPAN, TIP_CHORD
+    )
     leading, trailing = geo.addLine(root_front, tip_front), geo.addLine(root_back, tip_back)
     surfaces = [
         geo.addSurfaceFilling([geo.addCurveLoop([root, trailing, -tip, -leading])])
@@ -249,7 +253,9 @@ def _section(geo: Any, front: float, y: float, chord: float) -> tuple[int, int, 
     nose, back = geo.addPoint(front, y, 0.0), geo.addPoint(front + chord, y, 0.0)
     curves = []
     for side in (1, -1):
-        inner = [geo.addPoint(front + chord * x, y, side * chord * z) for x, z in contour[1:-1].tolist()]
+        inner = [
+            geo.addPoint(front + chord * x, y, side * chord * z) for x, z in contour[1:-1].tolist()
+        ]
         curves.append(geo.addSpline([nose, *inner, back]))
     return nose, back, curves[0], curves[1]
 
@@ -257,11 +263,16 @@ def _section(geo: Any, front: float, y: float, chord: float) -> tuple[int, int, 
 def _outside(geo: Any, root: list[int]) -> tuple[list[int], int]:
     """Makes four patches of the hemisphere, and the symmetry plane up to the root."""
     centre, pole = geo.addPoint(CENTRE, 0.0, 0.0), geo.addPoint(CENTRE, RADIUS, 0.0)
-    rim = [geo.addPoint(CENTRE + RADIUS * x, 0.0, RADIUS * z) for x, z in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    rim = [
+        geo.addPoint(CENTRE + RADIUS * x, 0.0, RADIUS * z)
+        for x, z in ((1, 0), (0, 1), (-1, 0), (0, -1))
+    ]
     arcs = [geo.addCircleArc(rim[k], centre, rim[(k + 1) % 4]) for k in range(4)]
     ribs = [geo.addCircleArc(rim[k], centre, pole) for k in range(4)]
     sphere = [
-        geo.addSurfaceFilling([geo.addCurveLoop([arcs[k], ribs[(k + 1) % 4], -ribs[k]])], sphereCenterTag=centre)
+        geo.addSurfaceFilling(
+            [geo.addCurveLoop([arcs[k], ribs[(k + 1) % 4], -ribs[k]])], sphereCenterTag=centre
+        )
         for k in range(4)
     ]
     upper, lower = root
@@ -380,7 +391,9 @@ def coefficients(mode: int) -> tuple[tuple[float, ...], ...]:
     """
     eta, xi = planform_coordinates(structural_nodes())
     terms = np.column_stack([eta**i * xi**j for i in SPAN_POWERS for j in CHORD_POWERS])
-    rest = np.linalg.lstsq(terms[:, 1:] - terms[:, :1], deflections(mode) - terms[:, 0], rcond=None)[0]
+    rest = np.linalg.lstsq(
+        terms[:, 1:] - terms[:, :1], deflections(mode) - terms[:, 0], rcond=None
+    )[0]
     alpha = np.concatenate([[1 - rest.sum()], rest]).reshape(len(SPAN_POWERS), len(CHORD_POWERS))
     return tuple(tuple(float(value) for value in row) for row in alpha)
 

@@ -36,7 +36,9 @@ def ice(base: np.ndarray, height: float) -> np.ndarray:
     x, y = base.T
     s = np.sign(y) * np.sqrt(np.maximum(x, 0))
     horn = np.exp(-(((s - 0.12) / 0.03) ** 2)) + 0.6 * np.exp(-(((s + 0.1) / 0.04) ** 2))
-    return height * horn[:, None] * np.array([-0.8, 0.0]) + height * horn[:, None] * np.sign(y)[:, None] * [0, 0.6]
+    return height * horn[:, None] * np.array([-0.8, 0.0]) + height * horn[:, None] * np.sign(y)[
+        :, None
+    ] * [0, 0.6]
 
 
 def airfoil(points: int, motion: Callable[[np.ndarray, float], np.ndarray], steps: int) -> Case:
@@ -45,7 +47,9 @@ def airfoil(points: int, motion: Callable[[np.ndarray, float], np.ndarray], step
     return mesh, "airfoil", ("farfield",), lambda share: motion(base, share), steps
 
 
-def boxed(boxes: Mapping[str, tuple[float, ...]], moving: str, way: tuple[float, float], steps: int) -> Case:
+def boxed(
+    boxes: Mapping[str, tuple[float, ...]], moving: str, way: tuple[float, float], steps: int
+) -> Case:
     mesh = cases.bodies(boxes)
     shape = mesh.points[mesh.patch(moving)].shape
     still = tuple(name for name in mesh.patches if name != moving)
@@ -58,7 +62,9 @@ PASSING = {"upper": (-4.0, -3.0, 0.5, 1.5), "lower": (-0.5, 0.5, -1.5, -0.5)}
 
 def motions(points: int) -> dict[str, Callable[[], Case]]:
     return {
-        "flap 90, blended over 0.4": lambda: airfoil(points, lambda x, t: flap(x, 90 * t, 0.4)[0], 9),
+        "flap 90, blended over 0.4": lambda: airfoil(
+            points, lambda x, t: flap(x, 90 * t, 0.4)[0], 9
+        ),
         "pitch 180": lambda: airfoil(points, lambda x, t: pitch(x, 180 * t)[0], 9),
         "ice, 5 % of the chord": lambda: airfoil(points, lambda x, t: ice(x, 0.05 * t), 5),
         "two bodies pass, 6 lengths": lambda: boxed(PASSING, "upper", (6.0, 0.0), 30),
@@ -81,7 +87,9 @@ def share(case: Case, plan: jm.Plan, steps: int, mend: bool) -> tuple[float, flo
         return 1.0, whole
     while high - low > 0.01:
         middle = (low + high) / 2
-        low, high, best = (middle, high, here) if (here := ratio(middle)) > 0 else (low, middle, best)
+        low, high, best = (
+            (middle, high, here) if (here := ratio(middle)) > 0 else (low, middle, best)
+        )
     return low, best
 
 
@@ -113,9 +121,13 @@ def rows(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--points", type=int, default=1200)
-    parser.add_argument("--motion", nargs="+", default=[""], help="words that begin a motion's name")
+    parser.add_argument(
+        "--motion", nargs="+", default=[""], help="words that begin a motion's name"
+    )
     parser.add_argument("--method", nargs="+", choices=METHODS, default=list(METHODS))
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)

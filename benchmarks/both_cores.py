@@ -43,7 +43,10 @@ def measure(n: int, s: int, form: str, repeats: int = 15) -> None:
 
     if form == FORMS[0]:
         about(n=n, s=s, dtype="float64")
-        print("\n| call | form | wall ms | CPU ms | busiest thread ms | load |\n|---|---|---|---|---|---|", flush=True)
+        print(
+            "\n| call | form | wall ms | CPU ms | busiest thread ms | load |\n|---|---|---|---|---|---|",
+            flush=True,
+        )
     plan, mesh = plan_of(n, s), box(round(n ** (1 / 3)))
     u, w = displacements(plan), np.random.default_rng(0).normal(size=(n, 3))
     if form == "devices":
@@ -83,9 +86,14 @@ def main() -> None:
         return measure(arguments.n, arguments.s, arguments.child)
     cores = sorted(os.sched_getaffinity(0))
     for form in FORMS:
-        places = {"one core": [cores[:1]], "two processes": [cores[:1], cores[-1:]]}.get(form, [cores])
+        places = {"one core": [cores[:1]], "two processes": [cores[:1], cores[-1:]]}.get(
+            form, [cores]
+        )
         command = [sys.executable, *sys.argv, "--child", form]
-        runs = [subprocess.Popen(["taskset", "-c", ",".join(map(str, place)), *command]) for place in places]
+        runs = [
+            subprocess.Popen(["taskset", "-c", ",".join(map(str, place)), *command])
+            for place in places
+        ]
         for run in runs:
             run.wait()
 

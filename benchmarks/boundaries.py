@@ -19,9 +19,14 @@ from jaxmorph import cases
 
 def block(cells: int = 25) -> jm.Mesh:
     """Makes a square of unit quads with a hole of five by five in the middle, its origin there."""
-    points = np.stack(np.meshgrid(*[np.arange(cells + 1.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2) - cells / 2
+    points = (
+        np.stack(np.meshgrid(*[np.arange(cells + 1.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+        - cells / 2
+    )
     ids = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(
+        -1, 4
+    )
     quads = quads[(np.abs(points[quads].mean(axis=1)) > 2.5).any(axis=1)]
     used, quads = np.unique(quads, return_inverse=True)
     points = points[used]
@@ -64,7 +69,9 @@ def judge(
     report = jm.quality(mesh, jm.deform(plan, motion(angle)))
     limit = angle
     inverted = int(report.inverted) > 0
-    while (int(jm.quality(mesh, jm.deform(plan, motion(limit))).inverted) > 0) == inverted and 0 < limit < 180:
+    while (
+        int(jm.quality(mesh, jm.deform(plan, motion(limit))).inverted) > 0
+    ) == inverted and 0 < limit < 180:
         limit += -step if inverted else step
     first = limit + step if inverted else limit
     count, smallest = int(report.inverted), float(report.min_jacobian_ratio)
@@ -86,7 +93,11 @@ def blocks() -> Iterator[list[str]]:
     base = mesh.points[mesh.patch("block")]
 
     def turned(degrees):
-        return np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0))) + 2.5 * degrees / 60 - base
+        return (
+            np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0)))
+            + 2.5 * degrees / 60
+            - base
+        )
 
     def shifted(degrees):
         return np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0))) + 5 - base
@@ -107,14 +118,21 @@ def skews() -> None:
     """Prints the size-skew of the block that is turned by 60 degrees and shifted by its side."""
     mesh, sides = block(), ["left", "right", "bottom", "top"]
     base = mesh.points[mesh.patch("block")]
-    turns = [np.asarray(jm.shapes.rotate(base, np.radians(3.0 * k), about=(0, 0))) for k in range(1, 21)]
+    turns = [
+        np.asarray(jm.shapes.rotate(base, np.radians(3.0 * k), about=(0, 0))) for k in range(1, 21)
+    ]
     path = np.stack([turn - base + 5 * (k + 1) / 20 for k, turn in enumerate(turns)])
-    for name, plan in (("held", jm.prepare(mesh, "block", sides)), ("slide", jm.prepare(mesh, "block", sliding=sides))):
+    for name, plan in (
+        ("held", jm.prepare(mesh, "block", sides)),
+        ("slide", jm.prepare(mesh, "block", sliding=sides)),
+    ):
         for steps, part in ((1, path[-1:]), (20, path)):
             points = np.asarray(jm.march(plan, part)[1])
             least, mean = size_skew(mesh, points)
             count = int(jm.quality(mesh, points).inverted)
-            print(f"sides {name}, {steps:2} steps: {count} inverted, size-skew {least:.3f} / {mean:.3f}")
+            print(
+                f"sides {name}, {steps:2} steps: {count} inverted, size-skew {least:.3f} / {mean:.3f}"
+            )
 
 
 def cascades() -> Iterator[list[str]]:
@@ -126,11 +144,16 @@ def cascades() -> Iterator[list[str]]:
 
     for case, method in (
         ("blade of a cascade, pitched by 15 degrees", None),
-        ("the blade by the classic RBF, Wendland C2 of two chords", jm.RBF.classic(jm.WendlandC2(2.0), degree=None)),
+        (
+            "the blade by the classic RBF, Wendland C2 of two chords",
+            jm.RBF.classic(jm.WendlandC2(2.0), degree=None),
+        ),
     ):
         held = jm.prepare(passage, "blade", (*ends, "lower", "upper"), method=method)
         yield judge(case, "held", passage, held, pitched, 15, 1)
-        plan = jm.prepare(passage, "blade", ends, periodic=jm.Periodic("lower", "upper"), method=method)
+        plan = jm.prepare(
+            passage, "blade", ends, periodic=jm.Periodic("lower", "upper"), method=method
+        )
         yield judge("", "sides repeat", passage, plan, pitched, 15, 1)
 
 
@@ -150,7 +173,10 @@ def tips() -> Iterator[list[str]]:
     case = "blade tip, five cells of a gap of 1 % below a shroud, leaned by 10 degrees and bent"
     held = jm.prepare(stage, "blade", ("hub", *ends, "left", "right", "shroud"))
     yield judge(case, "held", stage, held, twisted, 10, 1)
-    slide, pair = jm.Slide("shroud", jm.Revolution((1, 0, 0))), jm.Periodic("left", "right", axis=(1, 0, 0))
+    slide, pair = (
+        jm.Slide("shroud", jm.Revolution((1, 0, 0))),
+        jm.Periodic("left", "right", axis=(1, 0, 0)),
+    )
     plan = jm.prepare(stage, "blade", ("hub", *ends), sliding=slide, periodic=pair)
     yield judge("", "shroud slides, sides repeat", stage, plan, twisted, 10, 1)
 
@@ -188,7 +214,9 @@ def wings() -> Iterator[list[str]]:
                 return np.tile(0.005 * hundredths * np.eye(3)[axis], (len(nodes), 1))
 
             for name, plan in plans.items():
-                *line, first = judge(case if name == "held" else "", name, body, plan, moved_by, 6, 2)
+                *line, first = judge(
+                    case if name == "held" else "", name, body, plan, moved_by, 6, 2
+                )
                 yield [*line, f"{first} %"]
 
 
@@ -206,7 +234,11 @@ def neighbours() -> Iterator[list[str]]:
             "held",
             jm.prepare(pair, "neighbour", ("outer", "wall")),
         ),
-        ("", "the wall's nodes slide on its polyline", jm.prepare(pair, "neighbour", "outer", sliding="wall")),
+        (
+            "",
+            "the wall's nodes slide on its polyline",
+            jm.prepare(pair, "neighbour", "outer", sliding="wall"),
+        ),
     ):
         *line, first = judge(case, name, pair, plan, passed, 60, 5)
         yield [*line, f"{int(first) / 100:.2f}"]
@@ -215,12 +247,16 @@ def neighbours() -> Iterator[list[str]]:
 def fuselage(mesh: jm.Mesh) -> jm.Mesh:
     """Makes a body of a round one that is no surface of revolution: wider than high, and thinner towards its end."""
     x, y, z = np.asarray(mesh.points).T
-    return mesh.moved(np.stack([x, 1.3 * (1 - 0.1 * x) * y, (1 - 0.1 * x - 0.05 * x**2) * z], axis=1))
+    return mesh.moved(
+        np.stack([x, 1.3 * (1 - 0.1 * x) * y, (1 - 0.1 * x - 0.05 * x**2) * z], axis=1)
+    )
 
 
 def above_an_airfoil() -> jm.Mesh:
     """Makes a box of 0.5 by 0.25, a quarter above the upper side of an airfoil: an arc of 64 pieces."""
-    mesh = cases.bodies({"neighbour": (-0.5, 0.0, 0.25, 0.5)}, box=(-2.0, 2.0, 0.0, 2.0), spacing=0.0625)
+    mesh = cases.bodies(
+        {"neighbour": (-0.5, 0.0, 0.25, 0.5)}, box=(-2.0, 2.0, 0.0, 2.0), spacing=0.0625
+    )
     x, y = np.asarray(mesh.points).T
     patches = {"wall": np.flatnonzero(y == 0), "outer": np.flatnonzero((y == 2) | (np.abs(x) == 2))}
     points = np.stack([x, y + 0.3 * (1 - x**2 / 4) * (1 - y / 2)], axis=1)

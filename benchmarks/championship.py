@@ -54,7 +54,16 @@ CLOSE = 1.1
 """Largest skewness over the best one of a row up to which a method is as good as the best."""
 
 NUMBERS = (
-    *("inverted", "max_skewness", "mean_skewness", "min_jacobian", "angle", "min_height", "behind", "limit"),
+    *(
+        "inverted",
+        "max_skewness",
+        "mean_skewness",
+        "min_jacobian",
+        "angle",
+        "min_height",
+        "behind",
+        "limit",
+    ),
     *("setup", "move", "gradient", "memory", "derivative"),
 )
 
@@ -92,7 +101,9 @@ def costs(plan: jm.Plan, u: np.ndarray) -> dict[str, float]:
     rng = np.random.default_rng(0)
     w, v = rng.normal(size=plan.points.shape), rng.normal(size=u.shape) * np.abs(u).max()
     pulled = jm.pullback(plan, u, w)
-    h = 1.0 if plan.method.linear else 1e-6  # a small step would amplify the round-off of an ill-conditioned solve
+    h = (
+        1.0 if plan.method.linear else 1e-6
+    )  # a small step would amplify the round-off of an ill-conditioned solve
     difference = (jm.deform(plan, u + h * v) - jm.deform(plan, u - h * v)) / (2 * h)
     expected = np.vdot(difference, w)
     error = abs(np.vdot(v, pulled) - expected) / (np.linalg.norm(difference) * np.linalg.norm(w))
@@ -100,7 +111,11 @@ def costs(plan: jm.Plan, u: np.ndarray) -> dict[str, float]:
     jax.block_until_ready(jm.deform(plan, u))
     middle = time.process_time()
     jax.block_until_ready(jm.pullback(plan, u, w))
-    return {"move": middle - began, "gradient": time.process_time() - middle, "derivative": float(error)}
+    return {
+        "move": middle - began,
+        "gradient": time.process_time() - middle,
+        "derivative": float(error),
+    }
 
 
 def rows_of(case: Case, name: str) -> list[dict]:
@@ -114,7 +129,9 @@ def rows_of(case: Case, name: str) -> list[dict]:
     for motion, make in case.motions.items():
         u = make(case.wall, 1.0)
         numbers = (
-            quality(case, jm.deform(plan, u)) | costs(plan, u) | {"setup": setup, "limit": limit(case, plan, make)}
+            quality(case, jm.deform(plan, u))
+            | costs(plan, u)
+            | {"setup": setup, "limit": limit(case, plan, make)}
         )
         numbers["behind"] = overshoot(plan, u)[1]
         numbers["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
@@ -122,8 +139,12 @@ def rows_of(case: Case, name: str) -> list[dict]:
     return rows
 
 
-def row(case: Case, motion: str, method: str, numbers: dict[str, float], error: str | None = None) -> dict:
-    known = dict.fromkeys(NUMBERS) | {key: value if np.isfinite(value) else None for key, value in numbers.items()}
+def row(
+    case: Case, motion: str, method: str, numbers: dict[str, float], error: str | None = None
+) -> dict:
+    known = dict.fromkeys(NUMBERS) | {
+        key: value if np.isfinite(value) else None for key, value in numbers.items()
+    }
     return {"case": case.name, "motion": motion, "method": method, "error": error} | known
 
 
@@ -170,9 +191,13 @@ def torch_rbf(case: Case, nodes: np.ndarray, u: np.ndarray) -> np.ndarray:
     from torchrbf import RBFInterpolator  # pyright: ignore[reportMissingImports]
 
     points = np.asarray(case.mesh.points)
-    known, values, everywhere = (torch.tensor(each, dtype=torch.float64) for each in (points[nodes], u, points))
+    known, values, everywhere = (
+        torch.tensor(each, dtype=torch.float64) for each in (points[nodes], u, points)
+    )
     with torch.no_grad():
-        return RBFInterpolator(known, values, kernel="thin_plate_spline", degree=1)(everywhere).numpy()
+        return RBFInterpolator(known, values, kernel="thin_plate_spline", degree=1)(
+            everywhere
+        ).numpy()
 
 
 def mmgpy_laplacian(case: Case, nodes: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -218,11 +243,21 @@ def of_peers(case: Case) -> list[dict]:
                 rows.append(row(case, motion, name, {}, str(moved)))
                 continue
             error = missed(case, moved, u)
-            rows.append(row(case, motion, name, {} if error else quality(case, moved) | {"move": seconds}, error))
+            rows.append(
+                row(
+                    case,
+                    motion,
+                    name,
+                    {} if error else quality(case, moved) | {"move": seconds},
+                    error,
+                )
+            )
     return rows
 
 
-def compared(rows: list[dict]) -> list[tuple[str, int, int, float, float, float, float, float, float]]:
+def compared(
+    rows: list[dict],
+) -> list[tuple[str, int, int, float, float, float, float, float, float]]:
     """Compares methods over all rows by largest skewness, relative to the best of the row, which inverts no cell.
 
     For each method: its rows, without rows that it refuses; rows with inverted cells; the share within `CLOSE` of the best; its
@@ -243,13 +278,17 @@ def compared(rows: list[dict]) -> list[tuple[str, int, int, float, float, float,
         ]
         share = sum(value <= CLOSE for value in over) / max(1, len(over))
         worst = max((value for value in over if np.isfinite(value)), default=np.nan)
-        summary.append((name, len(own), sum(each["inverted"] > 0 for each in own), share, worst, *medians))
+        summary.append(
+            (name, len(own), sum(each["inverted"] > 0 for each in own), share, worst, *medians)
+        )
     return sorted(summary, key=lambda line: (line[2], -line[3]))
 
 
 def ratio_to_best(row: dict, best: dict[tuple, float]) -> float:
     """Divides a row's largest skewness by the best one of its motion; infinity where cells are inverted."""
-    return row["max_skewness"] / best[row["case"], row["motion"]] if row["inverted"] == 0 else np.inf
+    return (
+        row["max_skewness"] / best[row["case"], row["motion"]] if row["inverted"] == 0 else np.inf
+    )
 
 
 def draw(rows: list[dict], file: pathlib.Path) -> None:
@@ -260,12 +299,20 @@ def draw(rows: list[dict], file: pathlib.Path) -> None:
     names = [name for name, *_ in compared(rows)]
     motions = dict.fromkeys((each["case"], each["motion"]) for each in rows)
     cases = dict.fromkeys(case for case, _ in motions)
-    lines = [line for case in cases for line in ((case, None), *(each for each in motions if each[0] == case))]
+    lines = [
+        line
+        for case in cases
+        for line in ((case, None), *(each for each in motions if each[0] == case))
+    ]
     skewness = np.full((len(lines), len(names)), np.nan)
     for each in rows:
         if each["inverted"] == 0:
-            skewness[lines.index((each["case"], each["motion"])), names.index(each["method"])] = each["max_skewness"]
-    least = np.nanmin(np.where(np.isnan(skewness).all(axis=1, keepdims=True), 1, skewness), axis=1, keepdims=True)
+            skewness[lines.index((each["case"], each["motion"])), names.index(each["method"])] = (
+                each["max_skewness"]
+            )
+    least = np.nanmin(
+        np.where(np.isnan(skewness).all(axis=1, keepdims=True), 1, skewness), axis=1, keepdims=True
+    )
     figure, ax = plt.subplots(figsize=(7.2, 16.5), layout="constrained")
     ax.set_facecolor("#9a9a9a")
     image = ax.imshow(skewness / least, cmap="YlOrBr", vmin=1, vmax=2, aspect="auto")
@@ -305,11 +352,15 @@ def save(rows: list[dict], file: pathlib.Path) -> None:
         writer.writerow(keys)
         for row in sorted(rows, key=lambda row: [row[key] for key in keys[:3]]):
             values = [row[key] for key in keys]
-            writer.writerow([f"{value:.4g}" if isinstance(value, float) else value for value in values])
+            writer.writerow(
+                [f"{value:.4g}" if isinstance(value, float) else value for value in values]
+            )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--points", type=int, default=2000)
     parser.add_argument("--case", nargs="+")
     parser.add_argument("--method", nargs="+", choices=METHODS)
@@ -325,7 +376,9 @@ def main() -> None:
     warnings.simplefilter("ignore")
     about(points=asked.points)
     rows = []
-    print("\n| case | motion | method | inverted | skewness | Jacobian | angle | height | behind | limit | move |")
+    print(
+        "\n| case | motion | method | inverted | skewness | Jacobian | angle | height | behind | limit | move |"
+    )
     print("|---" * 11 + "|")
     for case in all_cases(asked.points):
         if asked.case and case.name not in asked.case:
@@ -334,17 +387,35 @@ def main() -> None:
             write(asked.write, case)
         groups = [rows_of(case, name) for name in asked.method or METHODS]
         groups += [
-            entered(name, pathlib.Path(folder), case) for name, _, folder in (e.partition("=") for e in asked.entry)
+            entered(name, pathlib.Path(folder), case)
+            for name, _, folder in (e.partition("=") for e in asked.entry)
         ]
         groups += [of_peers(case)] if asked.peers else []
         for each in (each for group in groups for each in group):
             rows.append(each)
-            keys = ("inverted", "max_skewness", "min_jacobian", "angle", "min_height", "behind", "limit", "move")
+            keys = (
+                "inverted",
+                "max_skewness",
+                "min_jacobian",
+                "angle",
+                "min_height",
+                "behind",
+                "limit",
+                "move",
+            )
             cells = ["-" if each[key] is None else f"{each[key]:.3g}" for key in keys]
-            print("| " + " | ".join([each["case"], each["motion"], each["method"], *cells]) + " |", flush=True)
+            print(
+                "| " + " | ".join([each["case"], each["motion"], each["method"], *cells]) + " |",
+                flush=True,
+            )
         jax.clear_caches()
         if asked.json:
-            content = {"format": "jaxmorph championship", "version": 1, "points": asked.points, "rows": rows}
+            content = {
+                "format": "jaxmorph championship",
+                "version": 1,
+                "points": asked.points,
+                "rows": rows,
+            }
             asked.json.write_text(json.dumps(content, indent=1))
     now = {(each["case"], each["method"]) for each in rows}
     earlier = (each for file in asked.join for each in json.loads(file.read_text())["rows"])

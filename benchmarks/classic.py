@@ -28,7 +28,12 @@ def body(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     angle = 0.1 * wall[:, 2]
     bent = 0.05 * wall[:, 2] ** 2 + 0.01 * np.sin(5 * wall[:, 0])
     u = np.stack([-angle * wall[:, 1], angle * wall[:, 0] + bent, 0 * bent], axis=1)
-    return np.concatenate([wall, 20 * sphere(far), inner]), np.arange(len(wall)), len(wall) + np.arange(far), u
+    return (
+        np.concatenate([wall, 20 * sphere(far), inner]),
+        np.arange(len(wall)),
+        len(wall) + np.arange(far),
+        u,
+    )
 
 
 def measure(count: int, solver: str, path: str) -> None:
@@ -49,7 +54,9 @@ def measure(count: int, solver: str, path: str) -> None:
     pulled = np.asarray(jm.pullback(plan, u, weights))
     began.append(time.process_time())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    np.savez(path, moved=moved, pulled=pulled, seconds=np.diff(began), peak=peak, size=np.abs(u).max())
+    np.savez(
+        path, moved=moved, pulled=pulled, seconds=np.diff(began), peak=peak, size=np.abs(u).max()
+    )
 
 
 def row(count: int, solver: str, folder: str) -> dict[str, np.ndarray]:
@@ -84,10 +91,15 @@ def main() -> None:
                 difference = "-"
                 if exact is not None and solver != "direct":
                     points = np.abs(found["moved"] - exact["moved"]).max() / found["size"]
-                    pulled = np.linalg.norm(found["pulled"] - exact["pulled"]) / np.linalg.norm(exact["pulled"])
+                    pulled = np.linalg.norm(found["pulled"] - exact["pulled"]) / np.linalg.norm(
+                        exact["pulled"]
+                    )
                     difference = f"{points:.0e}, {pulled:.0e}"
                 seconds = " | ".join(f"{each:.1f}" for each in found["seconds"])
-                print(f"| {count:,} | {solver} | {seconds} | {found['peak']:.2f} | {difference} |", flush=True)
+                print(
+                    f"| {count:,} | {solver} | {seconds} | {found['peak']:.2f} | {difference} |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -45,7 +45,10 @@ def airfoil() -> int:
     lines = [geo.addSpline(points[: nose + 1]), geo.addSpline([*points[nose:], points[0]])]
     centre = geo.addPoint(0.5, 0, 0)
     ends = [geo.addPoint(0.5 + sign * 10, 0, 0) for sign in (1, -1)]
-    circle = [geo.addCircleArc(ends[0], centre, ends[1]), geo.addCircleArc(ends[1], centre, ends[0])]
+    circle = [
+        geo.addCircleArc(ends[0], centre, ends[1]),
+        geo.addCircleArc(ends[1], centre, ends[0]),
+    ]
     face = geo.addPlaneSurface([geo.addCurveLoop(circle), geo.addCurveLoop(lines)])
     geo.synchronize()
     for line in lines:
@@ -72,7 +75,11 @@ def sphere() -> int:
     occ.synchronize()
     sides = [tag for _, tag in gmsh.model.getBoundary(volume, oriented=False)]
     wall = [tag for tag in sides if gmsh.model.getType(2, tag) == "Sphere"]
-    ends = [tag for tag in sides if COARSE and min(map(abs, gmsh.model.occ.getCenterOfMass(2, tag))) < 1e-9]
+    ends = [
+        tag
+        for tag in sides
+        if COARSE and min(map(abs, gmsh.model.occ.getCenterOfMass(2, tag))) < 1e-9
+    ]
     gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6 if COARSE else 2)
     if not COARSE:
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 12)
@@ -88,7 +95,9 @@ def judged(dimension: int) -> tuple[int, float]:
     """Counts the invalid cells of gmsh's mesh by its bounds, and finds its smallest scaled Jacobian."""
     tags = np.concatenate(gmsh.model.mesh.getElements(dimension)[1])
     bounds = gmsh.model.mesh.getElementQualities(tags, "minDetJac")
-    return int((bounds <= 0).sum()), float(gmsh.model.mesh.getElementQualities(tags, "minSICN").min())
+    return int((bounds <= 0).sum()), float(
+        gmsh.model.mesh.getElementQualities(tags, "minSICN").min()
+    )
 
 
 def row(name: str, dimension: int, seconds: float, proven: str = "") -> None:
@@ -118,14 +127,23 @@ def wing(folder: Path) -> tuple[jm.Mesh, np.ndarray]:
     for kind, ids in straight.cells.items():
         corners = ids[:, : {"triangle10": 3, "quad16": 4}[kind]]
         both = np.concatenate([corners, corners + n], axis=1)
-        solid["wedge" if kind == "triangle10" else "hexahedron"] = (both + sections).reshape(-1, both.shape[1])
-    points = np.concatenate([np.column_stack([straight.points, np.full(n, 0.5 * k / LAYERS)]) for k in range(layers)])
-    names = {name: np.concatenate([nodes + k * n for k in range(layers)]) for name, nodes in straight.patches.items()}
+        solid["wedge" if kind == "triangle10" else "hexahedron"] = (both + sections).reshape(
+            -1, both.shape[1]
+        )
+    points = np.concatenate(
+        [np.column_stack([straight.points, np.full(n, 0.5 * k / LAYERS)]) for k in range(layers)]
+    )
+    names = {
+        name: np.concatenate([nodes + k * n for k in range(layers)])
+        for name, nodes in straight.patches.items()
+    }
     used = np.unique(np.concatenate([ids.ravel() for ids in solid.values()]))
     place = np.full(len(points), -1)
     place[used] = np.arange(len(used))
     patches = {name: place[nodes][place[nodes] >= 0] for name, nodes in names.items()}
-    mesh = jm.elevate(jm.Mesh(points[used], {kind: place[ids] for kind, ids in solid.items()}, patches), ORDER)
+    mesh = jm.elevate(
+        jm.Mesh(points[used], {kind: place[ids] for kind, ids in solid.items()}, patches), ORDER
+    )
     ends = np.flatnonzero(np.isin(mesh.points[:, 2], (0, 0.5)))
     mesh = jm.Mesh(mesh.points, mesh.cells, dict(mesh.patches) | {"ends": ends})
     wall, section = mesh.points[mesh.patch("wall")], straight.patch("wall")
@@ -152,12 +170,17 @@ def compare(case) -> None:
         )
         moved = np.array(start.points)
         moved[nodes] = places
-        written = {name: start.patches[name] for name in ("wall", "far")}  # sliding ends have no faces of their own
+        written = {
+            name: start.patches[name] for name in ("wall", "far")
+        }  # sliding ends have no faces of their own
         io.write(folder / "wall.msh", jm.Mesh(moved, start.cells, written))
         gmsh.open(str(folder / "wall.msh"))
         row("the wall's nodes alone", dimension, 0)
         symmetry = ("ends",) if "ends" in start.patches else ()
-        for name, method in {"jm.curve": None, "jm.curve, LinearElasticity()": jm.LinearElasticity()}.items():
+        for name, method in {
+            "jm.curve": None,
+            "jm.curve, LinearElasticity()": jm.LinearElasticity(),
+        }.items():
             begin = time.process_time()
             result = jm.curve(start, places, nodes, "far", method=method, symmetry=symmetry)
             seconds = time.process_time() - begin

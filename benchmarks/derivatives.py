@@ -36,7 +36,9 @@ def of_the_map(plan, u):
         return eqx.tree_at(lambda plan: plan.method.coarse.basis.support_radius, plan, radius)
 
     radius = plan.method.coarse.basis.support_radius
-    plans = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[jm.refit(plan, k * plan.points) for k in (0.9, 1, 1.2)])
+    plans = jax.tree.map(
+        lambda *leaves: jnp.stack(leaves), *[jm.refit(plan, k * plan.points) for k in (0.9, 1, 1.2)]
+    )
     return {
         "`deform`": (jm.deform, (plan, u)),
         "`jax.jvp` by u, value included": (
@@ -44,16 +46,21 @@ def of_the_map(plan, u):
             (plan, u),
         ),
         "`pullback`": (lambda plan, u: jm.pullback(plan, u, plan.points), (plan, u)),
-        "`jax.grad` by u": (lambda plan, u: jax.grad(lambda u: square(jm.deform(plan, u)))(u), (plan, u)),
+        "`jax.grad` by u": (
+            lambda plan, u: jax.grad(lambda u: square(jm.deform(plan, u)))(u),
+            (plan, u),
+        ),
         "`refit`": (lambda plan, points: jm.refit(plan, points).volume, (plan, plan.points)),
         "`jax.grad` by the base points, through `refit`": (
-            lambda plan, u: jax.grad(lambda x: square(jm.deform(jm.refit(plan, x), u)))(plan.points),
+            lambda plan, u: jax.grad(lambda x: square(jm.deform(jm.refit(plan, x), u)))(
+                plan.points
+            ),
             (plan, u),
         ),
         "`jax.grad` by the radius of the basis, through `refit`": (
-            lambda plan, u: jax.grad(lambda r: square(jm.deform(jm.refit(with_radius(plan, r), plan.points), u)))(
-                radius
-            ),
+            lambda plan, u: jax.grad(
+                lambda r: square(jm.deform(jm.refit(with_radius(plan, r), plan.points), u))
+            )(radius),
             (plan, u),
         ),
         f"`eqx.filter_vmap` over {PLANS} plans": (
@@ -96,7 +103,10 @@ def of_an_optimisation(plan, u):
 
     plain, recomputed = (lambda step: step), jax.checkpoint
     return {
-        f"{STEPS} steps of a descent in `lax.scan`": (lambda plan, target: ended(plan, target, plain), (plan, target)),
+        f"{STEPS} steps of a descent in `lax.scan`": (
+            lambda plan, target: ended(plan, target, plain),
+            (plan, target),
+        ),
         "`jax.grad` of where they end": (
             lambda plan, target: jax.grad(ended, argnums=1)(plan, target, plain),
             (plan, target),

@@ -10,7 +10,9 @@ import argparse
 import functools
 import os
 
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+os.environ["XLA_FLAGS"] = (
+    os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+)
 
 import jax
 import numpy as np
@@ -33,7 +35,10 @@ def main() -> None:
     plans = {1: plan} | {count: jm.shard(plan, jax.devices()[:count]) for count in (2, 4, 8)}
     first: dict[str, tuple[np.ndarray, float]] = {}
     rows = []
-    for name, function in (("deform", jm.deform), ("pullback", lambda plan, u: jm.pullback(plan, u, cotangent))):
+    for name, function in (
+        ("deform", jm.deform),
+        ("pullback", lambda plan, u: jm.pullback(plan, u, cotangent)),
+    ):
         calls = {str(count): functools.partial(function, laid, u) for count, laid in plans.items()}
         times = cpu_seconds(calls, 3)
         for count, laid in plans.items():
@@ -41,7 +46,9 @@ def main() -> None:
             exact, alone = first.setdefault(name, (found, times[str(count)]))
             difference = np.abs(found - exact).max() / np.abs(exact).max()
             seconds = times[str(count)]
-            rows.append((name, str(count), f"{seconds:.2f}", f"{seconds / alone:.2f}", f"{difference:.0e}"))
+            rows.append(
+                (name, str(count), f"{seconds:.2f}", f"{seconds / alone:.2f}", f"{difference:.0e}")
+            )
     table(rows, ("what", "devices", "CPU, s", "over one", "difference"))
 
 

@@ -73,7 +73,9 @@ def main() -> int:
         address = f"127.0.0.1:{free.getsockname()[1]}"
     command = [sys.executable, __file__, "--address", address]
     command += ["--processes", str(arguments.processes), "--points", str(arguments.points)]
-    started = [subprocess.Popen([*command, "--rank", str(rank)]) for rank in range(arguments.processes)]
+    started = [
+        subprocess.Popen([*command, "--rank", str(rank)]) for rank in range(arguments.processes)
+    ]
     return max(process.wait() for process in started)
 
 

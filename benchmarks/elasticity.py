@@ -37,7 +37,9 @@ def modes(mesh: jm.Mesh) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--points", type=int, default=64_943)
     parser.add_argument("--modes", action="store_true")
     asked = parser.parse_args()
@@ -48,7 +50,9 @@ def main() -> None:
         modes(mesh)
         return
     plan, setup, _ = once(
-        lambda: jm.prepare(mesh, "wing", "farfield", symmetry="symmetry", method=jm.LinearElasticity())
+        lambda: jm.prepare(
+            mesh, "wing", "farfield", symmetry="symmetry", method=jm.LinearElasticity()
+        )
     )
     assert isinstance(plan, jm.Plan)
     wall = np.asarray(plan.points)[np.asarray(plan.moving)]
@@ -57,7 +61,8 @@ def main() -> None:
     u[:, 2] = 0.25 * span * (wall[:, 1] / span) ** 2
     w = np.random.default_rng(0).normal(size=plan.points.shape)
     seconds = cpu_seconds(
-        {"deform": lambda: jm.deform(plan, u), "pullback": lambda: jm.pullback(plan, u, w)}, repeats=3
+        {"deform": lambda: jm.deform(plan, u), "pullback": lambda: jm.pullback(plan, u, w)},
+        repeats=3,
     )
     report = jm.quality(mesh, jm.deform(plan, u))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -54,7 +54,9 @@ def hill(points: np.ndarray) -> np.ndarray:
     return u
 
 
-def measured(command: list[str], folder: pathlib.Path, most: int | None = None, **environment: str) -> list[str]:
+def measured(
+    command: list[str], folder: pathlib.Path, most: int | None = None, **environment: str
+) -> list[str]:
     """Runs a command on at most so many cores: their number, CPU seconds, wall seconds and peak memory, as words of a table.
 
     A small process starts it: the peak of a process begins with that of the one which started it.
@@ -120,9 +122,13 @@ def peer(name: str, folder: str, count: str) -> None:
     if name == "SciPy":
         from scipy.interpolate import RBFInterpolator
 
-        moved = points + RBFInterpolator(sources, values, kernel="thin_plate_spline", degree=1)(points)
+        moved = points + RBFInterpolator(sources, values, kernel="thin_plate_spline", degree=1)(
+            points
+        )
     else:
-        moved = importlib.import_module("pygem").RBF(sources, sources + values, func="thin_plate_spline")(points)
+        moved = importlib.import_module("pygem").RBF(
+            sources, sources + values, func="thin_plate_spline"
+        )(points)
     np.save(f"{folder}/moved.npy", moved)
 
 
@@ -131,7 +137,9 @@ def laplacian(case: pathlib.Path, points: np.ndarray, side: int) -> None:
     for name, text in SYSTEM.items():
         (case / "system").mkdir(exist_ok=True)
         (case / "system" / name).write_text(HEADER.format("dictionary", name) + text + "\n")
-    (case / "constant" / "dynamicMeshDict").write_text(HEADER.format("dictionary", "dynamicMeshDict") + SOLVER)
+    (case / "constant" / "dynamicMeshDict").write_text(
+        HEADER.format("dictionary", "dynamicMeshDict") + SOLVER
+    )
     rows = np.lexsort(
         (points[:, 1], points[:, 0])
     )  # faces of the bottom are listed by x, then y, each from its first corner
@@ -145,12 +153,18 @@ def laplacian(case: pathlib.Path, points: np.ndarray, side: int) -> None:
         + " } walls { type fixedValue; value uniform (0 0 0); } }\n"
     )
     (case / "0").mkdir()
-    (case / "0" / "pointDisplacement").write_text(HEADER.format("pointVectorField", "pointDisplacement") + field)
+    (case / "0" / "pointDisplacement").write_text(
+        HEADER.format("pointVectorField", "pointDisplacement") + field
+    )
 
 
 def _as_faces_name_them(ids: np.ndarray) -> np.ndarray:
     """Orders the bottom's points (side, side) as OpenFOAM does: as the faces of the patch name them first."""
-    faces = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)[:, ::-1].ravel()
+    faces = (
+        np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1)
+        .reshape(-1, 4)[:, ::-1]
+        .ravel()
+    )
     return faces[np.sort(np.unique(faces, return_index=True)[1])]
 
 
@@ -164,7 +178,10 @@ def box_case(folder: pathlib.Path, kind: str, side: int) -> Case:
     if kind == "hexahedra":
         import jaxmorph as jm
 
-        io.write(folder / "box.su2", jm.Mesh(mesh.points, mesh.cells, {"bottom": bottom, "walls": others}))
+        io.write(
+            folder / "box.su2",
+            jm.Mesh(mesh.points, mesh.cells, {"bottom": bottom, "walls": others}),
+        )
         source, target = "box.su2", "moved.su2"
     else:
         case = folder / "case"
@@ -173,7 +190,9 @@ def box_case(folder: pathlib.Path, kind: str, side: int) -> Case:
         start = 3 * faces * (side - 2)
         entry = "2\n(\n walls {{ type wall; nFaces {}; startFace {}; }}\n bottom {{ type wall; nFaces {}; startFace {}; }}\n)\n"
         text = entry.format(5 * faces, start, faces, start + 5 * faces)
-        (case / "constant/polyMesh/boundary").write_text(HEADER.format("polyBoundaryMesh", "boundary") + text)
+        (case / "constant/polyMesh/boundary").write_text(
+            HEADER.format("polyBoundaryMesh", "boundary") + text
+        )
         laplacian(case, np.asarray(mesh.points), side)
         source, target = "case", "moved"
     return source, target, ["bottom", "walls"], mesh.points, bottom, others
@@ -196,7 +215,9 @@ def airfoil_case(folder: pathlib.Path) -> Case:
 
 def run(kind: str, side: int, folder: pathlib.Path) -> list[list[str]]:
     is_airfoil = kind == "su2"
-    source, target, names, points, nodes, fixed = airfoil_case(folder) if is_airfoil else box_case(folder, kind, side)
+    source, target, names, points, nodes, fixed = (
+        airfoil_case(folder) if is_airfoil else box_case(folder, kind, side)
+    )
     if is_airfoil:
         angle = np.deg2rad(5)
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -207,26 +228,63 @@ def run(kind: str, side: int, folder: pathlib.Path) -> list[list[str]]:
     resting = np.concatenate([u, np.zeros((len(fixed), u.shape[1]))])
     for name, values in {"points": points, "nodes": surface, "values": resting, "u": u}.items():
         np.save(folder / name, values)
-    np.savetxt(folder / "u.dat", np.column_stack([nodes, points[nodes] + u]), fmt=["%d"] + ["%.17g"] * u.shape[1])
+    np.savetxt(
+        folder / "u.dat",
+        np.column_stack([nodes, points[nodes] + u]),
+        fmt=["%d"] + ["%.17g"] * u.shape[1],
+    )
     here = [sys.executable, str(pathlib.Path(__file__).resolve())]
-    command = [sys.executable, "-m", "jaxmorph", "deform", source, target, "--moving", names[0], "--fixed", names[1]]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxmorph",
+        "deform",
+        source,
+        target,
+        "--moving",
+        names[0],
+        "--fixed",
+        names[1],
+    ]
     command += ["--displacement", "u.dat"]
     what = f"{kind}, {len(points):,} points"
     rows = []
     cache = str(folder / "cache")
     for again, most in (("first run", None), ("second run", None), ("third run", 1)):
         _forget(folder / target)
-        rows.append([what, f"jaxmorph deform, {again}", *measured(command, folder, most, XDG_CACHE_HOME=cache)])
+        rows.append(
+            [
+                what,
+                f"jaxmorph deform, {again}",
+                *measured(command, folder, most, XDG_CACHE_HOME=cache),
+            ]
+        )
     _forget(folder / target)
     parts = measured([*here, "--stages", source, target, *names, "u.npy"], folder)
     *said, count = (folder / "log").read_text().split()
     rows.append([what, "Python: " + " ".join(said), *parts])
     if kind == "foam" and shutil.which("moveDynamicMesh"):
-        share = pathlib.Path(str(shutil.which("moveDynamicMesh"))).resolve().parent.parent / "share" / "openfoam"
+        share = (
+            pathlib.Path(str(shutil.which("moveDynamicMesh"))).resolve().parent.parent
+            / "share"
+            / "openfoam"
+        )
         environment = {"WM_PROJECT_DIR": os.environ.get("WM_PROJECT_DIR", str(share))}
-        rows.append([what, "moveDynamicMesh", *measured(["moveDynamicMesh"], folder / "case", None, **environment)])
+        rows.append(
+            [
+                what,
+                "moveDynamicMesh",
+                *measured(["moveDynamicMesh"], folder / "case", None, **environment),
+            ]
+        )
     for name in ("SciPy", "PyGeM"):
-        rows.append([what, f"{name}, {count} sources", *measured([*here, "--peer", name, str(folder), count], folder)])
+        rows.append(
+            [
+                what,
+                f"{name}, {count} sources",
+                *measured([*here, "--peer", name, str(folder), count], folder),
+            ]
+        )
     return rows
 
 
@@ -234,7 +292,12 @@ def write_bytecode(folder: str) -> None:
     """Compiles all modules that the commands import, as installations do: their processes read it there."""
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = folder
-    modules = ("scipy.interpolate", "jaxmorph.cli._deform", "jaxmorph.io._su2", "jaxmorph.io.openfoam.case")
+    modules = (
+        "scipy.interpolate",
+        "jaxmorph.cli._deform",
+        "jaxmorph.io._su2",
+        "jaxmorph.io.openfoam.case",
+    )
     subprocess.run([sys.executable, "-c", f"import {', '.join(modules)}"], check=True)
 
 
@@ -243,12 +306,20 @@ def _forget(path: pathlib.Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--cases", nargs="+", default=["su2", "hexahedra", "foam"], choices=["su2", "hexahedra", "foam"]
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--side", type=int, default=100, help="points along a side of the box: 100 for a million, 216 for ten"
+        "--cases",
+        nargs="+",
+        default=["su2", "hexahedra", "foam"],
+        choices=["su2", "hexahedra", "foam"],
+    )
+    parser.add_argument(
+        "--side",
+        type=int,
+        default=100,
+        help="points along a side of the box: 100 for a million, 216 for ten",
     )
     parser.add_argument("--stages", nargs=5, help=argparse.SUPPRESS)
     parser.add_argument("--peer", nargs=3, help=argparse.SUPPRESS)

@@ -12,7 +12,12 @@ OUTERMOST = 2.2  # the last ray node's radius about the blade's circle, before i
 
 
 def sharp_o_grid(
-    *, around: int = 128, layers: int = 64, first_cell: float = 1.7e-7, camber: float = 0.0, edge: float = 12.0
+    *,
+    around: int = 128,
+    layers: int = 64,
+    first_cell: float = 1.7e-7,
+    camber: float = 0.0,
+    edge: float = 12.0,
 ) -> jm.Mesh:
     """Makes an O-grid of quads around a section of unit chord, its sharp edge at (1, 0).
 
@@ -34,14 +39,18 @@ def sharp_o_grid(
     between 1 and 60 degrees.
     """
     if around < 16 or layers < 8:
-        raise ValueError(f"an O-grid needs 16 cells around and 8 layers, not {around} and {layers}.")
+        raise ValueError(
+            f"an O-grid needs 16 cells around and 8 layers, not {around} and {layers}."
+        )
     if not 1 <= edge <= 60:
         raise ValueError(f"`edge` is {edge}; a sharp trailing edge is 1 to 60 degrees open.")
     section = SharpSection(camber, edge)
     nodes = rays(section, around, layers, first_cell, FAR * abs(section.nose) / section.radius)
     ids = ids_of(layers + 1, around)
     closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
-    return jm.Mesh(nodes.reshape(-1, 2), {"quad": quads(closed)}, {"airfoil": ids[0], "farfield": ids[-1]})
+    return jm.Mesh(
+        nodes.reshape(-1, 2), {"quad": quads(closed)}, {"airfoil": ids[0], "farfield": ids[-1]}
+    )
 
 
 class SharpSection:
@@ -67,12 +76,16 @@ class SharpSection:
 
     def _map(self, radius, turn):
         """Computes places relative to the edge, to full relative precision near it."""
-        away = self.radius * (radius * np.exp(1j * (2 * np.pi * turn + self.start)) - np.exp(1j * self.start))
+        away = self.radius * (
+            radius * np.exp(1j * (2 * np.pi * turn + self.start)) - np.exp(1j * self.start)
+        )
         power = (away / (2 + away)) ** self.power
         return 2 * self.power * power / (1 - power)
 
 
-def rays(section: SharpSection, around: int, layers: int, first_cell: float, outermost: float) -> np.ndarray:
+def rays(
+    section: SharpSection, around: int, layers: int, first_cell: float, outermost: float
+) -> np.ndarray:
     """Places (layers + 1, around, 2) nodes on rays, spaced geometrically along each ray.
 
     The rays go from radius 1 to `outermost`.
@@ -80,18 +93,27 @@ def rays(section: SharpSection, around: int, layers: int, first_cell: float, out
     turn = np.arange(around) / around
     radius = 1 + np.concatenate([[0.0], np.geomspace(1e-7, outermost - 1, SAMPLES)])[:, None]
     places = section(radius, turn)
-    length = np.concatenate([np.zeros((1, around)), np.cumsum(np.abs(np.diff(places, axis=0)), axis=0)])
+    length = np.concatenate(
+        [np.zeros((1, around)), np.cumsum(np.abs(np.diff(places, axis=0)), axis=0)]
+    )
     stations = np.empty((layers + 1, around))
     for i in range(around):
         wanted = length[-1, i] * geometric(layers, first_cell / length[-1, i])
-        stations[1:, i] = np.exp(np.interp(np.log(wanted[1:]), np.log(length[1:, i]), np.log(radius[1:, 0] - 1)))
+        stations[1:, i] = np.exp(
+            np.interp(np.log(wanted[1:]), np.log(length[1:, i]), np.log(radius[1:, 0] - 1))
+        )
     stations[0] = 0
     nodes = section(1 + stations, turn)
     return np.stack([np.real(nodes), np.imag(nodes)], axis=-1)
 
 
 def cascade(
-    *, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0, periodic: bool = False
+    *,
+    around: int = 240,
+    layers: int = 60,
+    first_cell: float = 1e-5,
+    pitch: float = 1.0,
+    periodic: bool = False,
 ) -> jm.Mesh:
     """Makes an O-grid of quads around a turbine blade in a passage `pitch` chords wide.
 
@@ -114,7 +136,9 @@ def cascade(
     and 3 chords.
     """
     if around < 40 or layers < 8:
-        raise ValueError(f"a cascade needs 40 cells around and 8 layers, not {around} and {layers}.")
+        raise ValueError(
+            f"a cascade needs 40 cells around and 8 layers, not {around} and {layers}."
+        )
     if not 1 <= pitch <= 3:
         raise ValueError(f"`pitch` is {pitch}; a passage is 1 to 3 chords wide.")
     section = SharpSection(0.1, 14.0)
@@ -153,7 +177,9 @@ def _box(directions: np.ndarray, half: np.ndarray, periodic: bool) -> np.ndarray
     return points
 
 
-def channel(*, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: float = 1e-5) -> jm.Mesh:
+def channel(
+    *, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: float = 1e-5
+) -> jm.Mesh:
     """Makes a straight channel of unit length between two walls, of quads that are finest at both.
 
     Its four patches `inner` (y = 0), `outer` (y = gap), `inlet` (x = 0) and `outlet` (x = 1) share
@@ -215,14 +241,27 @@ def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
     **Raises:** `ValueError` for another lift, and for fewer than 2 layers.
     """
     if not 0 < lift <= 0.5 or layers < 2:
-        raise ValueError(f"a valve needs a lift from 0 to 0.5 and 2 layers, not {lift} and {layers}.")
+        raise ValueError(
+            f"a valve needs a lift from 0 to 0.5 and 2 layers, not {lift} and {layers}."
+        )
     first, roof = lift / layers, lift + 0.15
     x = np.concatenate(
-        [np.linspace(0, 0.5, 11), np.linspace(0.5, 0.7, 9)[1:], 0.7 + 0.8 * geometric(14, 0.025 / 0.8)[1:]]
+        [
+            np.linspace(0, 0.5, 11),
+            np.linspace(0.5, 0.7, 9)[1:],
+            0.7 + 0.8 * geometric(14, 0.025 / 0.8)[1:],
+        ]
     )
-    below, above = -0.6 * geometric(14, first / 0.6)[:0:-1], roof + (1 - roof) * geometric(14, first / (1 - roof))[1:]
-    y = np.concatenate([below, np.linspace(0, lift, layers + 1), np.linspace(lift, roof, 5)[1:], above])
-    places, cells = cut((y, x), lambda y, x: ((y < 0) & (x > 0.5)) | ((x < 0.7) & (y > lift) & (y < roof)))
+    below, above = (
+        -0.6 * geometric(14, first / 0.6)[:0:-1],
+        roof + (1 - roof) * geometric(14, first / (1 - roof))[1:],
+    )
+    y = np.concatenate(
+        [below, np.linspace(0, lift, layers + 1), np.linspace(lift, roof, 5)[1:], above]
+    )
+    places, cells = cut(
+        (y, x), lambda y, x: ((y < 0) & (x > 0.5)) | ((x < 0.7) & (y > lift) & (y < roof))
+    )
     y, x = places.T
     near = 1e-9
     patches = {
@@ -233,7 +272,11 @@ def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
         "top": y == y.max(),
         "middle": x == 0,
     }
-    return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
+    return jm.Mesh(
+        np.stack([x, y], axis=1),
+        {"quad": cells},
+        {k: np.flatnonzero(v) for k, v in patches.items()},
+    )
 
 
 def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
@@ -255,14 +298,25 @@ def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
     **Raises:** `ValueError` for another gap, and for fewer than 2 layers.
     """
     if not 0 < gap < 0.5 or layers < 2:
-        raise ValueError(f"a blade's tip needs a gap from 0 to 0.5 and 2 layers, not {gap} and {layers}.")
+        raise ValueError(
+            f"a blade's tip needs a gap from 0 to 0.5 and 2 layers, not {gap} and {layers}."
+        )
     x, angle, tip = np.linspace(-1, 1, 25), np.linspace(-0.4, 0.4, 25), 2 - gap
     r = np.concatenate([np.linspace(1, tip, 13), tip + gap * np.arange(1, layers + 1) / layers])
-    places, cells = cut((r, angle, x), lambda r, angle, x: (np.abs(x) < 0.25) & (np.abs(angle) < 0.06) & (r < tip))
+    places, cells = cut(
+        (r, angle, x), lambda r, angle, x: (np.abs(x) < 0.25) & (np.abs(angle) < 0.06) & (r < tip)
+    )
     r, angle, x = places.T
     near = 1e-9
     blade = (np.abs(x) <= 0.25 + near) & (np.abs(angle) <= 0.4 / 6 + near) & (r <= tip + near)
     patches = {"blade": blade, "shroud": r == r.max(), "hub": (r == 1) & ~blade}
-    patches |= {"inlet": x == -1, "outlet": x == 1, "left": angle == angle.min(), "right": angle == angle.max()}
+    patches |= {
+        "inlet": x == -1,
+        "outlet": x == 1,
+        "left": angle == angle.min(),
+        "right": angle == angle.max(),
+    }
     points = np.stack([x, r * np.sin(angle), r * np.cos(angle)], axis=1)
-    return jm.Mesh(points, {"hexahedron": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
+    return jm.Mesh(
+        points, {"hexahedron": cells}, {k: np.flatnonzero(v) for k, v in patches.items()}
+    )

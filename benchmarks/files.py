@@ -47,7 +47,9 @@ def foam_faces(side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for axis in range(3):
         order = (axis, (axis + 1) % 3, (axis + 2) % 3)
         nodes, behind = np.moveaxis(ids, order, (0, 1, 2)), np.moveaxis(cells, order, (0, 1, 2))
-        faces = np.stack([nodes[:, :-1, :-1], nodes[:, 1:, :-1], nodes[:, 1:, 1:], nodes[:, :-1, 1:]], axis=-1)
+        faces = np.stack(
+            [nodes[:, :-1, :-1], nodes[:, 1:, :-1], nodes[:, 1:, 1:], nodes[:, :-1, 1:]], axis=-1
+        )
         inner.append((faces[1:-1].reshape(-1, 4), behind[:-1].ravel(), behind[1:].ravel()))
         outer.append((faces[-1].reshape(-1, 4), behind[-1].ravel()))
         outer.append((faces[0].reshape(-1, 4)[:, ::-1], behind[0].ravel()))
@@ -82,7 +84,9 @@ def write_foam(case: pathlib.Path, side: int, points: np.ndarray) -> None:
 
 def write_plot3d(path: pathlib.Path, side: int, points: np.ndarray) -> None:
     coordinates = points.reshape(side, side, side, 3).transpose(3, 2, 1, 0).ravel()
-    path.write_text(f"1\n{side} {side} {side}\n" + "%r\n" * len(coordinates) % tuple(coordinates.tolist()))
+    path.write_text(
+        f"1\n{side} {side} {side}\n" + "%r\n" * len(coordinates) % tuple(coordinates.tolist())
+    )
 
 
 def write_tables(folder: pathlib.Path, side: int, mesh: jm.Mesh) -> None:
@@ -98,7 +102,9 @@ def write_tables(folder: pathlib.Path, side: int, mesh: jm.Mesh) -> None:
     tables["faces"] = np.column_stack([np.full(len(faces), 4, np.int32), faces])
     tables["sides"] = np.concatenate([owner, neighbour])[:, None]
     for name, values in tables.items():
-        polars.DataFrame(values).write_csv(folder / f"{name}.csv", separator=" ", include_header=False)
+        polars.DataFrame(values).write_csv(
+            folder / f"{name}.csv", separator=" ", include_header=False
+        )
 
 
 PEER_TABLES = {"su2": ("points", "elements"), "foam": ("points", "faces", "sides")}
@@ -190,13 +196,32 @@ def compare(here: pathlib.Path, side: int, formats: list[str]) -> None:
     rows = []
     for kind in formats:
         source, target = (str(here / name) for name in SOURCES[kind])
-        (read, read_wall), (write, write_wall), (peak_read, peak, size) = alone("--measure", source, target)
+        (read, read_wall), (write, write_wall), (peak_read, peak, size) = alone(
+            "--measure", source, target
+        )
         row = [kind, f"{read:.1f} ({read_wall:.1f})", f"{write:.1f} ({write_wall:.1f})"]
         for library in ("pandas", "polars"):
-            seconds = alone("--peer", library, str(here), kind)[0][0] if kind in PEER_TABLES else np.nan
-            row.append(f"{seconds:.1f}: {seconds / read:.2f}, {seconds / write:.2f}" if seconds == seconds else "")
-        rows.append([*row, f"{peak_read:.0f}, {peak:.0f}", f"{size:.0f}: {peak_read / size:.1f}, {peak / size:.1f}"])
-    heads = ("format", "read, CPU s (wall)", "write, CPU s (wall)", "pandas, CPU s: of its speed, read, write")
+            seconds = (
+                alone("--peer", library, str(here), kind)[0][0] if kind in PEER_TABLES else np.nan
+            )
+            row.append(
+                f"{seconds:.1f}: {seconds / read:.2f}, {seconds / write:.2f}"
+                if seconds == seconds
+                else ""
+            )
+        rows.append(
+            [
+                *row,
+                f"{peak_read:.0f}, {peak:.0f}",
+                f"{size:.0f}: {peak_read / size:.1f}, {peak / size:.1f}",
+            ]
+        )
+    heads = (
+        "format",
+        "read, CPU s (wall)",
+        "write, CPU s (wall)",
+        "pandas, CPU s: of its speed, read, write",
+    )
     heads += ("polars", "peak while reading, all, MB", "points and cells, MB: times these")
     table(rows, heads)
 

@@ -23,13 +23,23 @@ Motion = Callable[[float], np.ndarray]
 
 
 def row(
-    name: str, mesh: jm.Mesh, plans: dict[str, jm.Plan], motion: Motion, amount: float, steps: int = 1
+    name: str,
+    mesh: jm.Mesh,
+    plans: dict[str, jm.Plan],
+    motion: Motion,
+    amount: float,
+    steps: int = 1,
 ) -> list[str]:
     """One line: what is left of the gap, then each method. Each of several steps leaves an equal share of what was left."""
-    shares = [1 - (1 - amount) ** ((j + 1) / steps) for j in range(steps)] if steps > 1 else [amount]
+    shares = (
+        [1 - (1 - amount) ** ((j + 1) / steps) for j in range(steps)] if steps > 1 else [amount]
+    )
     path = np.stack([motion(share) for share in shares])
     left = jm.inspect(plans["default"], path[-1], mesh=mesh).gap_left
-    line = [f"{name}{f', {steps} steps' if steps > 1 else ''}", "" if left is None else f"{left:.3f}"]
+    line = [
+        f"{name}{f', {steps} steps' if steps > 1 else ''}",
+        "" if left is None else f"{left:.3f}",
+    ]
     for method, plan in plans.items():
         points = jm.march(plan, path, rebuild=method != "elasticity" and steps > 1)[1]
         report = jm.quality(mesh, points)
@@ -37,8 +47,13 @@ def row(
     return line
 
 
-def prepared(mesh: jm.Mesh, moving: str, fixed: tuple[str, ...], **boundaries) -> dict[str, jm.Plan]:
-    return {name: jm.prepare(mesh, moving, fixed, method=make(), **boundaries) for name, make in METHODS.items()}
+def prepared(
+    mesh: jm.Mesh, moving: str, fixed: tuple[str, ...], **boundaries
+) -> dict[str, jm.Plan]:
+    return {
+        name: jm.prepare(mesh, moving, fixed, method=make(), **boundaries)
+        for name, make in METHODS.items()
+    }
 
 
 def rows() -> Iterator[list[str]]:
@@ -62,7 +77,13 @@ def rows() -> Iterator[list[str]]:
         return np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0))) - base
 
     for degrees in (5, 8, 11):
-        yield row(f"channel, a wall turned by {degrees} degrees about its corner", mesh, plans, hinged, degrees)
+        yield row(
+            f"channel, a wall turned by {degrees} degrees about its corner",
+            mesh,
+            plans,
+            hinged,
+            degrees,
+        )
 
     mesh = faults.valve()
     shape = mesh.points[mesh.patch("valve")].shape
@@ -81,11 +102,22 @@ def rows() -> Iterator[list[str]]:
     def leaned(degrees):
         height = np.linalg.norm(blade[:, 1:], axis=1) - 1
         return (
-            np.asarray(jm.shapes.rotate(blade, np.radians(degrees) * height, about=(0, 0, 0), axis=(1, 0, 0))) - blade
+            np.asarray(
+                jm.shapes.rotate(
+                    blade, np.radians(degrees) * height, about=(0, 0, 0), axis=(1, 0, 0)
+                )
+            )
+            - blade
         )
 
     for degrees in (2, 5):
-        yield row(f"blade tip, leaned by {degrees} degrees about the shroud's axis", mesh, plans, leaned, degrees)
+        yield row(
+            f"blade tip, leaned by {degrees} degrees about the shroud's axis",
+            mesh,
+            plans,
+            leaned,
+            degrees,
+        )
 
 
 if __name__ == "__main__":

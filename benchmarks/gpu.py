@@ -68,7 +68,13 @@ def of_cells(side: int) -> tuple[str, Callable, tuple, float, float]:
 
     mesh = box(side + 1)
     cells = side**3
-    return f"quality, {cells:,} cells", measured, (mesh, jnp.asarray(mesh.points)), CELL * cells, 80 * cells
+    return (
+        f"quality, {cells:,} cells",
+        measured,
+        (mesh, jnp.asarray(mesh.points)),
+        CELL * cells,
+        80 * cells,
+    )
 
 
 def grown(tree: Any, rows: int, n: int) -> Any:
@@ -91,7 +97,9 @@ def steps(function: Callable, arguments: tuple, platform: str = "cuda") -> int:
 
 def rounds(program: str) -> int:
     """Counts the rounds of the loops of a StableHLO program; a loop's bound is the constant that its counter is compared with."""
-    functions: dict[str, Counter] = {}  # rounds of a function's loops under "", and calls of others under their names
+    functions: dict[
+        str, Counter
+    ] = {}  # rounds of a function's loops under "", and calls of others under their names
     name, constants, around, waiting, depth = "", {}, [(-1, 1)], None, 0
     for line in program.splitlines():
         if found := re.search(r"func\.func \w+ @([\w.]+)\(", line):
@@ -124,7 +132,10 @@ def without_device(n: int, s: int) -> None:
     print("\n| program, exported for CUDA | steps one after the other | for a CPU |\n|---|---|---|")
     for name, function, arguments, *_ in programs(small, s):
         shapes = grown(arguments, small, n)
-        print(f"| {name} | {steps(function, shapes):,} | {steps(function, shapes, 'cpu'):,} |", flush=True)
+        print(
+            f"| {name} | {steps(function, shapes):,} | {steps(function, shapes, 'cpu'):,} |",
+            flush=True,
+        )
     name, function, arguments, *_ = of_cells(45)
     print(f"| {name} | {steps(function, arguments)} | {steps(function, arguments, 'cpu')} |")
 
@@ -145,20 +156,34 @@ def against_cpu(program: str, n: int, s: int) -> float:
     for device in (jax.devices()[0], jax.devices("cpu")[0]):
         with jax.default_device(device):
             found = {name: call(*given) for name, call, given, *_ in programs(n, s)}
-            leaves = [leaf for leaf in jax.tree.leaves(found[program]) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+            leaves = [
+                leaf
+                for leaf in jax.tree.leaves(found[program])
+                if jnp.issubdtype(leaf.dtype, jnp.floating)
+            ]
             results.append([np.asarray(leaf) for leaf in leaves])
-    return max(np.abs(a - b).max() / max(np.abs(b).max(), 1e-300) for a, b in zip(*results, strict=True) if a.size)
+    return max(
+        np.abs(a - b).max() / max(np.abs(b).max(), 1e-300)
+        for a, b in zip(*results, strict=True)
+        if a.size
+    )
 
 
 def on_device(n: int, s: int, side: int, peak: tuple[float, float]) -> None:
     bandwidth, flops = peak
-    print("\n| what | ms | share of the memory's bandwidth | share of the float64 peak | difference from the CPU |")
+    print(
+        "\n| what | ms | share of the memory's bandwidth | share of the float64 peak | difference from the CPU |"
+    )
     print("|---|---|---|---|---|")
     for name, function, arguments, operations, traffic in (*programs(n, s), of_cells(side)):
         arrays, static = eqx.partition(arguments, eqx.is_array)
-        call = jax.jit(lambda arrays, function=function, static=static: function(*eqx.combine(arrays, static)))
+        call = jax.jit(
+            lambda arrays, function=function, static=static: function(*eqx.combine(arrays, static))
+        )
         took = seconds(lambda call=call, arrays=arrays: call(arrays))
-        difference = f"{against_cpu(name, 20_000, s):.0e}" if not name.startswith("quality") else "-"
+        difference = (
+            f"{against_cpu(name, 20_000, s):.0e}" if not name.startswith("quality") else "-"
+        )
         shares = f"{traffic / took / bandwidth / 1e9:.0%} | {operations / took / flops / 1e12:.0%}"
         print(f"| {name} | {1e3 * took:.1f} | {shares} | {difference} |", flush=True)
 
@@ -179,7 +204,9 @@ def main() -> None:
         return without_device(arguments.n, arguments.s)
     peak = arguments.peak or PEAKS.get(device.device_kind)
     if peak is None:
-        parser.error(f"the peaks of {device.device_kind} are not known: pass --peak BANDWIDTH_GB_S FLOAT64_TFLOP_S.")
+        parser.error(
+            f"the peaks of {device.device_kind} are not known: pass --peak BANDWIDTH_GB_S FLOAT64_TFLOP_S."
+        )
     on_device(arguments.n, arguments.s, arguments.side, peak)
 
 

@@ -33,18 +33,27 @@ def within(mesh: jm.Mesh, count: int) -> np.ndarray:
 def sections(spanwise: int = 130, around: int = 130) -> np.ndarray:
     """A wing's surface in structured sections, (spanwise * around, 3): full of cospherical nodes."""
     y, t = np.meshgrid(
-        np.linspace(0, 0.762, spanwise), np.linspace(0, 2 * np.pi, around, endpoint=False), indexing="ij"
+        np.linspace(0, 0.762, spanwise),
+        np.linspace(0, 2 * np.pi, around, endpoint=False),
+        indexing="ij",
     )
     chord = 0.558 - 0.19 * y / 0.762
-    return np.stack([1.06 * y + chord * (1 + np.cos(t)) / 2, y, 0.02 * chord * np.sin(t)], axis=-1).reshape(-1, 3)
+    return np.stack(
+        [1.06 * y + chord * (1 + np.cos(t)) / 2, y, 0.02 * chord * np.sin(t)], axis=-1
+    ).reshape(-1, 3)
 
 
 def mapping(mesh: jm.Mesh, count: int) -> list[tuple[str, str, str]]:
     points = np.concatenate([mesh.points, within(mesh, count)])
     plan = jm.prepare(points, mesh.patch("wing"), mesh.patch("farfield"), method=jm.DelaunayGraph())
     rng = np.random.default_rng(0)
-    u, cotangent = jnp.asarray(rng.normal(size=(plan.n_moving, 3))), jnp.asarray(rng.normal(size=points.shape))
-    words = 4 / 2 + 4 + 3 + 3 + 1.5  # read ids, weights, points and own row; write points: doubles a point
+    u, cotangent = (
+        jnp.asarray(rng.normal(size=(plan.n_moving, 3))),
+        jnp.asarray(rng.normal(size=points.shape)),
+    )
+    words = (
+        4 / 2 + 4 + 3 + 3 + 1.5
+    )  # read ids, weights, points and own row; write points: doubles a point
     block = jnp.asarray(rng.normal(size=(len(points), round(words / 2))))
     copy = jax.jit(lambda x: -x)
     times = cpu_seconds(
@@ -55,10 +64,20 @@ def mapping(mesh: jm.Mesh, count: int) -> list[tuple[str, str, str]]:
         }
     )
     bandwidth = words / times["map"] / (2 * block.shape[1] / times["copy"])
-    each = {name: f"{seconds / len(points) * 1e9:.1f} ns a point" for name, seconds in times.items()}
+    each = {
+        name: f"{seconds / len(points) * 1e9:.1f} ns a point" for name, seconds in times.items()
+    }
     return [
-        (f"graph mapping of {len(points):,} points, of the copy bandwidth", f"{bandwidth:.0%} ({each['map']})", "60 %"),
-        ("its transpose over itself", f"{times['transpose'] / times['map']:.1f} ({each['transpose']})", "2.6"),
+        (
+            f"graph mapping of {len(points):,} points, of the copy bandwidth",
+            f"{bandwidth:.0%} ({each['map']})",
+            "60 %",
+        ),
+        (
+            "its transpose over itself",
+            f"{times['transpose'] / times['map']:.1f} ({each['transpose']})",
+            "2.6",
+        ),
     ]
 
 
@@ -70,7 +89,8 @@ def location(count: int) -> list[tuple[str, str, str]]:
     height = 10 ** rng.uniform(-5, 0, count)  # above and below the wing, as layers are
     start = wing[rng.integers(0, len(wing), count)]
     points = start + height[:, None] * np.stack(
-        [0.2 * rng.normal(size=count), 0.2 * rng.normal(size=count), np.sign(start[:, 2] + 1e-9)], axis=1
+        [0.2 * rng.normal(size=count), 0.2 * rng.normal(size=count), np.sign(start[:, 2] + 1e-9)],
+        axis=1,
     )
     found, ours, _ = once(lambda: locate(graph_of(surface), points, np.arange(count)))
     build, ours_build = once(lambda: Delaunay(surface))[:2]
@@ -95,7 +115,9 @@ def location(count: int) -> list[tuple[str, str, str]]:
     ]
 
 
-def set_up(mesh: jm.Mesh, count: int, name: str, goals: tuple[str, str]) -> list[tuple[str, str, str]]:
+def set_up(
+    mesh: jm.Mesh, count: int, name: str, goals: tuple[str, str]
+) -> list[tuple[str, str, str]]:
     points = (
         np.concatenate([mesh.points, within(mesh, count - len(mesh.points))])
         if count > len(mesh.points)
@@ -106,7 +128,9 @@ def set_up(mesh: jm.Mesh, count: int, name: str, goals: tuple[str, str]) -> list
     u = jnp.asarray(0.01 * np.random.default_rng(0).normal(size=(plan.n_moving, 3)))
     seconds = cpu_seconds({"deform": lambda: jm.deform(plan, u)}, 3)["deform"]
     sources = len(plan.sources)
-    rows.append((f"`deform` of {name}, {sources} sources, default method", f"{seconds:.2f} s CPU", goals[1]))
+    rows.append(
+        (f"`deform` of {name}, {sources} sources, default method", f"{seconds:.2f} s CPU", goals[1])
+    )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return [*rows, (f"peak memory of the process after {name}", f"{peak:.1f} GB", "8 GB")]
 
@@ -123,5 +147,7 @@ if __name__ == "__main__":
     rows += location(100_000)
     rows += mapping(wing, arguments.points)
     if arguments.large:
-        rows += set_up(wing, arguments.large, f"{arguments.large:,} nodes around it", ("60 s CPU", "10 s CPU"))
+        rows += set_up(
+            wing, arguments.large, f"{arguments.large:,} nodes around it", ("60 s CPU", "10 s CPU")
+        )
     table(rows)

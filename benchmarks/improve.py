@@ -67,7 +67,9 @@ def derivative(mesh: jm.Mesh, plan: jm.Plan, base: np.ndarray) -> None:
         angle = -jnp.deg2rad(degrees)
         z = (base[:, 0] - 0.25 + 1j * base[:, 1]) * (jnp.exp(1j * angle) - 1)
         points = jm.deform(plan, jnp.stack([z.real, z.imag], axis=1))
-        return jnp.mean(jm.smooth_quality(mesh, jm.improve(mesh, points, tolerance=1e-6).points).skewness)
+        return jnp.mean(
+            jm.smooth_quality(mesh, jm.improve(mesh, points, tolerance=1e-6).points).skewness
+        )
 
     slope = jax.jit(jax.grad(objective))
     float(slope(15.0))
@@ -88,7 +90,10 @@ def pitched(points: int):
     mesh = cases.naca0015(points=points)
     wall, far = mesh.patch("airfoil"), mesh.patch("farfield")
     base = mesh.points[wall]
-    default, graph = jm.prepare(mesh.points, wall, far), jm.prepare(mesh.points, wall, far, method=jm.DelaunayGraph())
+    default, graph = (
+        jm.prepare(mesh.points, wall, far),
+        jm.prepare(mesh.points, wall, far, method=jm.DelaunayGraph()),
+    )
     for plan, name, degrees in (
         (default, "default", 15),
         (default, "default", 60),
@@ -110,7 +115,11 @@ def wing(points: int) -> None:
     moving, far = mesh.patch("wing"), mesh.patch("farfield")
     plan = jm.prepare(mesh.points, moving, far, symmetry=jm.Plane((0, 1, 0), (0, 0, 0)))
     for degrees in (30, 45, 60):
-        report(f"wing, flap {degrees} degrees, default", mesh, jm.deform(plan, flap(mesh.points[moving], degrees)))
+        report(
+            f"wing, flap {degrees} degrees, default",
+            mesh,
+            jm.deform(plan, flap(mesh.points[moving], degrees)),
+        )
 
 
 HARDEST = {
@@ -137,13 +146,26 @@ def hard_rows(points: int, chosen: tuple[str, ...]):
     wanted = {(case, motion) for case, motion in wanted if f"{case}: {motion}".startswith(chosen)}
     for case in all_cases(points) if wanted else ():
         for motion in (motion for motion in case.motions if (case.name, motion) in wanted):
-            yield f"{case.name}: {motion}", case.mesh, jm.deform(case.plan(None), case.motions[motion](case.wall, 1.0))
+            yield (
+                f"{case.name}: {motion}",
+                case.mesh,
+                jm.deform(case.plan(None), case.motions[motion](case.wall, 1.0)),
+            )
 
 
-def worst(points: int = 1200, chosen: tuple[str, ...] = ("",), timed: bool = False) -> Iterator[list[str]]:
+def worst(
+    points: int = 1200, chosen: tuple[str, ...] = ("",), timed: bool = False
+) -> Iterator[list[str]]:
     """Makes the table of `improve` and `improve(worst=True)`, its heads first; with CPU seconds of a second call."""
     times = ["CPU, s", "`worst`"] if timed else []
-    yield ["motion", "inverted before", "ratio, skewness before", "`improve`", "`worst=True`", *times]
+    yield [
+        "motion",
+        "inverted before",
+        "ratio, skewness before",
+        "`improve`",
+        "`worst=True`",
+        *times,
+    ]
     for name, mesh, moved in hard_rows(points, chosen):
         line, took = [name, str(int(jm.quality(mesh, moved).inverted))], []
         for is_worst in (None, False, True):
@@ -154,7 +176,9 @@ def worst(points: int = 1200, chosen: tuple[str, ...] = ("",), timed: bool = Fal
                 cpu = time.process_time() - began
             quality = jm.quality(mesh, found)
             took += [f"{cpu:.1f}"] if timed and is_worst is not None else []
-            line.append(f"{float(quality.min_jacobian_ratio):.3f}, {float(quality.max_skewness):.3f}")
+            line.append(
+                f"{float(quality.min_jacobian_ratio):.3f}, {float(quality.max_skewness):.3f}"
+            )
         yield [*line, *took]
         jax.clear_caches()
 
@@ -164,7 +188,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--wing", action="store_true", help="the wing instead of the airfoil")
     parser.add_argument("--points", type=int)
-    parser.add_argument("--worst", action="store_true", help="`improve` against `improve(worst=True)`")
+    parser.add_argument(
+        "--worst", action="store_true", help="`improve` against `improve(worst=True)`"
+    )
     parser.add_argument("--row", nargs="+", default=[""], help="words that begin a row's name")
     arguments = parser.parse_args()
     if arguments.worst:
@@ -173,7 +199,9 @@ if __name__ == "__main__":
         table(lines, next(lines))
         sys.exit()
     about(points=arguments.points or (64_943 if arguments.wing else 39_666))
-    print("\n| case | inverted before | after | max skewness | steps | residual | first, s | CPU | again, s | CPU |")
+    print(
+        "\n| case | inverted before | after | max skewness | steps | residual | first, s | CPU | again, s | CPU |"
+    )
     print("|---|---|---|---|---|---|---|---|---|---|")
     if arguments.wing:
         wing(arguments.points or 64_943)

@@ -29,7 +29,10 @@ def measure(n: int, s: int) -> None:
     about(n=n, s=s, dtype="float64", cores=len(os.sched_getaffinity(0)), peer=peers)
 
     def per_pair(functions, repeats=7):
-        return {name: 1e9 * seconds / (n * s) for name, seconds in cpu_seconds(functions, repeats).items()}
+        return {
+            name: 1e9 * seconds / (n * s)
+            for name, seconds in cpu_seconds(functions, repeats).items()
+        }
 
     print("\n| basis | jaxmorph | C++ | speed of C++ | first call, s |\n|---|---|---|---|---|")
     for basis in BASES:
@@ -46,7 +49,10 @@ def measure(n: int, s: int) -> None:
         times = per_pair(functions)
         peer = times.get("C++", float("nan"))
         share = f"{peer / times['jaxmorph']:.0%}"
-        print(f"| {basis} | {times['jaxmorph']:.2f} | {peer:.2f} | {share} | {first:.1f} |", flush=True)
+        print(
+            f"| {basis} | {times['jaxmorph']:.2f} | {peer:.2f} | {share} | {first:.1f} |",
+            flush=True,
+        )
 
     plan = plan_of(n, s)
     u = displacements(plan)
@@ -63,14 +69,22 @@ def against_peers(plan, u, per_pair) -> None:
     points = np.asarray(plan.points)
     peers = dict(evaluations(points[plan.moving], np.asarray(u), points))
     exact = peers["SciPy"]()
-    print("\n| evaluation | ns a pair | times jaxmorph | largest difference from SciPy |\n|---|---|---|---|")
-    differences = {name: np.abs(np.asarray(function()) - exact).max() for name, function in peers.items()}
+    print(
+        "\n| evaluation | ns a pair | times jaxmorph | largest difference from SciPy |\n|---|---|---|---|"
+    )
+    differences = {
+        name: np.abs(np.asarray(function()) - exact).max() for name, function in peers.items()
+    }
     differences["jaxmorph"] = np.abs(np.asarray(jm.deform(plan, u)) - points - exact).max()
     for name, peer in peers.items():
         times = per_pair({"jaxmorph": lambda: jm.deform(plan, u), name: peer}, 5)
         factor = times[name] / times["jaxmorph"]
-        print(f"| {name} | {times[name]:.2f} | {factor:.1f} | {differences[name]:.0e} |", flush=True)
-    print(f"| jaxmorph | {times['jaxmorph']:.2f} | 1.0 | {differences['jaxmorph']:.0e} |", flush=True)
+        print(
+            f"| {name} | {times[name]:.2f} | {factor:.1f} | {differences[name]:.0e} |", flush=True
+        )
+    print(
+        f"| jaxmorph | {times['jaxmorph']:.2f} | 1.0 | {differences['jaxmorph']:.0e} |", flush=True
+    )
 
 
 def derivatives_and_many(plan, u, per_pair) -> None:
@@ -97,8 +111,12 @@ def derivatives_and_many(plan, u, per_pair) -> None:
         {"deform, 8 fields by vmap": lambda: several(plan, eight)},
         {"deform, 100 fields by vmap": lambda: several(plan, hundred)},
     )
-    one = per_pair({"deform": lambda: jm.deform(plan, u)})["deform"]  # alone: after 240 MB of fields it is slower
-    print(f"\n| thin plate spline | ns a pair | times deform |\n|---|---|---|\n| deform | {one:.2f} | 1.00 |")
+    one = per_pair({"deform": lambda: jm.deform(plan, u)})[
+        "deform"
+    ]  # alone: after 240 MB of fields it is slower
+    print(
+        f"\n| thin plate spline | ns a pair | times deform |\n|---|---|---|\n| deform | {one:.2f} | 1.00 |"
+    )
     for group in groups:
         for name, value in per_pair(group, 5).items():
             print(f"| {name} | {value:.2f} | {value / one:.2f} |", flush=True)

@@ -20,7 +20,9 @@ METHODS = {
     "the paper's, 4 + 6": jm.SurfaceReconstruction.published(1, 2),
     "the paper's, 32 + 6": jm.SurfaceReconstruction.published(8, 2),
     "the default": None,
-    "the default without its fit": jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(64, extremes=True))),
+    "the default without its fit": jm.SurfaceReconstruction(
+        jm.RBF(reduction=jm.KDTree(64, extremes=True))
+    ),
     "elasticity 1/V": jm.LinearElasticity(),
     "elasticity 1/d": jm.LinearElasticity(jm.ByDistance(1.0)),
     "elasticity 1/d^2": jm.LinearElasticity(jm.ByDistance(2.0)),
@@ -40,7 +42,9 @@ def pitch(base: np.ndarray, degrees: float) -> jax.Array:
 def flap(base: np.ndarray, degrees: float) -> jax.Array:
     """Downwards behind 70 % of the chord, blended over a tenth of it before the hinge."""
     share = np.clip((base[:, 0] - 0.65) / 0.1, 0, 1)
-    return jm.shapes.rotate(base, -np.deg2rad(degrees) * share**2 * (3 - 2 * share), [0.7, 0.0]) - base
+    return (
+        jm.shapes.rotate(base, -np.deg2rad(degrees) * share**2 * (3 - 2 * share), [0.7, 0.0]) - base
+    )
 
 
 def limit(plan: jm.Plan, mesh: jm.Mesh, motion, most: float, steps: int) -> float:
@@ -67,7 +71,12 @@ def rows(points: int = 39_666, methods: Sequence[str] = tuple(METHODS)[:6]) -> I
     for name in methods:
         method = METHODS[name]
         whole = method is not None and (method.needs_cells or not method.linear)
-        plan = jm.prepare(mesh if whole else mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+        plan = jm.prepare(
+            mesh if whole else mesh.points,
+            mesh.patch("airfoil"),
+            mesh.patch("farfield"),
+            method=method,
+        )
         reached = []
         for motion, most in ((pitch, 180.0), (flap, 120.0)):
             for steps in (1, 9):

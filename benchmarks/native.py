@@ -18,7 +18,9 @@ from jaxmorph import cases, native
 
 CASES = {
     "2-D, 50,000 points": lambda: jm.prepare(cases.naca0015(points=50000), "airfoil", "farfield"),
-    "wing, 27,000 points": lambda: jm.prepare(cases.wing(), "wing", "farfield", free=("root", "tip")),
+    "wing, 27,000 points": lambda: jm.prepare(
+        cases.wing(), "wing", "farfield", free=("root", "tip")
+    ),
     "wing, fixed ends": lambda: jm.prepare(cases.wing(), "wing", ["farfield", "root", "tip"]),
 }
 
@@ -37,7 +39,10 @@ def least(function, repeats: int = 9) -> float:
 def library(folder: pathlib.Path, flags: list[str]) -> ctypes.CDLL:
     source, target = folder / "plan.c", folder / "plan.so"
     source.write_text('#define JMPLAN_IMPLEMENTATION\n#include "jmplan.h"\n')
-    subprocess.run(["cc", *flags, "-fPIC", "-shared", f"-I{native.folder}", source, "-o", target, "-lm"], check=True)
+    subprocess.run(
+        ["cc", *flags, "-fPIC", "-shared", f"-I{native.folder}", source, "-o", target, "-lm"],
+        check=True,
+    )
     loaded = ctypes.CDLL(str(target))
     loaded.jm_open.restype, loaded.jm_error.restype = ctypes.c_void_p, ctypes.c_char_p
     return loaded
@@ -52,7 +57,10 @@ def row(c: ctypes.CDLL, name: str, plan: jm.Plan, file: pathlib.Path) -> str:
     bar = np.random.default_rng(0).normal(size=base.shape)
     points, back = np.empty_like(base), np.empty_like(u)
     given = [ctypes.c_void_p(array.ctypes.data) for array in (u, points, bar, back)]
-    ours = least(lambda: c.jm_deform(opened, *given[:2])), least(lambda: c.jm_pullback(opened, *given[2:]))
+    ours = (
+        least(lambda: c.jm_deform(opened, *given[:2])),
+        least(lambda: c.jm_pullback(opened, *given[2:])),
+    )
     jax_ = (
         least(lambda: jm.deform(plan, u).block_until_ready()),
         least(lambda: jm.pullback(plan, u, bar).block_until_ready()),
@@ -72,7 +80,9 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     folder = pathlib.Path(tempfile.mkdtemp())
     c = library(folder, sys.argv[1:] or ["-O3"])
-    print(f"{'':20} {'MB':>6}{'deform, ms':>21}{'pullback, ms':>21} {'points':>9} {'walls':>6} {'pullback':>9}")
+    print(
+        f"{'':20} {'MB':>6}{'deform, ms':>21}{'pullback, ms':>21} {'points':>9} {'walls':>6} {'pullback':>9}"
+    )
     for name, make in CASES.items():
         print(row(c, name, make(), folder / "case.plan"))
 

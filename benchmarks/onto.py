@@ -17,7 +17,9 @@ from jaxmorph import shapes
 def ball(count: int) -> tuple[np.ndarray, np.ndarray]:
     i = np.arange(count) + 0.5
     polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
-    points = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    points = np.stack(
+        [np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1
+    )
     faces = ConvexHull(points).simplices
     inward = np.linalg.det(points[faces]) < 0
     return points, np.where(inward[:, None], faces[:, ::-1], faces)
@@ -83,7 +85,10 @@ def main() -> None:
         ratio = np.linalg.norm(np.asarray(wall.at(points[nodes]).areas()), axis=1) / sizes
         height = np.asarray(jm.wall_quality(mesh, nodes, points).height)
         lines = len(inspect.getsource(way).splitlines()) - 1
-        off, inverted = float(target.distance(points[nodes]).max()), int(jm.quality(mesh, points).inverted)
+        off, inverted = (
+            float(target.distance(points[nodes]).max()),
+            int(jm.quality(mesh, points).inverted),
+        )
         faces, first = (f"{each.min():.2f} to {each.max():.2f}" for each in (ratio, height))
         print(f"| {way.__name__} | {lines} | {off:.1e} | {faces} | {first} | {inverted} |")
 

@@ -19,7 +19,9 @@ FAR = 20.0
 
 def ellipsoid(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
     """Points (n, 3) on the body."""
-    return np.stack([np.sin(theta) * np.cos(phi), 0.3 * np.sin(theta) * np.sin(phi), 2 * np.cos(theta)], axis=1)
+    return np.stack(
+        [np.sin(theta) * np.cos(phi), 0.3 * np.sin(theta) * np.sin(phi), 2 * np.cos(theta)], axis=1
+    )
 
 
 def surface(wall: int, far: int) -> tuple[np.ndarray, int]:
@@ -48,16 +50,24 @@ def part(k: int, parts: int, size: int, layers: int = 200) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", type=int, default=100)
-    parser.add_argument("--size", type=int, default=1_000_000, help="nodes of a part (default 1,000,000)")
-    parser.add_argument("--wall", type=int, default=100_000, help="nodes of the moving wall (default 100,000)")
-    parser.add_argument("--far", type=int, default=10_000, help="nodes of the far field (default 10,000)")
+    parser.add_argument(
+        "--size", type=int, default=1_000_000, help="nodes of a part (default 1,000,000)"
+    )
+    parser.add_argument(
+        "--wall", type=int, default=100_000, help="nodes of the moving wall (default 100,000)"
+    )
+    parser.add_argument(
+        "--far", type=int, default=10_000, help="nodes of the far field (default 10,000)"
+    )
     parser.add_argument("--only", type=int, help="how many of the parts are moved (default all)")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     about(parts=arguments.parts, size=arguments.size, wall=arguments.wall, far=arguments.far)
     points, count = surface(arguments.wall, arguments.far)
     began = time.process_time()
-    half = jm.prepare_surface(jm.Boundary(points, np.arange(count), np.arange(count, len(points))), is_open=False)
+    half = jm.prepare_surface(
+        jm.Boundary(points, np.arange(count), np.arange(count, len(points))), is_open=False
+    )
     preparing = time.process_time() - began
     span = points[:count, 2]
     u = np.stack([0 * span, 0.05 * span**2, 0 * span], axis=1)
@@ -74,9 +84,14 @@ def main() -> None:
             seconds[name].append(float(taken))
         del made, plan
     rows = [["prepare_surface", "", f"{preparing:.1f}"]]
-    rows += [[name, f"{each[0]:.2f}", f"{np.mean(each[1:] or each):.2f}"] for name, each in seconds.items()]
+    rows += [
+        [name, f"{each[0]:.2f}", f"{np.mean(each[1:] or each):.2f}"]
+        for name, each in seconds.items()
+    ]
     table(rows, ("CPU seconds", "first part", "each further part"))
-    each = sum(np.mean(values[1:] or values) for name, values in seconds.items() if name != "generate")
+    each = sum(
+        np.mean(values[1:] or values) for name, values in seconds.items() if name != "generate"
+    )
     total = (
         preparing
         + sum(values[0] for name, values in seconds.items() if name != "generate")

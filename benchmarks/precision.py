@@ -34,7 +34,12 @@ def problems():
     with jax.enable_x64(True):
         pitched = np.asarray(jm.shapes.rotate(wall, np.deg2rad(-15), [0.25, 0.0])) - wall
     yield "airfoil, 15 degrees", airfoil, "airfoil", pitched
-    yield "wing, mode 1 by 0.25", wing, "wing", agard445.mode(wing.points[wing.patch("wing")], 1, 0.25)
+    yield (
+        "wing, mode 1 by 0.25",
+        wing,
+        "wing",
+        agard445.mode(wing.points[wing.patch("wing")], 1, 0.25),
+    )
 
 
 def results(dtype) -> dict[str, np.ndarray]:
@@ -42,7 +47,11 @@ def results(dtype) -> dict[str, np.ndarray]:
     for case, mesh, moving, u in problems():
         cotangent = np.random.default_rng(0).normal(size=mesh.points.shape).astype(dtype)
         for name, method in METHODS.items():
-            if len(mesh.points) > 15_000 and mesh.points.shape[1] == 3 and isinstance(method, jm.RBF):
+            if (
+                len(mesh.points) > 15_000
+                and mesh.points.shape[1] == 3
+                and isinstance(method, jm.RBF)
+            ):
                 continue  # 4,475 sources: the airfoil shows it
             points = mesh.points.astype(dtype)
             try:
@@ -52,8 +61,12 @@ def results(dtype) -> dict[str, np.ndarray]:
                 continue
             moved = np.asarray(jm.deform(plan, u.astype(dtype)), float) - points
             found[f"{case}, {name}, displacements"] = moved
-            found[f"{case}, {name}, inverted"] = np.array(int(jm.quality(mesh, points + moved).inverted))
-            found[f"{case}, {name}, gradient"] = np.asarray(jm.pullback(plan, u.astype(dtype), cotangent), float)
+            found[f"{case}, {name}, inverted"] = np.array(
+                int(jm.quality(mesh, points + moved).inverted)
+            )
+            found[f"{case}, {name}, gradient"] = np.asarray(
+                jm.pullback(plan, u.astype(dtype), cotangent), float
+            )
     return found
 
 
@@ -79,19 +92,30 @@ def sums() -> None:
         values = np.zeros_like(points)
         values[mesh.patch(moving)] = u
         terms = np.column_stack([np.ones(len(at)), points[at]])
-        kernel = summed(np.linalg.norm(points[at][:, None] - points[at], axis=2), np.eye(len(at)), float)
+        kernel = summed(
+            np.linalg.norm(points[at][:, None] - points[at], axis=2), np.eye(len(at)), float
+        )
         zeros = np.zeros((terms.shape[1], terms.shape[1]))
         system = np.block([[kernel, terms], [terms.T, zeros]])
-        weights = np.linalg.solve(system, np.concatenate([values[at], zeros[:, : points.shape[1]]]))[: len(at)]
+        weights = np.linalg.solve(
+            system, np.concatenate([values[at], zeros[:, : points.shape[1]]])
+        )[: len(at)]
         wall = points[mesh.patch(moving)]
         near = ((points >= wall.min(axis=0)) & (points <= wall.max(axis=0))).all(axis=1)
         wrong = []
         for part in np.array_split(points, 1 + len(points) // 4096):
             apart = np.linalg.norm(part[:, None] - points[at], axis=2)
-            wrong.append(np.abs(summed(apart, weights, np.float32) - summed(apart, weights, float)).max(axis=1))
+            wrong.append(
+                np.abs(summed(apart, weights, np.float32) - summed(apart, weights, float)).max(
+                    axis=1
+                )
+            )
         error = np.concatenate(wrong) / np.abs(u).max()
         rows.append((case, str(len(at)), f"{error.max():.0e}", f"{error[near].max():.0e}"))
-    table(rows, ("what", "sources", "largest error over largest displacement", "within the wall's box"))
+    table(
+        rows,
+        ("what", "sources", "largest error over largest displacement", "within the wall's box"),
+    )
 
 
 if __name__ == "__main__":

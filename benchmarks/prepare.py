@@ -70,5 +70,12 @@ if __name__ == "__main__":
         }
         for how, call in calls.items():
             whole, spent = timed(call)
-            rows.append([f"{first_cell:g}", how, f"{whole:.1f}", *(f"{value:.1f}" for value in spent.values())])
+            rows.append(
+                [
+                    f"{first_cell:g}",
+                    how,
+                    f"{whole:.1f}",
+                    *(f"{value:.1f}" for value in spent.values()),
+                ]
+            )
     table(rows, ("first cell", "called with", "prepare, CPU s", *PARTS))

@@ -27,7 +27,9 @@ def copies(kind: str, count: int, shift: float) -> tuple[jm.Mesh, np.ndarray]:
     cell = lagrange_types()[kind]
     d, nodes = cell.dimension, len(cell.lattice)
     side = int(np.ceil(count ** (1 / d)))
-    origins = np.array(list(itertools.islice(itertools.product(range(side), repeat=d), count)), float)
+    origins = np.array(
+        list(itertools.islice(itertools.product(range(side), repeat=d), count)), float
+    )
     points = (2 * origins[:, None] + cell.reference).reshape(-1, d)
     mesh = jm.Mesh(points, {kind: np.arange(count * nodes).reshape(count, nodes)})
     return mesh, points + shift / cell.order * np.random.default_rng(0).normal(size=points.shape)
@@ -63,7 +65,9 @@ def stator(count: int) -> jm.Mesh:
     along, turn = x + 0 * stagger, y / 2.5 + stagger * x / 2.5 + lean
     r = 2 + heights[:, None]
     quads, n = flat.cells["quad"], len(x)
-    cells = np.concatenate([np.hstack([quads + i * n, quads + (i + 1) * n]) for i in range(len(heights) - 1)])
+    cells = np.concatenate(
+        [np.hstack([quads + i * n, quads + (i + 1) * n]) for i in range(len(heights) - 1)]
+    )
     points = np.stack([along, r * np.sin(turn), r * np.cos(turn)], axis=-1).reshape(-1, 3)
     return jm.Mesh(points, {"hexahedron": cells})
 
@@ -83,7 +87,9 @@ def speed(count: int) -> None:
     rows = []
     for shape, order in itertools.product(SHAPES, (1, 2, 3, 4)):
         name = next(
-            c.name for c in lagrange_types().values() if (c.shape, c.order, c.is_complete) == (shape, order, True)
+            c.name
+            for c in lagrange_types().values()
+            if (c.shape, c.order, c.is_complete) == (shape, order, True)
         )
         number = max(64, count // len(lagrange_types()[name].lattice) ** 2 * 25)
         mesh, points = copies(name, min(number, count), 0.02)
@@ -92,11 +98,16 @@ def speed(count: int) -> None:
             calls["motion"] = lambda: jm.proof(mesh, points, base=mesh.points)  # noqa: B023
         if order == 1:
             margin = jax.jit(lambda x: jm.proven_margin(mesh, x))  # noqa: B023
-            gradient = jax.jit(jax.grad(lambda x: jnp.sum(jm.proven_margin(mesh, x, sharpness=50.0))))  # noqa: B023
+            gradient = jax.jit(
+                jax.grad(lambda x: jnp.sum(jm.proven_margin(mesh, x, sharpness=50.0)))  # noqa: B023
+            )
             calls |= {"traced": lambda: margin(points), "gradient": lambda: gradient(points)}  # noqa: B023
         took = cpu_seconds(calls, repeats=3)
         columns = ("end", "motion", "traced", "gradient")
-        each = [f"{1e6 * took[call] / min(number, count):.3g}" if call in took else "" for call in columns]
+        each = [
+            f"{1e6 * took[call] / min(number, count):.3g}" if call in took else ""
+            for call in columns
+        ]
         rows.append([name, str(min(number, count)), *each])
     table(rows, ("type", "cells", "`proof`", "with `base`", "`proven_margin`, jit", "its gradient"))
 
@@ -116,9 +127,16 @@ def valid_meshes() -> None:
         for how, points in ends.items():
             report = jm.proof(mesh, points)
             inverted = int(jm.quality(mesh.moved(points)).inverted)
-            counts = [str(each) for each in (report.count, report.valid, report.invalid, report.unknown)]
-            rows.append([f"{name} {how}".strip(), *counts, f"{report.min_margin:.3g}", str(inverted)])
-    table(rows, ("mesh", "cells", "valid", "invalid", "unknown", "least margin", "inverted by `quality`"))
+            counts = [
+                str(each) for each in (report.count, report.valid, report.invalid, report.unknown)
+            ]
+            rows.append(
+                [f"{name} {how}".strip(), *counts, f"{report.min_margin:.3g}", str(inverted)]
+            )
+    table(
+        rows,
+        ("mesh", "cells", "valid", "invalid", "unknown", "least margin", "inverted by `quality`"),
+    )
 
 
 if __name__ == "__main__":

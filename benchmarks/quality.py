@@ -20,8 +20,12 @@ def grid(side: int, dimension: int) -> jm.Mesh:
     square = ((low, low), (high, low), (high, high), (low, high))
     places = square if dimension == 2 else [(*each, end) for end in (low, high) for each in square]
     cells = np.stack([corners[each].ravel() for each in places], axis=1)
-    points = np.stack(np.meshgrid(*[np.linspace(0, 1, side + 1)] * dimension, indexing="ij"), axis=-1)
-    return jm.Mesh(points.reshape(-1, dimension), {"quad" if dimension == 2 else "hexahedron": cells})
+    points = np.stack(
+        np.meshgrid(*[np.linspace(0, 1, side + 1)] * dimension, indexing="ij"), axis=-1
+    )
+    return jm.Mesh(
+        points.reshape(-1, dimension), {"quad" if dimension == 2 else "hexahedron": cells}
+    )
 
 
 def measure(name: str, mesh: jm.Mesh) -> None:

@@ -29,7 +29,9 @@ ENOUGH = 0.85
 
 RIVALS = {
     "published": lambda: jm.SurfaceReconstruction.published(),
-    "64 leaves": lambda: jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(64, extremes=True)), jm.NearWall()),
+    "64 leaves": lambda: jm.SurfaceReconstruction(
+        jm.RBF(reduction=jm.KDTree(64, extremes=True)), jm.NearWall()
+    ),
     "classic": lambda: jm.RBF.classic(),
 }
 
@@ -79,18 +81,24 @@ def rows_of(case: Case, rng: np.random.Generator, default=lambda: None) -> Itera
     for whole in (True, False):
         methods = {"default": case.prepared(default(), whole)}
         for name, make in RIVALS.items():
-            with contextlib.suppress(ValueError):  # the classic RBF refuses nodes that nearly coincide
+            with contextlib.suppress(
+                ValueError
+            ):  # the classic RBF refuses nodes that nearly coincide
                 methods[name] = case.prepared(make(), whole)
         rivals = [plan for name, plan in methods.items() if name in RIVALS]
         for name, motion in case.motions.items():
             if name not in amounts:
                 amounts[name] = largest(case, rivals, motion) * rng.uniform(0.3, 1)
-            found = {method: ratio(case, plan, motion, amounts[name]) for method, plan in methods.items()}
+            found = {
+                method: ratio(case, plan, motion, amounts[name]) for method, plan in methods.items()
+            }
             yield Row(case.name, name, whole, amounts[name], found)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--case", nargs="+")
     parser.add_argument("--json", type=pathlib.Path)
     parser.add_argument("--seed", type=int, default=0)
@@ -113,8 +121,13 @@ def main() -> None:
             asked.json.write_text(json.dumps([row._asdict() for row in rows], indent=1))
     share = np.array([row.ratios["default"] / max(row.best, 1e-9) for row in rows])
     inverted = sum(row.ratios["default"] <= 0 < row.best for row in rows)
-    print(f"{len(rows)} rows, {sum(row.is_short for row in rows)} short, {inverted} of them inverted")
-    print("the default over the best: " + ", ".join(f"{q} % {np.percentile(share, q):.2f}" for q in (0, 5, 10, 50, 90)))
+    print(
+        f"{len(rows)} rows, {sum(row.is_short for row in rows)} short, {inverted} of them inverted"
+    )
+    print(
+        "the default over the best: "
+        + ", ".join(f"{q} % {np.percentile(share, q):.2f}" for q in (0, 5, 10, 50, 90))
+    )
 
 
 if __name__ == "__main__":

@@ -26,14 +26,20 @@ def cpu(function, *arguments) -> float:
 def boxes():
     rng = np.random.default_rng(0)
     x, control = rng.uniform(size=(100_000, 3)), rng.normal(size=(10, 6, 5, 3))
-    for name, degree in (("B-splines of degree 2", 2), ("B-splines of degree 3", 3), ("Bernstein polynomials", None)):
+    for name, degree in (
+        ("B-splines of degree 2", 2),
+        ("B-splines of degree 3", 3),
+        ("Bernstein polynomials", None),
+    ):
         operator = shapes.FreeForm.around(x, (10, 6, 5), degree=degree).at(x)
         back = jax.jit(lambda u, operator=operator: jax.linear_transpose(operator, control)(u)[0])
         yield name, f"{cpu(jax.jit(operator), control):.1f}", f"{cpu(back, x):.1f}"
 
 
 def smoothing():
-    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 100, endpoint=False), np.linspace(0, 1, 100), indexing="ij")
+    u, v = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 100, endpoint=False), np.linspace(0, 1, 100), indexing="ij"
+    )
     points = np.stack([np.cos(u), np.sin(u), v], axis=-1).reshape(-1, 3)
     ids = np.arange(10_000).reshape(100, 100)
     after = np.roll(ids, -1, axis=0)

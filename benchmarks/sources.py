@@ -45,7 +45,11 @@ def wing(points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         0.1 * base[:, 0] * share,
         0.05 * np.sin(5 * base[:, 0]),
     ]
-    return base, np.asarray(mesh.points)[mesh.patch("farfield")], np.stack([up(base, height)[0] for height in heights])
+    return (
+        base,
+        np.asarray(mesh.points)[mesh.patch("farfield")],
+        np.stack([up(base, height)[0] for height in heights]),
+    )
 
 
 def families(motions: np.ndarray) -> dict[str, Callable[[int, np.ndarray], jm.AbstractReduction]]:
@@ -110,7 +114,9 @@ def seconds(count: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--points", type=int, default=39_666)
     parser.add_argument("--picture", help="file of a picture to draw")
     parser.add_argument("--seconds", type=int, help="number of sources")
@@ -141,8 +147,12 @@ def main() -> None:
         for ax, letter, (name, each) in zip(axes, "ab", found.items(), strict=True):
             draw(ax, each)
             ax.set_xlabel("sources")
-            ax.text(0.03, 0.04, f"{letter}  {name}, {len(parts[name][0])} nodes", transform=ax.transAxes)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+            ax.text(
+                0.03, 0.04, f"{letter}  {name}, {len(parts[name][0])} nodes", transform=ax.transAxes
+            )
+        figure.legend(
+            *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
+        )
         figure.savefig(asked.picture, dpi=160)
 
 

@@ -55,7 +55,9 @@ def differences(before: str, after: str) -> list[str]:
     old, new = before.splitlines(), after.splitlines()
     if len(old) != len(new):
         return [f"{len(old)} lines in the page, {len(new)} now"]
-    cells = [(one, other, one.split("|"), other.split("|")) for one, other in zip(old, new, strict=True)]
+    cells = [
+        (one, other, one.split("|"), other.split("|")) for one, other in zip(old, new, strict=True)
+    ]
     return [
         f"{one}\n  now {other}"
         for one, other, a, b in cells
@@ -73,11 +75,17 @@ def made(name: str) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("name", nargs="*", help=f"{', '.join(TABLES)}; all by default")
-    parser.add_argument("--check", action="store_true", help="fail where a figure of a page has moved")
+    parser.add_argument(
+        "--check", action="store_true", help="fail where a figure of a page has moved"
+    )
     asked = parser.parse_args()
-    sys.path.insert(0, str(pathlib.Path(__file__).parent))  # scripts import each other by their names
+    sys.path.insert(
+        0, str(pathlib.Path(__file__).parent)
+    )  # scripts import each other by their names
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")
     moved = 0

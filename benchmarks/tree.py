@@ -80,11 +80,19 @@ def main() -> None:
                 passing = arguments.point * len(points) + count.passes * 3 * order**4
                 cost = count.nodes + count.points + passing
                 direct = s * len(points)
-                row = (direct / cost, leaf, count.nodes / direct, count.points / direct, passing / direct)
+                row = (
+                    direct / cost,
+                    leaf,
+                    count.nodes / direct,
+                    count.points / direct,
+                    passing / direct,
+                )
                 best = row if best is None else max(best, row)
             gain, leaf, *shares = best
             print(
-                f"| {name} | {s:,} | {leaf} | " + " | ".join(f"{x:.0%}" for x in shares) + f" | {gain:.1f} |",
+                f"| {name} | {s:,} | {leaf} | "
+                + " | ".join(f"{x:.0%}" for x in shares)
+                + f" | {gain:.1f} |",
                 flush=True,
             )
 

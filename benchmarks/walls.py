@@ -46,7 +46,9 @@ METHODS: dict[str, Callable[[float], jm.AbstractMethod]] = {
     "graph": lambda size: jm.SurfaceReconstruction(COARSE, jm.DelaunayGraph()),
     "layer": lambda size: jm.SurfaceReconstruction(COARSE, jm.NearWall()),
     "multiscale": lambda size: jm.SurfaceReconstruction(COARSE, jm.Multiscale()),
-    "multiscale, layer": lambda size: jm.SurfaceReconstruction(COARSE, jm.NearWall(jm.Multiscale())),
+    "multiscale, layer": lambda size: jm.SurfaceReconstruction(
+        COARSE, jm.NearWall(jm.Multiscale())
+    ),
     "few, layer": lambda size: jm.SurfaceReconstruction(FEW, jm.NearWall()),
     "few, multiscale": lambda size: jm.SurfaceReconstruction(FEW, jm.Multiscale()),
     "few, both": lambda size: jm.SurfaceReconstruction(FEW, jm.NearWall(jm.Multiscale())),
@@ -62,7 +64,18 @@ STANDARD = ("default", "layer", "published", "classic RBF", "graph alone")
 DENSE = 4_000
 """Surface nodes of the classic RBF, at most: it is left out of the wing, where it takes minutes and gigabytes."""
 
-COLUMNS = ("inverted", "ratio", "line", "line max", "height", "height max", "skew", "skew max", "behind", "anywhere")
+COLUMNS = (
+    "inverted",
+    "ratio",
+    "line",
+    "line max",
+    "height",
+    "height max",
+    "skew",
+    "skew max",
+    "behind",
+    "anywhere",
+)
 
 
 def prepared(case: Case, name: str) -> jm.Plan:
@@ -73,7 +86,11 @@ def prepared(case: Case, name: str) -> jm.Plan:
 
 def measured(case: Case, plan: jm.Plan, path: np.ndarray) -> dict[str, float]:
     """All columns for one motion."""
-    points = jm.march(plan, jnp.asarray(path))[1] if len(path) > 1 else jm.deform(plan, jnp.asarray(path[0]))
+    points = (
+        jm.march(plan, jnp.asarray(path))[1]
+        if len(path) > 1
+        else jm.deform(plan, jnp.asarray(path[0]))
+    )
     report, wall = jm.quality(case.mesh, points), jm.wall_quality(case.mesh, case.moving, points)
     seen = jm.inspect(plan, path[-1])
     return {
@@ -125,7 +142,10 @@ def part_of(
     if name == "kinks":
         rows = {method: summed(each) for method, each in rows.items()}
     found = dict.fromkeys(motion for each in rows.values() for motion in each)
-    return {motion: {method: each[motion] for method, each in rows.items() if motion in each} for motion in found}
+    return {
+        motion: {method: each[motion] for method, each in rows.items() if motion in each}
+        for motion in found
+    }
 
 
 def limits(points: int, methods: list[str]) -> dict[str, dict[str, float]]:
@@ -145,7 +165,9 @@ def limits(points: int, methods: list[str]) -> dict[str, dict[str, float]]:
             low, high = 0.0, most
             while high - low > most / 256:
                 middle = (low + high) / 2
-                fine = not int(jm.quality(mesh, jm.deform(plan, jnp.asarray(motion(base, middle)[0]))).inverted)
+                fine = not int(
+                    jm.quality(mesh, jm.deform(plan, jnp.asarray(motion(base, middle)[0]))).inverted
+                )
                 low, high = (middle, high) if fine else (low, middle)
             result[method][name] = low
         print(".", end="", flush=True)
@@ -153,17 +175,32 @@ def limits(points: int, methods: list[str]) -> dict[str, dict[str, float]]:
     return result
 
 
-NAMES = {"layer": "64 leaves", "graph alone": "graph mapping", "elasticity": "`LinearElasticity()`"} | {
-    "torsional": "`TorsionalSprings()`"
-}
+NAMES = {
+    "layer": "64 leaves",
+    "graph alone": "graph mapping",
+    "elasticity": "`LinearElasticity()`",
+} | {"torsional": "`TorsionalSprings()`"}
 """Names of methods in the pages."""
 PAGE_MOTIONS = ("camber 10 %", "flap 45", "pitch 45", "bump 0.1")
 
 
 def at_the_wall() -> Iterator[list[str]]:
     """Makes the page's table of the paper's airfoil, its heads first."""
-    yield ["motion, method", "Jacobian ratio", "first line off", "first cell's height", "skewness", "overshoot"]
-    found = part_of("shapes", 39_666, ["default", "layer", "classic RBF", "graph alone"], ["naca0015"], PAGE_MOTIONS)
+    yield [
+        "motion, method",
+        "Jacobian ratio",
+        "first line off",
+        "first cell's height",
+        "skewness",
+        "overshoot",
+    ]
+    found = part_of(
+        "shapes",
+        39_666,
+        ["default", "layer", "classic RBF", "graph alone"],
+        ["naca0015"],
+        PAGE_MOTIONS,
+    )
     for motion, methods in found.items():
         for method, row in methods.items():
             yield [
@@ -178,9 +215,19 @@ def at_the_wall() -> Iterator[list[str]]:
 
 def by_cells() -> Iterator[list[str]]:
     """Makes the page's table of methods that solve on the cells, its heads first."""
-    yield ["method", "largest skewness", "first line off, mean / max", "smallest Jacobian ratio", "first cell's height"]
+    yield [
+        "method",
+        "largest skewness",
+        "first line off, mean / max",
+        "smallest Jacobian ratio",
+        "first cell's height",
+    ]
     found = part_of(
-        "shapes", 12_000, ["default", "elasticity", "torsional", "classic RBF"], ["naca0015"], ["camber 10 %"]
+        "shapes",
+        12_000,
+        ["default", "elasticity", "torsional", "classic RBF"],
+        ["naca0015"],
+        ["camber 10 %"],
     )
     for methods in found.values():
         for method, row in methods.items():
@@ -216,22 +263,43 @@ def show(part: str, rows: dict[str, dict[str, dict[str, float]]]) -> None:
         for method, row in methods.items():
             cells = f"{row['inverted']:>8}{row['ratio']:>7.2f}{row['line']:>7.1f}{row['line max']:>7.1f}"
             cells += f"{row['height']:>9.2f}{row['height max']:>7.2f}{row['skew']:>9.4f}{row['skew max']:>8.3f}"
-            more = f"  ({row['runs inverted']} runs, worst {row['worst ratio']:.2f})" if "worst ratio" in row else ""
-            print(f"{method:<20}{cells}{row['behind']:>9.2f}{row['anywhere']:>7.2f}{more}", flush=True)
+            more = (
+                f"  ({row['runs inverted']} runs, worst {row['worst ratio']:.2f})"
+                if "worst ratio" in row
+                else ""
+            )
+            print(
+                f"{method:<20}{cells}{row['behind']:>9.2f}{row['anywhere']:>7.2f}{more}", flush=True
+            )
 
 
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--part", action="append", choices=[*PARTS, "limits"], help="all of them by default; may repeat"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--case", action="append", default=[], help="of these parts, by name, as naca0015; may repeat")
     parser.add_argument(
-        "--method", action="append", choices=list(METHODS), help=f"{', '.join(STANDARD)} by default; may repeat"
+        "--part",
+        action="append",
+        choices=[*PARTS, "limits"],
+        help="all of them by default; may repeat",
+    )
+    parser.add_argument(
+        "--case",
+        action="append",
+        default=[],
+        help="of these parts, by name, as naca0015; may repeat",
+    )
+    parser.add_argument(
+        "--method",
+        action="append",
+        choices=list(METHODS),
+        help=f"{', '.join(STANDARD)} by default; may repeat",
     )
     parser.add_argument("--all-methods", action="store_true", help="every one: hours")
-    parser.add_argument("--points", type=int, default=8_000, help="of the generated airfoils; 39666 as in the paper")
+    parser.add_argument(
+        "--points", type=int, default=8_000, help="of the generated airfoils; 39666 as in the paper"
+    )
     parser.add_argument("--json", type=pathlib.Path, help="a file for all figures")
     options = parser.parse_args()
     methods, results = options.method or list(METHODS if options.all_methods else STANDARD), {}
@@ -240,7 +308,9 @@ def main() -> None:
         began = time.process_time()
         if part == "limits":
             results[part] = limits(options.points, methods)
-            print(f"\n{'limits, one step':<20}{'pitch':>9}{'flap':>9}{'wide flap':>12}{'camber':>9}")
+            print(
+                f"\n{'limits, one step':<20}{'pitch':>9}{'flap':>9}{'wide flap':>12}{'camber':>9}"
+            )
             for method, row in results[part].items():
                 print(
                     f"{method:<20}{row['pitch']:>9.1f}{row['flap']:>9.1f}{row['wide flap']:>12.1f}{row['camber']:>9.2f}"

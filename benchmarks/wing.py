@@ -81,7 +81,9 @@ class Outcome:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "--output", type=pathlib.Path, help="a folder for pictures and meshes (default: the tables alone)"
+        "--output",
+        type=pathlib.Path,
+        help="a folder for pictures and meshes (default: the tables alone)",
     )
     parser.add_argument("--points", type=int, default=64_943, choices=agard445.RESOLUTIONS)
     parser.add_argument("--classic", action="store_true", help="compare the classic RBF too")
@@ -91,7 +93,10 @@ def main() -> int:
     mesh = agard445.mesh(asked.points)
     about(n=len(mesh.points), b=len(mesh.patch("wing")) + len(mesh.patch("farfield")))
     start, outcomes = jm.quality(mesh), []
-    for study in [*compare(), *([Study("classic RBF", jm.RBF.classic(), file="classic")] if asked.classic else [])]:
+    for study in [
+        *compare(),
+        *([Study("classic RBF", jm.RBF.classic(), file="classic")] if asked.classic else []),
+    ]:
         say(f"moving the mesh, {study.name}")
         outcomes.append(measure(mesh, study))
     print(_tables(mesh, start, outcomes))
@@ -101,11 +106,18 @@ def main() -> int:
     return int(any(outcome.inverted for outcome in outcomes if outcome.study.file != "dgm"))
 
 
-def shown(output: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> None:
+def shown(
+    output: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]
+) -> None:
     """Writes meshes and pictures of the motion that is shown."""
-    written = write(output / "agard445-undeformed.su2", mesh, np.asarray(mesh.points), _aspect_ratio(start))
+    written = write(
+        output / "agard445-undeformed.su2", mesh, np.asarray(mesh.points), _aspect_ratio(start)
+    )
     for outcome in outcomes:
-        path, values = output / f"agard445-{outcome.study.file}.su2", _aspect_ratio(outcome.reports[SHOWN])
+        path, values = (
+            output / f"agard445-{outcome.study.file}.su2",
+            _aspect_ratio(outcome.reports[SHOWN]),
+        )
         written += write(path, mesh, outcome.points, values)
     drawn = [output / "agard445-surface.png", output / "agard445-cut.png"]
     surface(drawn[0], mesh, start, outcomes[2], SHOWN)
@@ -170,7 +182,9 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
     costs: list[tuple[str, ...]] = []
     for outcome in outcomes:
         times = f"{outcome.preparation:.1f}", f"{outcome.step:.3f}"
-        costs.append((outcome.study.name, *map(str, outcome.sources), f"{outcome.error:.1g}", *times))
+        costs.append(
+            (outcome.study.name, *map(str, outcome.sources), f"{outcome.error:.1g}", *times)
+        )
     heads = [
         ("", "", "mean", "largest", "smallest", "inverted"),
         ("motion", "method", "aspect", "aspect", "V/V0", "cells"),
@@ -191,11 +205,17 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
     return "\n".join([*heading, table(heads, rows), "", table(cost_heads, costs), *notes])
 
 
-def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome: Outcome, motion: Any) -> None:
+def surface(
+    path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome: Outcome, motion: Any
+) -> None:
     """Draws the wing before and after, each face coloured by its cell's aspect ratio."""
     views = [
         ("undeformed", mesh.points, start),
-        (f"mode {motion[0]}, tip up by {motion[1]:g} semi-spans", outcome.points, outcome.reports[motion]),
+        (
+            f"mode {motion[0]}, tip up by {motion[1]:g} semi-spans",
+            outcome.points,
+            outcome.reports[motion],
+        ),
     ]
     wing = mesh.patch("wing")
     camera, half = whole(np.concatenate([points[wing] for _, points, _ in views]), ABOVE)
@@ -204,7 +224,9 @@ def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome:
         axes = figure.subplots(1, len(views))
         for axis, (title, points, report) in zip(axes, views, strict=True):
             values = np.asarray(report.aspect_ratio)
-            plotter = plot.surface(mesh, points, values=values, limits=ASPECT_RATIO, bar=False, patch="wing")
+            plotter = plot.surface(
+                mesh, points, values=values, limits=ASPECT_RATIO, bar=False, patch="wing"
+            )
             _show(axis, plotter, camera, half, title)
         _bar(figure, axes, ASPECT_RATIO, "aspect ratio of the cells on the wing")
         figure.savefig(path)
@@ -223,7 +245,10 @@ def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome], motion: 
         for column, outcome in zip(axes.T, outcomes, strict=True):
             report = outcome.reports[motion]
             values = np.asarray(report.aspect_ratio), np.abs(np.asarray(report.volume_ratio) - 1)
-            titles = outcome.study.name, f"smallest V/V0 of all cells {float(report.min_volume_ratio):.2f}"
+            titles = (
+                outcome.study.name,
+                f"smallest V/V0 of all cells {float(report.min_volume_ratio):.2f}",
+            )
             camera = _across(mesh, outcome.points)
             for axis, shown, (limits, _), title in zip(column, values, kinds, titles, strict=True):
                 window = pyvista.Plotter(off_screen=True)  # one that is given shows all that is cut
@@ -247,7 +272,9 @@ def _span_of_cut(mesh: jm.Mesh) -> float:
     return CUT * float(mesh.points[mesh.patch("wing"), 1].max())
 
 
-def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple, tuple[float, float]]:
+def whole(
+    points: np.ndarray, viewer: tuple[float, float, float]
+) -> tuple[tuple, tuple[float, float]]:
     """Places a camera in the direction `viewer` that sees all points (n, 3), z up.
 
     It returns also half the width and height of the picture.

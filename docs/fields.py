@@ -11,14 +11,22 @@ class Fields(griffe.Extension):
 
     def on_class(self, *, cls: griffe.Class, **_) -> None:
         bases = {str(base).split(".")[-1] for base in cls.bases}
-        if cls.name in UNSHOWN or "__init__" in cls.members or not (bases & {"Module"} or _abstract(bases)):
+        if (
+            cls.name in UNSHOWN
+            or "__init__" in cls.members
+            or not (bases & {"Module"} or _abstract(bases))
+        ):
             return
         fields = [
-            member for member in cls.members.values() if isinstance(member, griffe.Attribute) and _is_field(member)
+            member
+            for member in cls.members.values()
+            if isinstance(member, griffe.Attribute) and _is_field(member)
         ]
         if fields:
             parameters = [_parameter(field) for field in fields]
-            cls.set_member("__init__", griffe.Function("__init__", parameters=griffe.Parameters(*parameters)))
+            cls.set_member(
+                "__init__", griffe.Function("__init__", parameters=griffe.Parameters(*parameters))
+            )
 
 
 def _abstract(bases: set[str]) -> bool:
@@ -32,7 +40,10 @@ def _is_field(attribute: griffe.Attribute) -> bool:
 def _parameter(attribute: griffe.Attribute) -> griffe.Parameter:
     kind = griffe.ParameterKind.positional_or_keyword
     return griffe.Parameter(
-        attribute.name, annotation=attribute.annotation, kind=kind, default=_default(attribute.value)
+        attribute.name,
+        annotation=attribute.annotation,
+        kind=kind,
+        default=_default(attribute.value),
     )
 
 
@@ -40,7 +51,11 @@ def _default(value: griffe.Expr | str | None) -> griffe.Expr | str | None:
     """Returns the default that `eqx.field` is given, or the value itself."""
     if not isinstance(value, griffe.ExprCall) or str(value.function) != "eqx.field":
         return value
-    given = {argument.name: argument.value for argument in value.arguments if isinstance(argument, griffe.ExprKeyword)}
+    given = {
+        argument.name: argument.value
+        for argument in value.arguments
+        if isinstance(argument, griffe.ExprKeyword)
+    }
     if "default_factory" in given:
         return f"{given['default_factory']}()"
     return given.get("default")

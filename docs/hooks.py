@@ -39,12 +39,16 @@ DOCUMENTS = {
 
 def on_config(config):
     """Lists the notebooks after the first in the navigation, watches the sources, and sets how equations are written."""
-    notebooks = [f"notebooks/{file.stem}.md" for file in sorted((ROOT / "notebooks").glob("*.ipynb"))[1:]]
+    notebooks = [
+        f"notebooks/{file.stem}.md" for file in sorted((ROOT / "notebooks").glob("*.ipynb"))[1:]
+    ]
     entries = [entry for group in config.nav for entries in group.values() for entry in entries]
     (entry,) = [entry for entry in entries if isinstance(entry, dict) and "Notebooks" in entry]
     entry["Notebooks"] = notebooks
     config.watch += [str(ROOT / name) for name in (*DOCUMENTS, "jaxmorph", "notebooks")]
-    fences = config.mdx_configs.setdefault("pymdownx.superfences", {}).setdefault("custom_fences", [])
+    fences = config.mdx_configs.setdefault("pymdownx.superfences", {}).setdefault(
+        "custom_fences", []
+    )
     fences.append({"name": "math", "class": "math", "format": mathml})
     return config
 
@@ -52,11 +56,19 @@ def on_config(config):
 def on_files(files, config):
     """Adds the generated pages, the pictures, and the table behind the championship."""
     notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))
-    for file in sorted(file for file in (ROOT / "docs").iterdir() if file.suffix in (".png", ".gif", ".webp", ".csv")):
+    for file in sorted(
+        file
+        for file in (ROOT / "docs").iterdir()
+        if file.suffix in (".png", ".gif", ".webp", ".csv")
+    ):
         files.append(File.generated(config, file.name, abs_src_path=str(file)))
     for document, page in DOCUMENTS.items():
         text = linked((ROOT / document).read_text(), document, page)
-        files.append(File.generated(config, page, content=text + gallery(notebooks) if page == "index.md" else text))
+        files.append(
+            File.generated(
+                config, page, content=text + gallery(notebooks) if page == "index.md" else text
+            )
+        )
     for file in notebooks:
         files.append(File.generated(config, f"gallery/{file.stem}.jpg", content=thumbnail(file)))
         for name, content in notebook(file).items():
@@ -95,7 +107,9 @@ def linked(text: str, document: str, page: str) -> str:
 def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     """Returns a notebook's page, and its pictures by name."""
     resources = {"unique_key": file.stem, "output_files_dir": f"{file.stem}_files"}
-    exporter = MarkdownExporter(preprocessors=["nbconvert.preprocessors.CoalesceStreamsPreprocessor"])
+    exporter = MarkdownExporter(
+        preprocessors=["nbconvert.preprocessors.CoalesceStreamsPreprocessor"]
+    )
     cells = nbformat.read(file, as_version=4)
     films: dict[str, str | bytes] = {}
     folded = [cell.source for cell in cells.cells if "hide-input" in cell.metadata.get("tags", [])]
@@ -103,7 +117,9 @@ def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
         if cell.cell_type == "markdown":
             cell.source = linked(cell.source, f"notebooks/{file.name}", f"notebooks/{file.stem}.md")
         for output in cell.get("outputs", []):
-            if film := output.get("data", {}).get("image/gif"):  # nbconvert would print the name of its class
+            if film := output.get("data", {}).get(
+                "image/gif"
+            ):  # nbconvert would print the name of its class
                 name = f"{file.stem}_files/film{len(films)}.gif"
                 films[name] = base64.b64decode(film)
                 output["data"] = {"text/markdown": f"![Output of the cell above]({name})"}
@@ -114,7 +130,9 @@ def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     for source in folded:
         code = f"```python\n{source}\n```"
         lines = source.count("\n") + 1
-        summary = f"<details markdown>\n<summary>Code, {lines} lines</summary>\n\n{code}\n\n</details>"
+        summary = (
+            f"<details markdown>\n<summary>Code, {lines} lines</summary>\n\n{code}\n\n</details>"
+        )
         body = body.replace(code, summary)
     return {f"{file.stem}.md": body} | outputs["outputs"] | films
 
@@ -126,16 +144,30 @@ def gallery(files: list[pathlib.Path]) -> str:
         title = nbformat.read(file, as_version=4).cells[0].source.split("\n", 1)[0].lstrip("# ")
         picture = f'<img src="gallery/{file.stem}.jpg" alt="A picture of the notebook: {title}" loading="lazy">'
         cards.append(f"<div markdown>\n[{picture}<br>{title}](notebooks/{file.stem}.md)\n</div>")
-    return "\n\n## Notebooks\n\n" + "\n".join(['<div class="gallery" markdown>', *cards, "</div>"]) + "\n"
+    return (
+        "\n\n## Notebooks\n\n"
+        + "\n".join(['<div class="gallery" markdown>', *cards, "</div>"])
+        + "\n"
+    )
 
 
 def thumbnail(file: pathlib.Path) -> bytes:
     """Returns the main part of the picture with most ink in a notebook, of at most 40 kB, as JPEG."""
-    outputs = (each for cell in nbformat.read(file, as_version=4).cells for each in cell.get("outputs", []))
-    pictures = [text for each in outputs for kind, text in each.get("data", {}).items() if kind.startswith("image/")]
+    outputs = (
+        each for cell in nbformat.read(file, as_version=4).cells for each in cell.get("outputs", [])
+    )
+    pictures = [
+        text
+        for each in outputs
+        for kind, text in each.get("data", {}).items()
+        if kind.startswith("image/")
+    ]
     if not pictures:
         raise PluginError(f"{file.name} has no picture: run it, and save it with its outputs.")
-    parts = [main_part(Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB")) for text in pictures]
+    parts = [
+        main_part(Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB"))
+        for text in pictures
+    ]
     small = max(parts, key=lambda part: (np.asarray(part).min(axis=2) < 225).sum())
     small.thumbnail((480, 300), Image.Resampling.LANCZOS)
     for quality in (85, 70, 50, 30):
@@ -149,8 +181,13 @@ def thumbnail(file: pathlib.Path) -> bytes:
 def main_part(picture: Image.Image) -> Image.Image:
     """Cuts out the largest part of a picture between white columns and rows: of several axes one, without labels."""
     for axis in (0, 1, 0, 1):
-        ink = np.concatenate([[False], (np.asarray(picture).min(axis=2) < 225).any(axis=axis), [False]])
-        begins, ends = np.flatnonzero(np.diff(ink.astype(int)) == 1), np.flatnonzero(np.diff(ink.astype(int)) == -1)
+        ink = np.concatenate(
+            [[False], (np.asarray(picture).min(axis=2) < 225).any(axis=axis), [False]]
+        )
+        begins, ends = (
+            np.flatnonzero(np.diff(ink.astype(int)) == 1),
+            np.flatnonzero(np.diff(ink.astype(int)) == -1),
+        )
         widest = np.argmax(ends - begins)
         box = [0, 0, *picture.size]
         box[axis], box[axis + 2] = int(begins[widest]), int(ends[widest])
@@ -162,10 +199,15 @@ def commands() -> str:
     """Returns the page of the command line: the help of `jaxmorph`, then of each command, whole."""
     top = printed("--help")
     names = re.findall(r"^    ([a-z0-9]+)(?: |$)", top, flags=re.MULTILINE)
-    parts = ["# Commands\n\nWhat `jaxmorph --help` and the help of each command print.", block("jaxmorph", top)]
+    parts = [
+        "# Commands\n\nWhat `jaxmorph --help` and the help of each command print.",
+        block("jaxmorph", top),
+    ]
     for name in names:
         text = printed(name, "--help")
-        parts.append(block(f"jaxmorph {name}", printed(name, "--help-all") if "--help-all" in text else text))
+        parts.append(
+            block(f"jaxmorph {name}", printed(name, "--help-all") if "--help-all" in text else text)
+        )
     return "\n\n".join(parts)
 
 
@@ -173,7 +215,9 @@ def printed(*arguments: str) -> str:
     """Returns what a command prints, at a width that fits a page."""
     environment = os.environ | {"COLUMNS": "84", "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "jaxmorph", *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def block(heading: str, text: str) -> str:
@@ -185,7 +229,11 @@ def mathml(source, language, css_class, options, md, **_) -> str:
     number = re.search(r"\\tag\{(\w+)\}", source)
     equation = convert(source.replace(number[0], "") if number else source, display="block")
     # of a least value the index stands below
-    equation = re.sub(r"<msub>(<mo>min</mo>)(<mi>\w</mi>|<mrow>.*?</mrow>)</msub>", r"<munder>\1\2</munder>", equation)
+    equation = re.sub(
+        r"<msub>(<mo>min</mo>)(<mi>\w</mi>|<mrow>.*?</mrow>)</msub>",
+        r"<munder>\1\2</munder>",
+        equation,
+    )
     return f'<div class="{css_class}">{equation}<span>{f"({number[1]})" if number else ""}</span></div>'
 
 

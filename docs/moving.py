@@ -44,7 +44,9 @@ def wing():
         points = mesh.points + phase * (moved - mesh.points)  # `deform` is linear
         change = 100 * np.abs(jm.quality(mesh, points).volume_ratio - 1)
         plane = jm.Plane((0, 1, 0), (0, -0.4, 0))
-        plotter = plot.cut(mesh, points * left, plane=plane, values=change, limits=CHANGE, bar=False)
+        plotter = plot.cut(
+            mesh, points * left, plane=plane, values=change, limits=CHANGE, bar=False
+        )
         plot.surface(mesh, points * left, patch="wing", plotter=plotter)
         plotter.hide_axes()
         plotter.window_size = 1000, 760
@@ -89,7 +91,13 @@ def main(path):
         ):
             colours = plt.cm.ScalarMappable(plt.Normalize(*limits), plot.COLOURS)
             figure.colorbar(
-                colours, ax=ax, label=label, location="bottom", aspect=40, pad=0.02, ticks=np.linspace(*limits, 4)
+                colours,
+                ax=ax,
+                label=label,
+                location="bottom",
+                aspect=40,
+                pad=0.02,
+                ticks=np.linspace(*limits, 4),
             )
         return right
 
@@ -100,7 +108,9 @@ def main(path):
         canvas.draw()
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
         plt.close(canvas.figure)
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 / RATE, loop=0, optimize=True)
+    pictures[0].save(
+        path, save_all=True, append_images=pictures[1:], duration=1000 / RATE, loop=0, optimize=True
+    )
     size = path.stat().st_size
     print(f"{path}: {size:,} bytes")
     if size > LARGEST:
@@ -108,4 +118,8 @@ def main(path):
 
 
 if __name__ == "__main__":
-    main(pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).with_name("moving.gif")))
+    main(
+        pathlib.Path(
+            sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).with_name("moving.gif")
+        )
+    )

@@ -21,7 +21,11 @@ sys.path.append(str(pathlib.Path(__file__).parents[1] / "tests"))
 import foam
 import foam_motion
 
-MOVERS = {"displacementLaplacian": "Laplacian", "displacementSBRStress": "SBRStress", "jaxmorph": "jaxmorph"}
+MOVERS = {
+    "displacementLaplacian": "Laplacian",
+    "displacementSBRStress": "SBRStress",
+    "jaxmorph": "jaxmorph",
+}
 ANGLE, STEPS = 45, 10
 WINDOW = ((1, 19), (-27, -9))
 """Around the trailing edge after the turn; the chord is 35."""
@@ -32,7 +36,9 @@ SIZE, COLOURS, LARGEST = (7.2, 3.05), 48, 150_000
 
 def turned(folder, mover, library):
     """Turns the airfoil; returns the mesh, its points, and how many faces checkMesh calls wrong."""
-    case = foam_motion.airfoil(folder / mover, mover, library, ANGLE, delta=1 / STEPS, interval=STEPS)
+    case = foam_motion.airfoil(
+        folder / mover, mover, library, ANGLE, delta=1 / STEPS, interval=STEPS
+    )
     foam_motion.moved(case, foam_motion.AIRFOIL if mover == "jaxmorph" else None)
     wrong = re.search(r"face pyramids: (\d+) faces", foam.run(case, "checkMesh", "-time", "1"))
     mesh = io.read(case)
@@ -54,7 +60,9 @@ def main(path):
             ax.set_axis_off()
     figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=0.78, wspace=0.03)
     figure.savefig(path)
-    Image.open(path).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    Image.open(path).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
+        path, optimize=True
+    )
     size = path.stat().st_size
     print(f"{path}: {size:,} bytes")
     if size > LARGEST:
@@ -62,4 +70,8 @@ def main(path):
 
 
 if __name__ == "__main__":
-    main(pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).with_suffix(".png")))
+    main(
+        pathlib.Path(
+            sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).with_suffix(".png")
+        )
+    )

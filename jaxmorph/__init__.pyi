@@ -7,7 +7,11 @@ from ._advice.compare import Comparison as Comparison, compare as compare
 from ._advice.cures import Cure as Cure, Turn as Turn, cures as cures
 from ._advice.fewest_steps import Steps as Steps, fewest_steps as fewest_steps
 from ._advice.inspect import Inspection as Inspection, inspect as inspect
-from ._advice.largest_step import DesignedMesh as DesignedMesh, LargestStep as LargestStep, largest_step as largest_step
+from ._advice.largest_step import (
+    DesignedMesh as DesignedMesh,
+    LargestStep as LargestStep,
+    largest_step as largest_step,
+)
 from ._advice.methods import METHODS as METHODS
 from ._advice.valid_steps import ValidSteps as ValidSteps
 from ._boundary.boundary import Boundary as Boundary
@@ -78,7 +82,12 @@ from ._methods.rbf.fitted import FittedRBF as FittedRBF
 from ._methods.rbf.rbf import Direct as Direct, Iterative as Iterative, RBF as RBF
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._methods.surface import Surface as Surface
-from ._plan.deform import deform as deform, pullback as pullback, shard as shard, velocity as velocity
+from ._plan.deform import (
+    deform as deform,
+    pullback as pullback,
+    shard as shard,
+    velocity as velocity,
+)
 from ._plan.export import Layer as Layer, export as export
 from ._plan.halves import (
     SurfaceHalf as SurfaceHalf,

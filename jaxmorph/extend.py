@@ -27,7 +27,11 @@ def attached(module, file):
         setattr(sys.modules[module], name, value)  # the next use is as fast as that of any name
         return value
 
-    return attribute, lambda: sorted([*homes, *["__version__"] * (module == __package__)]), list(homes)
+    return (
+        attribute,
+        lambda: sorted([*homes, *["__version__"] * (module == __package__)]),
+        list(homes),
+    )
 
 
 __getattr__, __dir__, __all__ = attached(__name__, __file__)

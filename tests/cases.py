@@ -69,7 +69,9 @@ def extension():
     """What `notebooks/07_extend.ipynb` defines, as it stands there."""
     path = pathlib.Path(__file__).parents[1] / "notebooks" / "07_extend.ipynb"
     cells = nbformat.read(path, as_version=4).cells
-    source = "\n".join(cell.source for cell in cells if "extension" in cell.metadata.get("tags", ()))
+    source = "\n".join(
+        cell.source for cell in cells if "extension" in cell.metadata.get("tags", ())
+    )
     module = types.ModuleType("extension")
     sys.modules[module.__name__] = module  # for pickle
     vars(module).update(jm=jm, jnp=jnp, jax=jax)
@@ -87,18 +89,31 @@ def reconstruction(coarse, correction):
 CASES = [
     Case("default", lambda length: jm.SurfaceReconstruction(), **FIXED_AXES),
     Case("default with faces", lambda length: jm.SurfaceReconstruction(), **FIXED_AXES, faces=True),
-    Case("published", lambda length: jm.SurfaceReconstruction.published(), **FIXED_AXES, dimensions=(2,)),
+    Case(
+        "published",
+        lambda length: jm.SurfaceReconstruction.published(),
+        **FIXED_AXES,
+        dimensions=(2,),
+    ),
     Case("few-sources", reconstruction(few(), jm.DelaunayGraph()), **FIXED_AXES),
     Case("farthest", reconstruction(farthest(), jm.DelaunayGraph()), **FIXED_AXES, dimensions=(2,)),
-    Case("near-wall", lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)), **FIXED_AXES),
-    Case("near-wall-alone", lambda length: jm.NearWall(), affine=False, **FIXED_AXES, dimensions=(2,)),
+    Case(
+        "near-wall",
+        lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)),
+        **FIXED_AXES,
+    ),
+    Case(
+        "near-wall-alone", lambda length: jm.NearWall(), affine=False, **FIXED_AXES, dimensions=(2,)
+    ),
     Case("multiscale", reconstruction(few(), jm.Multiscale()), **FIXED_AXES),
     Case("multiscale-whole", lambda length: jm.Multiscale.whole(2 * length, 0.2), **ALONE),
     Case("multiscale-alone", lambda length: jm.Multiscale(), **ALONE, dimensions=(2,)),
     Case("local", reconstruction(few(), jm.LocalCorrection()), **FIXED_AXES),
     Case("local-alone", lambda length: jm.LocalCorrection(2 * length), **ALONE, dimensions=(2,)),
     Case("delaunay", lambda length: jm.DelaunayGraph()),
-    Case("delaunay-coarse", reconstruction(jm.DelaunayGraph(), jm.DelaunayGraph()), dimensions=(2,)),
+    Case(
+        "delaunay-coarse", reconstruction(jm.DelaunayGraph(), jm.DelaunayGraph()), dimensions=(2,)
+    ),
     Case(
         "fitted",
         lambda length: jm.FittedRBF(few(), ell=0.2 * length, mu=0.1 * length),
@@ -108,7 +123,12 @@ CASES = [
     ),
     Case("reduced", lambda length: few(), **FIXED_AXES, exact=False),
     Case("thin-plate-1", lambda length: full(jm.ThinPlateSpline(), 1), dimensions=(3,)),
-    Case("wendland-none", lambda length: full(jm.WendlandC2(2 * length), None), **ALONE, dimensions=(2,)),
+    Case(
+        "wendland-none",
+        lambda length: full(jm.WendlandC2(2 * length), None),
+        **ALONE,
+        dimensions=(2,),
+    ),
     Case("notebook's basis", lambda length: full(extension().Cubic(), 1), dimensions=(3,)),
     Case("notebook's method", lambda length: extension().Shepard(), affine=False, dimensions=(2,)),
     Case("elasticity", lambda length: jm.LinearElasticity(), affine=False),
@@ -133,8 +153,15 @@ CASES = [
         faces=True,
     ),
     Case("compact", lambda length: jm.CompactRBF(2 * length), **ALONE),
-    Case("compact-automatic", reconstruction(few(), jm.CompactRBF()), **FIXED_AXES, dimensions=(2,)),
-    Case("ridge", lambda length: dataclasses.replace(jm.RBF.classic(), ridge=1e-4), exact=False, dimensions=(2,)),
+    Case(
+        "compact-automatic", reconstruction(few(), jm.CompactRBF()), **FIXED_AXES, dimensions=(2,)
+    ),
+    Case(
+        "ridge",
+        lambda length: dataclasses.replace(jm.RBF.classic(), ridge=1e-4),
+        exact=False,
+        dimensions=(2,),
+    ),
     Case("iterative", lambda length: iterative(jm.ThinPlateSpline())),
     Case(
         "iterative-wendland-none",
@@ -143,7 +170,12 @@ CASES = [
         dimensions=(2,),
     ),
     Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),
-    Case("multiquadric-0", lambda length: full(jm.Multiquadric(0.1 * length), 0), affine=False, dimensions=(2,)),
+    Case(
+        "multiquadric-0",
+        lambda length: full(jm.Multiquadric(0.1 * length), 0),
+        affine=False,
+        dimensions=(2,),
+    ),
 ]
 NAMES = [(case.name, dimension) for case in CASES for dimension in case.dimensions]
 BY_NAME = {case.name: case for case in CASES}
@@ -194,7 +226,9 @@ def body(dimension: int) -> Body:
     share = np.geomspace(1e-3, 1, layers - 1)
     points = np.concatenate([wall, *(wall + s * (far - wall) for s in share)])
     k = len(wall)
-    scatter = 0.2 * np.repeat(np.concatenate([[0], share]), k)[:, None] * rng.uniform(-1, 1, points.shape)
+    scatter = (
+        0.2 * np.repeat(np.concatenate([[0], share]), k)[:, None] * rng.uniform(-1, 1, points.shape)
+    )
     scatter[-k:] *= 0.05
     scatter[-2 * k : -k] *= 0.2
     order = rng.permutation(len(points))
@@ -228,7 +262,10 @@ def whole_and_part(dimension, planes):
     for axis in range(planes):  # a layer of nodes on the plane
         on = part[:: 3 if dimension == 2 else 2].copy()
         on[:, axis] = 0
-        part, role = np.concatenate([part, on]), np.concatenate([role, role[:: 3 if dimension == 2 else 2]])
+        part, role = (
+            np.concatenate([part, on]),
+            np.concatenate([role, role[:: 3 if dimension == 2 else 2]]),
+        )
     _, first = np.unique(np.round(part, 9), axis=0, return_index=True)
     part, role = part[np.sort(first)], role[np.sort(first)]
     whole, whole_role, image_of, signs = part, role, np.arange(len(part)), np.ones_like(part)
@@ -237,7 +274,10 @@ def whole_and_part(dimension, planes):
         flip = np.ones(dimension)
         flip[axis] = -1
         whole = np.concatenate([whole, whole[off] * flip])
-        whole_role, image_of = np.concatenate([whole_role, whole_role[off]]), np.concatenate([image_of, image_of[off]])
+        whole_role, image_of = (
+            np.concatenate([whole_role, whole_role[off]]),
+            np.concatenate([image_of, image_of[off]]),
+        )
         signs = np.concatenate([signs, signs[off] * flip])
     return part, role, whole, whole_role, image_of, signs
 

@@ -22,8 +22,14 @@ def node(parent, name, label, value=None):
 
 def base(file, cell_dimension, dimension):
     file.create_dataset(" format", data=np.frombuffer(b"IEEE_LITTLE_32\0", np.int8))
-    file.create_dataset(" hdf5version", data=np.frombuffer(b"HDF5 Version 1.10.8".ljust(33, b"\0"), np.int8))
-    root = (("name", "HDF5 MotherNode", 33), ("label", "Root Node of HDF5 File", 33), ("type", "MT", 3))
+    file.create_dataset(
+        " hdf5version", data=np.frombuffer(b"HDF5 Version 1.10.8".ljust(33, b"\0"), np.int8)
+    )
+    root = (
+        ("name", "HDF5 MotherNode", 33),
+        ("label", "Root Node of HDF5 File", 33),
+        ("type", "MT", 3),
+    )
     for key, said, width in root:
         file.attrs.create(key, np.bytes_(said.ljust(width, "\0")), dtype=f"S{width}")
     node(file, "CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([3.4], np.float32))
@@ -33,7 +39,11 @@ def base(file, cell_dimension, dimension):
 def zone(parent, name, coordinates, cells=None, kind="<f8"):
     """`coordinates` are arrays by i, j, k (or lists of vertices, with the number of cells)."""
     shape = coordinates[0].shape
-    sizes = [shape, [size - 1 for size in shape], [0] * len(shape)] if cells is None else [[shape[0]], [cells], [0]]
+    sizes = (
+        [shape, [size - 1 for size in shape], [0] * len(shape)]
+        if cells is None
+        else [[shape[0]], [cells], [0]]
+    )
     group = node(parent, name, "Zone_t", np.array(sizes, np.int32))
     node(group, "ZoneType", "ZoneType_t", "Structured" if cells is None else "Unstructured")
     grid = node(group, "GridCoordinates", "GridCoordinates_t")
@@ -68,29 +78,48 @@ def write(path, mesh, kind="<f8"):
 def condition(group, name, places, family=None, location=None, what="PointRange"):
     found = group["ZoneBC"] if "ZoneBC" in group else node(group, "ZoneBC", "ZoneBC_t")
     child = node(found, name, "BC_t", "FamilySpecified" if family else "BCWall")
-    node(child, what, "IndexRange_t" if what.endswith("Range") else "IndexArray_t", np.array(places, np.int32))
+    node(
+        child,
+        what,
+        "IndexRange_t" if what.endswith("Range") else "IndexArray_t",
+        np.array(places, np.int32),
+    )
     if family:
         node(child, "FamilyName", "FamilyName_t", family)
     if location:
         node(child, "GridLocation", "GridLocation_t", location)
 
 
-def periodic(group, name, donor, places, others, translation=(0, 0, 0), angles=(0, 0, 0), what="PointRange"):
+def periodic(
+    group, name, donor, places, others, translation=(0, 0, 0), angles=(0, 0, 0), what="PointRange"
+):
     """A periodic interface with the nodes of both sides."""
-    found = group.get("ZoneGridConnectivity") or node(group, "ZoneGridConnectivity", "ZoneGridConnectivity_t")
+    found = group.get("ZoneGridConnectivity") or node(
+        group, "ZoneGridConnectivity", "ZoneGridConnectivity_t"
+    )
     kind = "GridConnectivity1to1_t" if what == "PointRange" else "GridConnectivity_t"
     child = node(found, name, kind, donor)
     label = "IndexRange_t" if what == "PointRange" else "IndexArray_t"
     node(child, what, label, np.array(places, np.int32))
     node(child, f"{what}Donor", label, np.array(others, np.int32))
-    turn = node(node(child, "GridConnectivityProperty", "GridConnectivityProperty_t"), "Periodic", "Periodic_t")
-    for key, values in (("RotationCenter", (0, 0, 0)), ("RotationAngle", angles), ("Translation", translation)):
+    turn = node(
+        node(child, "GridConnectivityProperty", "GridConnectivityProperty_t"),
+        "Periodic",
+        "Periodic_t",
+    )
+    for key, values in (
+        ("RotationCenter", (0, 0, 0)),
+        ("RotationAngle", angles),
+        ("Translation", translation),
+    ):
         node(turn, key, "DataArray_t", np.array(values, np.float32))
 
 
 def two_blocks(path, kind="<f8"):
     """A box in two blocks, 4 x 3 x 3 and 3 x 3 x 3 nodes, that meet at x = 1, the second one with j and k exchanged."""
-    x, y, z = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
+    x, y, z = np.meshgrid(
+        np.linspace(0, 1, 4), np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij"
+    )
     other = np.meshgrid([1, 1.5, 2], np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
     with h5py.File(path, "w", track_order=True) as file:
         root = base(file, 3, 3)

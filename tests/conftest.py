@@ -45,14 +45,34 @@ MEMORY = {}
 
 LONG = (
     *("notebooks", "openfoam_runs", "wing", "fuzz", "compare", "improve", "conditioning"),
-    *("mpi", "halves", "cli_chunks", "free_faces", "agard445", "demo", "mphys", "tesseract", "docs", "one_core"),
+    *(
+        "mpi",
+        "halves",
+        "cli_chunks",
+        "free_faces",
+        "agard445",
+        "demo",
+        "mphys",
+        "tesseract",
+        "docs",
+        "one_core",
+    ),
     *("native", "native_openfoam"),
 )
 """Files of few tests, each of which takes long. They come first, so that no worker waits for another at the end."""
 
 UNCOUNTED = (
     *("basis", "generated", "kernel_sum", "nearwall", "wallfit", "wing", "agard445", "cli"),
-    *("cli_chunks", "cli_compiled", "cli_help", "cli_picture", "demo", "mphys", "naca0015", "naca4"),
+    *(
+        "cli_chunks",
+        "cli_compiled",
+        "cli_help",
+        "cli_picture",
+        "demo",
+        "mphys",
+        "naca0015",
+        "naca4",
+    ),
     *("notebooks", "openmdao", "plot", "plot_page", "plot_sources"),
     *("shapes", "shapes_curves", "shapes_freeform", "shapes_measures", "shapes_smooth"),
 )
@@ -80,7 +100,9 @@ pytest.raises = raises
 def pytest_collection_modifyitems(config, items):
     """Puts the files that take longest first: a worker takes one after the other. Marks what `--cov` leaves out."""
     count = collections.Counter(item.path for item in items)
-    is_long = {path: path.stem.removeprefix("test_") in LONG or path.parent.name in LONG for path in count}
+    is_long = {
+        path: path.stem.removeprefix("test_") in LONG or path.parent.name in LONG for path in count
+    }
     items.sort(key=lambda item: (not is_long[item.path], -count[item.path], item.path))
     if config.pluginmanager.hasplugin("_cov"):
         for item in items:
@@ -125,7 +147,9 @@ def pytest_runtest_teardown(item, nextitem):
 
 
 def pytest_sessionfinish(session):
-    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["memory"] = largest
     else:

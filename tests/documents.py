@@ -15,5 +15,7 @@ def blocks_and_output(document: str) -> list[tuple[str, str | None]]:
     text = (ROOT / document).read_text()
     return [
         (found[1], found[2])
-        for found in re.finditer(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", text, flags=re.DOTALL)
+        for found in re.finditer(
+            r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", text, flags=re.DOTALL
+        )
     ]

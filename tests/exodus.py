@@ -7,7 +7,13 @@ from foam import mixed
 from scipy.io import netcdf_file
 
 FORMS = ("cdf1", "cdf2", "cdf5", "netcdf4")
-TYPES = {"triangle": "TRI3", "quad": "SHELL4", "tetra": "TETRA4", "pyramid": "PYRAMID", "wedge": "wedge6"}
+TYPES = {
+    "triangle": "TRI3",
+    "quad": "SHELL4",
+    "tetra": "TETRA4",
+    "pyramid": "PYRAMID",
+    "wedge": "wedge6",
+}
 TYPES |= {"hexahedron": "HEX", "line": "BAR2"}
 
 
@@ -15,13 +21,28 @@ def names(texts):
     return np.array([list(text.ljust(33, "\0")) for text in texts], "S1").reshape(-1, 33)
 
 
-def write(path, points, blocks, side_sets=(), node_sets=(), form="cdf1", real="f8", is_joined=False, types=TYPES):
+def write(
+    path,
+    points,
+    blocks,
+    side_sets=(),
+    node_sets=(),
+    form="cdf1",
+    real="f8",
+    is_joined=False,
+    types=TYPES,
+):
     """Writes blocks (name, type, corners), side sets (name, cells, sides) and node sets (name, nodes); ids count from 0.
 
     `is_joined` makes one array of all coordinates, `real` their type.
     """
     total = sum(len(corners) for _, _, corners in blocks)
-    sizes = {"num_dim": points.shape[1], "num_nodes": len(points), "num_elem": total, "num_el_blk": len(blocks)}
+    sizes = {
+        "num_dim": points.shape[1],
+        "num_nodes": len(points),
+        "num_elem": total,
+        "num_el_blk": len(blocks),
+    }
     sizes |= {"num_side_sets": len(side_sets), "num_node_sets": len(node_sets)}
     arrays = {f"coord{x}": values.astype(real) for x, values in zip("xyz", points.T, strict=False)}
     dimensions = {name: ["num_nodes"] for name in arrays}
@@ -29,13 +50,19 @@ def write(path, points, blocks, side_sets=(), node_sets=(), form="cdf1", real="f
         arrays, dimensions = {"coord": points.T.astype(real)}, {"coord": ["num_dim", "num_nodes"]}
     attributes = {}
     numbers = ("num_el_blk", "num_side_sets", "num_node_sets")
-    for what, size, items in zip(("eb", "ss", "ns"), numbers, (blocks, side_sets, node_sets), strict=True):
+    for what, size, items in zip(
+        ("eb", "ss", "ns"), numbers, (blocks, side_sets, node_sets), strict=True
+    ):
         if items:
             arrays[f"{what}_status"] = np.array([len(each[-1]) > 0 for each in items], "i4")
             arrays[f"{what}_prop1"] = 10 * np.arange(1, len(items) + 1, dtype="i4")
             attributes[f"{what}_prop1"] = {"name": "ID"}
             arrays[f"{what}_names"] = names([each[0] for each in items])
-            dimensions |= {f"{what}_status": [size], f"{what}_prop1": [size], f"{what}_names": [size, "len_name"]}
+            dimensions |= {
+                f"{what}_status": [size],
+                f"{what}_prop1": [size],
+                f"{what}_names": [size, "len_name"],
+            }
     for at, (_, kind, corners) in enumerate(blocks, start=1):
         arrays[f"connect{at}"] = np.asarray(corners, "i4") + 1
         dimensions[f"connect{at}"] = [f"num_el_in_blk{at}", f"num_nod_per_el{at}"]
@@ -47,12 +74,19 @@ def write(path, points, blocks, side_sets=(), node_sets=(), form="cdf1", real="f
     for at, (_, nodes) in enumerate(node_sets, start=1):
         arrays[f"node_ns{at}"] = np.asarray(nodes, "i4") + 1
         dimensions[f"node_ns{at}"] = [f"num_nod_ns{at}"]
-    arrays = {name: array for name, array in arrays.items() if array.size}  # an empty set has no arrays
+    arrays = {
+        name: array for name, array in arrays.items() if array.size
+    }  # an empty set has no arrays
     for name, array in arrays.items():
         sizes |= dict(zip(dimensions[name], array.shape, strict=True))
     attributes[""] = {"api_version": np.float32(5.1), "version": np.float32(5.1)}
-    attributes[""] |= {"floating_point_word_size": np.int32(8), "file_size": np.int32(not is_joined)}
-    {"netcdf4": _netcdf4, "cdf5": _cdf5}.get(form, _classic)(path, sizes, arrays, dimensions, attributes, form)
+    attributes[""] |= {
+        "floating_point_word_size": np.int32(8),
+        "file_size": np.int32(not is_joined),
+    }
+    {"netcdf4": _netcdf4, "cdf5": _cdf5}.get(form, _classic)(
+        path, sizes, arrays, dimensions, attributes, form
+    )
 
 
 CELLS = {
@@ -70,8 +104,16 @@ def solid(path, **form):
     points = mixed()[0]
     blocks = [(f"all {kind}", kind, corners) for kind, corners in CELLS.items()]
     blocks += [("skin", "quad", [[0, 3, 2, 1]]), ("tip", "triangle", [[6, 11, 10]])]
-    sets = [(f"side {cell} {side}", [cell], [side]) for cell, count in enumerate(SIDES) for side in range(count)]
-    sets += [("several", [0, 3, 1], [4, 0, 3]), ("of shells", [4, 4, 5, 5], [0, 3, 1, 4]), ("none", [], [])]
+    sets = [
+        (f"side {cell} {side}", [cell], [side])
+        for cell, count in enumerate(SIDES)
+        for side in range(count)
+    ]
+    sets += [
+        ("several", [0, 3, 1], [4, 0, 3]),
+        ("of shells", [4, 4, 5, 5], [0, 3, 1, 4]),
+        ("none", [], []),
+    ]
     write(path, points, blocks, sets, [("floor", [0, 1, 2, 3, 8]), ("corner", [11])], **form)
     return path
 
@@ -124,7 +166,10 @@ def _cdf5(path, sizes, arrays, dimensions, attributes, form):
     def told(values):
         return listed(12, [text(key) + number(2, 4) + text(value) for key, value in values.items()])
 
-    raw = {name: padded(array.astype(array.dtype.newbyteorder(">")).tobytes()) for name, array in arrays.items()}
+    raw = {
+        name: padded(array.astype(array.dtype.newbyteorder(">")).tobytes())
+        for name, array in arrays.items()
+    }
     order = list(sizes)
 
     def header(places):
@@ -135,7 +180,10 @@ def _cdf5(path, sizes, arrays, dimensions, attributes, form):
             for name, array in arrays.items()
         ]  # fmt: skip
         values = [
-            text(name) + number(codes[value.dtype.str[1:]], 4) + number(1) + padded(value.byteswap().tobytes())
+            text(name)
+            + number(codes[value.dtype.str[1:]], 4)
+            + number(1)
+            + padded(value.byteswap().tobytes())
             for name, value in attributes[""].items()
         ]
         size_list = listed(10, [text(name) + number(sizes[name]) for name in order])

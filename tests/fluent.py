@@ -13,7 +13,9 @@ Zones = list[tuple[str, str, int, np.ndarray]]
 """Zones of faces: name, kind, its number, and the faces."""
 
 
-def faces(cells: dict[str, np.ndarray], patches: dict[str, np.ndarray]) -> tuple[list[np.ndarray], np.ndarray, Zones]:
+def faces(
+    cells: dict[str, np.ndarray], patches: dict[str, np.ndarray]
+) -> tuple[list[np.ndarray], np.ndarray, Zones]:
     """The faces of cells by their nodes, the cells on both sides from 1, and the zones: inner faces, patches, other faces."""
     ends = np.cumsum([0, *map(len, cells.values())])
     spans = zip(cells.items(), itertools.pairwise(ends), strict=True)
@@ -31,7 +33,9 @@ def faces(cells: dict[str, np.ndarray], patches: dict[str, np.ndarray]) -> tuple
     return rows, sides, zones
 
 
-def write(path: pathlib.Path, points: np.ndarray, cells: dict, patches: dict, form: str = "text", **how) -> None:
+def write(
+    path: pathlib.Path, points: np.ndarray, cells: dict, patches: dict, form: str = "text", **how
+) -> None:
     """Writes a mesh in a form: `text`, `float` and `double` for binary sections, or `h5`."""
     rows, sides, zones = faces(cells, patches)
     kinds = [KINDS[kind] for kind, ids in cells.items() for _ in ids]
@@ -60,7 +64,9 @@ def _sections(path, points, rows, sides, zones, kinds, form, *, is_turned=False,
     first = 1
     for k, (_, _, kind, chosen) in enumerate(zones):
         head = f"({13 + width} ({2 + k:x} {first:x} {first + len(chosen) - 1:x} {kind:x} 0)("
-        words = [[len(rows[f]), *(rows[f][::-1] if is_turned else rows[f]), *sides[f]] for f in chosen]
+        words = [
+            [len(rows[f]), *(rows[f][::-1] if is_turned else rows[f]), *sides[f]] for f in chosen
+        ]
         first += len(chosen)
         if width:
             body = np.array([word for row in words for word in row], "<i4").tobytes()
@@ -72,7 +78,9 @@ def _sections(path, points, rows, sides, zones, kinds, form, *, is_turned=False,
     for k, (name, kind, *_) in enumerate(zones):
         text.append(f"({45 if k % 2 else 39} ({2 + k} {kind} {name})((a . 1)(b . #f)))\n".encode())
     text.append(b"(45 (1 fluid fluid)())\n")
-    path.write_bytes(b"".join(text).replace(b"\n", end.encode()) if form == "text" else b"".join(text))
+    path.write_bytes(
+        b"".join(text).replace(b"\n", end.encode()) if form == "text" else b"".join(text)
+    )
 
 
 def _h5(path, points, rows, sides, zones, kinds, form, *, real="f8"):
@@ -89,17 +97,33 @@ def _h5(path, points, rows, sides, zones, kinds, form, *, real="f8"):
 
         def section(path, values):
             data = mesh.create_dataset(path, data=values)
-            data.attrs["minId"], data.attrs["maxId"] = np.array([1], "u8"), np.array([len(values)], "u8")
+            data.attrs["minId"], data.attrs["maxId"] = (
+                np.array([1], "u8"),
+                np.array([len(values)], "u8"),
+            )
 
         section("nodes/coords/1", points.astype(real))
         nodes = mesh.create_group("faces/nodes/1")
-        nodes.attrs["minId"], nodes.attrs["maxId"] = np.array([1], "u8"), np.array([len(rows)], "u8")
+        nodes.attrs["minId"], nodes.attrs["maxId"] = (
+            np.array([1], "u8"),
+            np.array([len(rows)], "u8"),
+        )
         nodes["nnodes"] = np.array([len(rows[f]) for f in order], "i2")
         nodes["nodes"] = np.concatenate([rows[f] for f in order]).astype("u4")
         section("faces/c0/1", sides[order, 0].astype("u4"))
         section("faces/c1/1", sides[order[: len(zones[0][3])], 1].astype("u4"))
-        tables = {"faces": ([name for name, *_ in zones], ends[:-1] + 1, ends[1:], [k for *_, k, _ in zones])}
-        tables |= {"cells": (["fluid"], [1], [count], [1]), "nodes": (["nodes"], [1], [len(points)], [1])}
+        tables = {
+            "faces": (
+                [name for name, *_ in zones],
+                ends[:-1] + 1,
+                ends[1:],
+                [k for *_, k, _ in zones],
+            )
+        }
+        tables |= {
+            "cells": (["fluid"], [1], [count], [1]),
+            "nodes": (["nodes"], [1], [len(points)], [1]),
+        }
         for what, (names, first, last, types) in tables.items():
             zone = mesh.create_group(f"{what}/zoneTopology")
             zone.attrs["nZones"] = np.array([len(names)], "u8")
@@ -112,7 +136,15 @@ def _h5(path, points, rows, sides, zones, kinds, form, *, real="f8"):
                 ("dimension", [3] * len(names)),
             ):
                 zone[name] = np.array(values, "u8")
-            for name in ("faceType", "cellType", "childZoneId", "shadowZoneId", "c0", "c1", "flags"):
+            for name in (
+                "faceType",
+                "cellType",
+                "childZoneId",
+                "shadowZoneId",
+                "c0",
+                "c1",
+                "flags",
+            ):
                 zone[name] = np.zeros(len(names), "i4")
         types = mesh.create_group("cells/ctype/1")
         for name, value in (("minId", 1), ("maxId", count), ("elementType", 0)):

@@ -49,7 +49,9 @@ def polyhedral(cells):
     for cell, faces in enumerate(cells):
         for face in faces:
             seen.setdefault(frozenset(face), []).append((cell, list(face)))
-    inner = sorted((sides for sides in seen.values() if len(sides) == 2), key=lambda s: (s[0][0], s[1][0]))
+    inner = sorted(
+        (sides for sides in seen.values() if len(sides) == 2), key=lambda s: (s[0][0], s[1][0])
+    )
     outer = [sides for sides in seen.values() if len(sides) == 1]
     return [s[0][1] for s in inner], [s[0][0] for s in inner], [s[1][0] for s in inner], outer
 
@@ -80,7 +82,9 @@ def write_case(case, points, cells, patches, form=FORMS["ascii"]):
         # lists of more than ten labels take a line for each, as in OpenFOAM
         rows = [f"{len(f)}({' '.join(map(str, f))})" if len(f) <= 10 else
                 f"\n{len(f)}\n(\n" + "\n".join(map(str, f)) + "\n)\n" for f in faces]  # fmt: skip
-        _file(folder, "faces", "faceList", f"{len(faces)}\n(\n{chr(10).join(rows)}\n)".encode(), form)
+        _file(
+            folder, "faces", "faceList", f"{len(faces)}\n(\n{chr(10).join(rows)}\n)".encode(), form
+        )
     rows = "".join(
         f'    "{name}"\n    {{\n        type {kind}; // a comment {{\n        inGroups 1({kind});\n'
         f"        nFaces {count};\n        startFace {start};\n    }}\n"
@@ -99,8 +103,15 @@ def write_parts(case, points, cells, patches, owner, form=FORMS["ascii"]):
         ids = np.unique(np.concatenate([np.concatenate(cell) for cell in mine]))
         place = {node: row for row, node in enumerate(ids.tolist())}
         local = [[[place[node] for node in face] for face in cell] for cell in mine]
-        between = ("procBoundary", "processor", lambda nodes, ids=ids: frozenset(ids[nodes].tolist()) in inner)
-        tests = [(name, kind, lambda nodes, ids=ids, fits=fits: fits(ids[nodes])) for name, kind, fits in patches]
+        between = (
+            "procBoundary",
+            "processor",
+            lambda nodes, ids=ids: frozenset(ids[nodes].tolist()) in inner,
+        )
+        tests = [
+            (name, kind, lambda nodes, ids=ids, fits=fits: fits(ids[nodes]))
+            for name, kind, fits in patches
+        ]
         folder = pathlib.Path(case, f"processor{part}")
         write_case(folder, np.asarray(points)[ids], local, [between, *tests], form)
         body = _list(ids, form, "label")
@@ -113,13 +124,20 @@ def _list(values, form, what):
         width = form.label if what == "label" else form.scalar
         kind = f"{form.order}{'i' if what == 'label' else 'f'}{width // 8}"
         return count + values.astype(kind).tobytes() + b")" if len(values) else b"\n0"
-    rows = [f"({' '.join(map(repr, row))})" if isinstance(row, list) else str(row) for row in values.tolist()]
+    rows = [
+        f"({' '.join(map(repr, row))})" if isinstance(row, list) else str(row)
+        for row in values.tolist()
+    ]
     return count + ("\n" + "\n".join(rows) + "\n)").encode()
 
 
 def _file(folder, name, kind, body, form):
     header = f"format {'binary' if form.binary else 'ascii'};\n{form.header}    class {kind};\n    object {name};\n"
-    text = f"{BANNER}FoamFile\n{{\n    version 2.0;\n    {header}}}\n{RULE}".encode() + body + b"\n\n// **** //\n"
+    text = (
+        f"{BANNER}FoamFile\n{{\n    version 2.0;\n    {header}}}\n{RULE}".encode()
+        + body
+        + b"\n\n// **** //\n"
+    )
     if form.packed:
         (folder / f"{name}.gz").write_bytes(gzip.compress(text, mtime=7))
     else:
@@ -128,9 +146,7 @@ def _file(folder, name, kind, body, form):
 
 def _system(case):
     head = "FoamFile {{ version 2.0; format ascii; class dictionary; object {}; }}\n"
-    settings = (
-        "application x; startFrom latestTime; startTime 0; stopAt endTime; endTime 1; deltaT 1; writeInterval 1;\n"
-    )
+    settings = "application x; startFrom latestTime; startTime 0; stopAt endTime; endTime 1; deltaT 1; writeInterval 1;\n"
     schemes = " ".join(f"{name} {{ default none; }}" for name in (
         "ddtSchemes", "gradSchemes", "divSchemes", "laplacianSchemes", "interpolationSchemes", "snGradSchemes"))  # fmt: skip
     (case / "system").mkdir()
@@ -140,7 +156,11 @@ def _system(case):
 
 def tree(folder):
     """Every file below a folder with its content."""
-    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
 
 
 SHARE = pathlib.Path(shutil.which("checkMesh") or "bin/none").parent.resolve().parent / "share"
@@ -161,7 +181,9 @@ def need_openfoam():
 
 def run(case, *command):
     """What one of OpenFOAM's programs prints."""
-    done = subprocess.run(command, cwd=case, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=case, env=ENVIRONMENT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, f"{command}: {done.stdout[-1000:]}{done.stderr[-1000:]}"
     return done.stdout
 
@@ -173,8 +195,14 @@ PARALLEL = ("mpirun.openmpi", "--allow-run-as-root", "--oversubscribe", "-n")
 def verdict(case, *options, processes=1):
     """checkMesh's: the checks that fail, without their numbers, or that none does; of a decomposed case by its processes."""
     marks = ("Failed", "Mesh OK", "***")
-    check = ["checkMesh"] if processes == 1 else [*PARALLEL, str(processes), "checkMesh", "-parallel"]
-    said = [line.strip() for line in run(case, *check, *options).splitlines() if any(m in line for m in marks)]
+    check = (
+        ["checkMesh"] if processes == 1 else [*PARALLEL, str(processes), "checkMesh", "-parallel"]
+    )
+    said = [
+        line.strip()
+        for line in run(case, *check, *options).splitlines()
+        if any(m in line for m in marks)
+    ]
     assert said
     return [line.split(",")[0] for line in said]
 
@@ -217,7 +245,11 @@ def mixed():
     return points, cells
 
 
-PATCHES = [("floor", "wall", lambda face: max(face) < 4), ("rest", "patch", lambda face: True), ("none", "patch", bool)]
+PATCHES = [
+    ("floor", "wall", lambda face: max(face) < 4),
+    ("rest", "patch", lambda face: True),
+    ("none", "patch", bool),
+]
 
 
 def split():
@@ -230,7 +262,12 @@ def split():
         return [at[x + i, y + j * s, z + k * s] for k in (0, 1) for i, j in square]
 
     small = [cell(HEXAHEDRON, *corners(1, y, z, 0.5)) for y in (0, 0.5) for z in (0, 0.5)]
-    shared = [list(reversed(face)) for faces in small for face in faces if all(points[n][0] == 1 for n in face)]
+    shared = [
+        list(reversed(face))
+        for faces in small
+        for face in faces
+        if all(points[n][0] == 1 for n in face)
+    ]
     large = [
         [at[0, 0, 0], at[0, 0, 1], at[0, 1, 1], at[0, 1, 0]],
         [at[0, 0, 0], at[1, 0, 0], at[1, 0, 0.5], at[1, 0, 1], at[0, 0, 1]],
@@ -247,7 +284,9 @@ def split():
 def strip(normal, around=14):
     """A flat ring of quads, one of them two triangles, one layer thick along an axis; nodes of both planes mixed up."""
     angle = 2 * np.pi * np.arange(around) / around
-    plane = np.concatenate([r * np.column_stack([np.cos(angle), np.sin(angle)]) for r in (1, 1.25, 1.5)])
+    plane = np.concatenate(
+        [r * np.column_stack([np.cos(angle), np.sin(angle)]) for r in (1, 1.25, 1.5)]
+    )
     n = len(plane)
     order = np.random.default_rng(0).permutation(2 * n)
     points = np.insert(np.tile(plane, (2, 1)), normal, np.repeat([0, 0.1], n), axis=1)
@@ -287,7 +326,9 @@ def pipe_of(is_cut=False):
     x, r = np.meshgrid([0.0, 1, 2], [0.0, 0.4, 1], indexing="ij")
     front, back = np.arange(9).reshape(3, 3), np.arange(9).reshape(3, 3)
     back[:, 1:] = 9 + np.arange(6).reshape(3, 2)
-    points = np.concatenate([around(x, r, 1).reshape(-1, 3), around(x[:, 1:], r[:, 1:], -1).reshape(-1, 3)])
+    points = np.concatenate(
+        [around(x, r, 1).reshape(-1, 3), around(x[:, 1:], r[:, 1:], -1).reshape(-1, 3)]
+    )
     cells = []
     for i in range(2):
         a, b = back[i], back[i + 1]
@@ -304,7 +345,11 @@ def pipe_of(is_cut=False):
         points = np.concatenate([points, points[shared]])
         cells[1::2] = [[[new.get(k, k) for k in face] for face in cell] for cell in cells[1::2]]
         sides = {name: ids | {new[k] for k in ids & set(new)} for name, ids in sides.items()}
-    patches = [(name, "wedge", lambda face, ids=ids: set(face) <= ids) for name, ids in sides.items()]
-    patches += [("wall", "wall", lambda face: bool((np.hypot(*points[face][:, 1:].T) > 0.99).all()))]
+    patches = [
+        (name, "wedge", lambda face, ids=ids: set(face) <= ids) for name, ids in sides.items()
+    ]
+    patches += [
+        ("wall", "wall", lambda face: bool((np.hypot(*points[face][:, 1:].T) > 0.99).all()))
+    ]
     patches += [("ends", "patch", lambda face: True)]
     return points, cells, patches, x, r

@@ -30,7 +30,9 @@ def build(folder):
         pytest.skip(message)
     shutil.copytree(native.folder, folder / "native")
     script = '. "$0/etc/bashrc"; FOAM_USER_LIBBIN=$PWD wmake native/openfoam 2>&1'
-    done = subprocess.run(["bash", "-c", script, source], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["bash", "-c", script, source], cwd=folder, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout[-3000:]
     return folder / "libjaxmorphMotion.so", done.stdout
 
@@ -173,13 +175,18 @@ def parts_of(case):
 def wing(case, mover, library):
     """An elliptic wing in 9,600 hexahedra between two symmetry planes, to be bent."""
     layers = np.arctanh(0.12) + 5e-3 * (1.3 ** np.arange(21) - 1) / 0.3
-    section = np.cosh(layers[:, None] - 1j * np.pi / 20 * np.arange(40))  # confocal ellipses, from 12 % of the chord
+    section = np.cosh(
+        layers[:, None] - 1j * np.pi / 20 * np.arange(40)
+    )  # confocal ellipses, from 12 % of the chord
     stations = np.linspace(0, SPAN, 13)[:, None, None]
     points = np.stack(np.broadcast_arrays(section.real, stations, section.imag), axis=-1)
     ids = np.arange(points[..., 0].size).reshape(points.shape[:3])
     points, closed = points.reshape(-1, 3), np.concatenate([ids, ids[:, :, :1]], axis=2)
     ends = {"wing": ids[:, 0], "farfield": ids[:, -1], "root": ids[0], "tip": ids[-1]}
-    tests = [(name, KINDS[name], functools.partial(_all_in, set(nodes.flat))) for name, nodes in ends.items()]
+    tests = [
+        (name, KINDS[name], functools.partial(_all_in, set(nodes.flat)))
+        for name, nodes in ends.items()
+    ]
     foam.write_case(case, points, foam.hexahedra(meshes.blocks(closed)), tests)
     write_control(case, delta=1)
     write_motion(case, mover, library, walls="wing")
@@ -215,7 +222,11 @@ def box(case, library, boundary=FLOORS, **control):
     places = np.linspace(0, 1, 7), np.linspace(0, 1, 7), np.linspace(0, 1, 9)
     points, ids = meshes.lattice(*places), np.arange(7 * 7 * 9).reshape(7, 7, 9)
     tests = [
-        ("behind", "wall", lambda face: bool((points[face, 2] == 0).all() and (points[face, 0] > 0.6).all())),
+        (
+            "behind",
+            "wall",
+            lambda face: bool((points[face, 2] == 0).all() and (points[face, 0] > 0.6).all()),
+        ),
         ("ahead", "wall", lambda face: bool((points[face, 2] == 0).all())),
         ("sides", "patch", lambda face: True),
     ]
@@ -238,7 +249,9 @@ def strip(case, library, normal=1):
 
 def channel(case, library):
     """OpenFOAM's channel395 in 768 bricks, cyclic along and across, its floor pushed up and aside."""
-    shutil.copytree(foam.EXAMPLES / "incompressible/pimpleFoam/LES/channel395/system", case / "system")
+    shutil.copytree(
+        foam.EXAMPLES / "incompressible/pimpleFoam/LES/channel395/system", case / "system"
+    )
     dictionary = case / "system" / "blockMeshDict"
     dictionary.write_text(dictionary.read_text().replace("(40 25 30)", "(16 8 6)"))
     write_control(case, delta=1)

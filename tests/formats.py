@@ -45,12 +45,16 @@ def by_gmsh(path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: 
         gmsh.write(str(path))
 
 
-def by_meshio(path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray) -> None:
+def by_meshio(
+    path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray
+) -> None:
     faces = floor_of(corners, nodes)
     array = {".meshb": "medit:ref", ".xdmf": "marker", ".vol": "netgen:index"}.get(path.suffix)
     numbers = {array: [np.full(len(faces), 2), np.full(len(corners), 1)]} if array else {}
     sets = {} if array else {"floor": [np.arange(len(faces)), []]}
-    mesh = meshio.Mesh(points, [("quad", faces), ("hexahedron", corners)], cell_data=numbers, cell_sets=sets)
+    mesh = meshio.Mesh(
+        points, [("quad", faces), ("hexahedron", corners)], cell_data=numbers, cell_sets=sets
+    )
     mesh.field_data = {"floor": np.array([2, 2])} if path.suffix == ".vol" else {}
     meshio.write(path, mesh)
 
@@ -78,9 +82,15 @@ OTHERS = dict.fromkeys((".meshb", ".inp", ".xdmf", ".vol"), by_meshio) | {
 
 def write(path: pathlib.Path, mesh: jm.Mesh, *, is_single: bool = False) -> None:
     """Writes a mesh of hexahedra with a patch `floor` in the format of the path's ending."""
-    points, corners, real = np.asarray(mesh.points), np.asarray(mesh.cells["hexahedron"]), "f4" if is_single else "f8"
+    points, corners, real = (
+        np.asarray(mesh.points),
+        np.asarray(mesh.cells["hexahedron"]),
+        "f4" if is_single else "f8",
+    )
     if path.suffix == "":
-        foam.write_case(path, *mixed(), PATCHES, foam.FORMS["binary-32-scalars" if is_single else "ascii"])
+        foam.write_case(
+            path, *mixed(), PATCHES, foam.FORMS["binary-32-scalars" if is_single else "ascii"]
+        )
     elif path.suffix == ".cgns":
         cgns.write(path, mesh, f"<{real}")
     elif path.suffix == ".med":
@@ -102,10 +112,16 @@ def write(path: pathlib.Path, mesh: jm.Mesh, *, is_single: bool = False) -> None
         OTHERS[path.suffix](path, points, corners, mesh.patch("floor"))
     elif path.suffix == ".h5":
         real = "f4" if is_single else "f8"
-        fluent.write(path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "h5", real=real)
+        fluent.write(
+            path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "h5", real=real
+        )
     elif path.suffix == ".cas":
         fluent.write(
-            path, points, {"hexahedron": corners}, {"floor": mesh.patch("floor")}, "float" if is_single else "text"
+            path,
+            points,
+            {"hexahedron": corners},
+            {"floor": mesh.patch("floor")},
+            "float" if is_single else "text",
         )
     elif path.suffix == ".mesh":
         path.write_text(mfem_meshes.straight(mesh, "floor"))

@@ -11,7 +11,14 @@ import plot3d
 from meshes import blocks
 
 CELLS = 4
-SIDES = {"floor": (2, 0.0), "lid": (2, 1.0), "sym0": (0, 0.0), "xmax": (0, 1.0), "sym1": (1, 0.0), "ymax": (1, 1.0)}
+SIDES = {
+    "floor": (2, 0.0),
+    "lid": (2, 1.0),
+    "sym0": (0, 0.0),
+    "xmax": (0, 1.0),
+    "sym1": (1, 0.0),
+    "ymax": (1, 1.0),
+}
 """Patches of the cube: the axis that each is across, and where."""
 
 
@@ -28,7 +35,11 @@ def corners(shape):
 
 def on(points, name):
     axis, place = SIDES[name]
-    return np.flatnonzero(points[..., axis].ravel() == place) if points.ndim == 2 else points[..., axis] == place
+    return (
+        np.flatnonzero(points[..., axis].ravel() == place)
+        if points.ndim == 2
+        else points[..., axis] == place
+    )
 
 
 CONDITIONS = {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane", "sym1": "BCSymmetryPlane"}
@@ -54,10 +65,17 @@ def write_zones(base, blocks, conditions, suffix="", shift=(0, 0, 0)):
             if is_on.any():
                 low, high = np.ones(3, int), np.array(part.shape[:3])
                 low[axis] = high[axis] = 1 + np.flatnonzero(is_on)[0]
-                cgns.condition(zone, f"{side} of {name}", np.stack([low, high], axis=1).T, family=side + suffix)
+                cgns.condition(
+                    zone, f"{side} of {name}", np.stack([low, high], axis=1).T, family=side + suffix
+                )
 
 
-OVERSET = {"wing.00000": (0, 0, 0), "wing.00001": (0, 0, 0), "tip.00000": (0, 0.5, 0), "far.00000": (0.2, 0.3, 0.4)}
+OVERSET = {
+    "wing.00000": (0, 0, 0),
+    "wing.00001": (0, 0, 0),
+    "tip.00000": (0, 0.5, 0),
+    "far.00000": (0.2, 0.3, 0.4),
+}
 """Zones of the file of `write_overset`, and where each cube stands."""
 
 
@@ -68,13 +86,20 @@ def overset_blocks():
 
 def overset_floors():
     """Faces of the lowest side of each zone, four corners each, and the zone of each face."""
-    floors = [np.array(floor_faces(part)) + OVERSET[name] for name, part in overset_blocks().items()]
-    return np.concatenate(floors), np.repeat(np.arange(len(floors)), [len(each) // 4 for each in floors])
+    floors = [
+        np.array(floor_faces(part)) + OVERSET[name] for name, part in overset_blocks().items()
+    ]
+    return np.concatenate(floors), np.repeat(
+        np.arange(len(floors)), [len(each) // 4 for each in floors]
+    )
 
 
 def floor_faces(grid):
     """Corners of the faces at the lowest k, four for each."""
-    turns, faces = ((0, 0), (1, 0), (1, 1), (0, 1)), np.ndindex(grid.shape[0] - 1, grid.shape[1] - 1)
+    turns, faces = (
+        ((0, 0), (1, 0), (1, 1), (0, 1)),
+        np.ndindex(grid.shape[0] - 1, grid.shape[1] - 1),
+    )
     return [grid[i + a, j + b, 0] for i, j in faces for a, b in turns]
 
 
@@ -85,9 +110,13 @@ def write_overset(path, names=("wing", "tip", "far")):
         base = cgns.base(file, 3, 3)
         for name in names:
             own = {zone: part for zone, part in parts.items() if zone.startswith(name)}
-            conditions = {} if name == "far" else {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane"}
+            conditions = (
+                {} if name == "far" else {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane"}
+            )
             write_zones(base, own, conditions, f"_{name}", OVERSET[next(iter(own))])
-    return np.concatenate([part.reshape(-1, 3, order="F") + OVERSET[zone] for zone, part in parts.items()])
+    return np.concatenate(
+        [part.reshape(-1, 3, order="F") + OVERSET[zone] for zone, part in parts.items()]
+    )
 
 
 def write_unstructured(path, names=None):
@@ -119,7 +148,10 @@ def write_openfoam(folder, parts=False):
     cells = foam.hexahedra(corners(grid.shape[:3]))
     is_on = lambda nodes, axis, place: bool((points[nodes, axis] == place).all())  # noqa: E731
     kinds = {name: TYPES.get(name, "patch") for name in SIDES}
-    tests = [(name, kinds[name], functools.partial(is_on, axis=axis, place=at)) for name, (axis, at) in SIDES.items()]
+    tests = [
+        (name, kinds[name], functools.partial(is_on, axis=axis, place=at))
+        for name, (axis, at) in SIDES.items()
+    ]
     foam.write_case(folder, points, cells, tests)
     if parts:
         owner = [int(points[cell[0], 0].min() >= 0.5) for cell in corners(grid.shape[:3])]

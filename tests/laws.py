@@ -13,7 +13,9 @@ def check_linear(plan, u) -> np.ndarray:
     v, w = rng.normal(size=u.shape), rng.normal(size=points.shape)
     moved, other = np.asarray(jm.deform(plan, u)), np.asarray(jm.deform(plan, v)) - points
     assert (jm.deform(plan, 0 * u) == points).all()
-    np.testing.assert_allclose(jm.deform(plan, 2 * u - v) - points, 2 * (moved - points) - other, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        jm.deform(plan, 2 * u - v) - points, 2 * (moved - points) - other, rtol=0, atol=1e-11
+    )
     np.testing.assert_allclose(np.vdot(jm.pullback(plan, v, w), v), np.vdot(w, other), rtol=1e-10)
     return other
 
@@ -29,7 +31,9 @@ def check_base_derivative(plan, u, allowed) -> None:
         return jnp.sum(w * jm.deform(jm.refit(plan, points), u))
 
     difference = (objective(points + step)[0] - objective(points - step)[0]) / 2
-    np.testing.assert_allclose(np.vdot(objective(points)[1], step), difference, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(
+        np.vdot(objective(points)[1], step), difference, rtol=1e-5, atol=1e-12
+    )
 
 
 def check_steps(plan, path) -> list[np.ndarray]:
@@ -49,4 +53,6 @@ def check_parts(boundary, plan, u, size) -> None:
     assert len(chunks) > 1
     for nodes, part in chunks:
         np.testing.assert_allclose(jm.deform(part, u), whole[nodes], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(jm.deform(jm.shard(plan, jax.devices()[:1]), u), whole, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        jm.deform(jm.shard(plan, jax.devices()[:1]), u), whole, rtol=0, atol=1e-12
+    )

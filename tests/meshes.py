@@ -51,7 +51,10 @@ def blocks(ids: np.ndarray) -> np.ndarray:
 def tetrahedra(ids: np.ndarray) -> np.ndarray:
     """Lists six tetrahedra for each cube of ids (i, j, k)."""
     low, high = slice(0, -1), slice(1, None)
-    corners = np.stack([ids[i, j, k].ravel() for i in (low, high) for j in (low, high) for k in (low, high)], axis=1)
+    corners = np.stack(
+        [ids[i, j, k].ravel() for i in (low, high) for j in (low, high) for k in (low, high)],
+        axis=1,
+    )
     return np.concatenate([corners[:, row] for row in TETRAHEDRA])
 
 
@@ -101,18 +104,31 @@ def mixed() -> jm.Mesh:
 def wedges() -> jm.Mesh:
     """Makes a hexahedron and two wedges beside it, between the patches `floor` and `roof`."""
     points = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0, 2.0)])
-    cells = {"hexahedron": [[0, 1, 4, 3, 6, 7, 10, 9]], "wedge": [[1, 2, 4, 7, 8, 10], [2, 5, 4, 8, 11, 10]]}
+    cells = {
+        "hexahedron": [[0, 1, 4, 3, 6, 7, 10, 9]],
+        "wedge": [[1, 2, 4, 7, 8, 10], [2, 5, 4, 8, 11, 10]],
+    }
     return jm.Mesh(points, cells, {"floor": np.arange(6), "roof": np.arange(6, 12)})
 
 
 REFLECTED = {
-    **{"triangle": [0, 2, 1], "quad": [0, 3, 2, 1], "tetra": [0, 2, 1, 3], "pyramid": [0, 3, 2, 1, 4]},
+    **{
+        "triangle": [0, 2, 1],
+        "quad": [0, 3, 2, 1],
+        "tetra": [0, 2, 1, 3],
+        "pyramid": [0, 3, 2, 1, 4],
+    },
     **{"wedge": [0, 2, 1, 3, 5, 4], "hexahedron": [0, 3, 2, 1, 4, 7, 6, 5]},
 }
 """The nodes of a cell that is listed the other way round, left-handed, by type."""
 
 TURNED = {
-    **{"triangle": [1, 2, 0], "quad": [1, 2, 3, 0], "tetra": [1, 2, 0, 3], "pyramid": [1, 2, 3, 0, 4]},
+    **{
+        "triangle": [1, 2, 0],
+        "quad": [1, 2, 3, 0],
+        "tetra": [1, 2, 0, 3],
+        "pyramid": [1, 2, 3, 0, 4],
+    },
     **{"wedge": [1, 2, 0, 4, 5, 3], "hexahedron": [1, 2, 3, 0, 5, 6, 7, 4]},
 }
 """The nodes of a cell that begins with its second corner, by type."""
@@ -136,12 +152,16 @@ def renumbered(mesh: jm.Mesh, seed: int) -> tuple[jm.Mesh, np.ndarray]:
 
 def with_hole(points: np.ndarray, cells: dict) -> jm.Mesh:
     """Makes the unit square or cube without its middle third: the patches are `wall`, around the hole, and `far`."""
-    middle = {kind: np.abs(points[ids].mean(axis=1) - 0.5).max(axis=1) for kind, ids in cells.items()}
+    middle = {
+        kind: np.abs(points[ids].mean(axis=1) - 0.5).max(axis=1) for kind, ids in cells.items()
+    }
     left = {kind: ids[middle[kind] > 1 / 6] for kind, ids in cells.items()}
     used = np.unique(np.concatenate([ids.ravel() for ids in left.values()]))
     points, away = points[used], np.abs(points[used] - 0.5).max(axis=1)
     patches = {"wall": np.flatnonzero(away < 1 / 6 + 1e-9), "far": np.flatnonzero(away == 0.5)}
-    return jm.Mesh(points, {kind: np.searchsorted(used, ids) for kind, ids in left.items()}, patches)
+    return jm.Mesh(
+        points, {kind: np.searchsorted(used, ids) for kind, ids in left.items()}, patches
+    )
 
 
 @functools.cache
@@ -153,7 +173,9 @@ def even(kind: str) -> jm.Mesh:
     if kind == "tetra":
         return with_hole(points, {"tetra": tetrahedra(ids)})
     whole = blocks(ids)
-    column = np.floor(points[whole].mean(axis=1) * count)[:, :2].astype(int)  # cut whole columns: faces match
+    column = np.floor(points[whole].mean(axis=1) * count)[:, :2].astype(
+        int
+    )  # cut whole columns: faces match
     if kind == "2-D":
         cut = whole[column.sum(axis=1) % 3 == 0]
         triangles = np.concatenate([cut[:, [0, 1, 2]], cut[:, [0, 2, 3]]])
@@ -175,10 +197,18 @@ def half(mesh: jm.Mesh, bent: float = 0.0, is_passage: bool = False) -> jm.Mesh:
     cells = {kind: np.searchsorted(used, ids) for kind, ids in cells.items()}
     x = points[used]
     side = {"left": x[:, 0] == 0, "right": x[:, 0] == 1, "plane": x[:, -1] == 0.5}
-    side["wall"], side["far"] = np.isin(used, mesh.patches["wall"]), np.isin(used, mesh.patches["far"])
+    side["wall"], side["far"] = (
+        np.isin(used, mesh.patches["wall"]),
+        np.isin(used, mesh.patches["far"]),
+    )
     if is_passage:
         side["far"] &= (np.abs(x[:, 1:] - 0.5) == 0.5).any(axis=1)
-    x = x + bent * np.eye(x.shape[1])[-1] * (np.sin(3 * x[:, 0]) * np.sin(4 * x[:, 1]) * (1 - x[:, -1]))[:, None]
+    x = (
+        x
+        + bent
+        * np.eye(x.shape[1])[-1]
+        * (np.sin(3 * x[:, 0]) * np.sin(4 * x[:, 1]) * (1 - x[:, -1]))[:, None]
+    )
     return jm.Mesh(x, cells, {name: np.flatnonzero(mask) for name, mask in side.items()})
 
 
@@ -194,16 +224,29 @@ def slit(count: int) -> jm.Mesh:
     above = points[quads].mean(axis=1)[:, 1] > 0
     quads[above] = twin[quads[above]]
     ends = np.flatnonzero((points[:, 1] == 0) & (np.abs(np.abs(points[:, 0]) - 0.5) < 1e-9))
-    wall, far = np.concatenate([inner, twin[inner], ends]), np.flatnonzero(np.abs(points).max(axis=1) == 1)
-    return jm.Mesh(np.concatenate([points, points[inner]]), {"quad": quads}, {"wall": wall, "far": far})
+    wall, far = (
+        np.concatenate([inner, twin[inner], ends]),
+        np.flatnonzero(np.abs(points).max(axis=1) == 1),
+    )
+    return jm.Mesh(
+        np.concatenate([points, points[inner]]), {"quad": quads}, {"wall": wall, "far": far}
+    )
 
 
 def thin(around: int) -> jm.Mesh:
     """Makes rings of quads about an ellipse 50 times as long as high."""
-    wall, far, share = circle(around) * [0.5, 0.01], 6 * circle(around), np.linspace(0, 1, 12)[:, None, None] ** 2
+    wall, far, share = (
+        circle(around) * [0.5, 0.01],
+        6 * circle(around),
+        np.linspace(0, 1, 12)[:, None, None] ** 2,
+    )
     ids = np.arange(12 * around).reshape(12, around)
     quads = blocks(np.concatenate([ids, ids[:, :1]], axis=1))
-    return jm.Mesh((wall + share * (far - wall)).reshape(-1, 2), {"quad": quads}, {"wall": ids[0], "far": ids[-1]})
+    return jm.Mesh(
+        (wall + share * (far - wall)).reshape(-1, 2),
+        {"quad": quads},
+        {"wall": ids[0], "far": ids[-1]},
+    )
 
 
 def filled(kind: str, count: int = 3) -> jm.Mesh:
@@ -221,8 +264,13 @@ def filled(kind: str, count: int = 3) -> jm.Mesh:
     elif cell.shape == "tetra":
         cells = tetrahedra(ids)
     else:
-        rows = {"triangle": [[0, 1, 2], [0, 2, 3]], "wedge": [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]]}
-        cells = np.concatenate([cubes[:, row] for row in rows.get(cell.shape, [range(cubes.shape[1])])])
+        rows = {
+            "triangle": [[0, 1, 2], [0, 2, 3]],
+            "wedge": [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]],
+        }
+        cells = np.concatenate(
+            [cubes[:, row] for row in rows.get(cell.shape, [range(cubes.shape[1])])]
+        )
     if cell.shape == "tetra":  # the list of six is right-handed up to a turn
         edges = points[cells[:, 1:]] - points[cells[:, :1]]
         cells = np.where((np.linalg.det(edges) < 0)[:, None], cells[:, [0, 2, 1, 3]], cells)
@@ -237,7 +285,9 @@ def reflected(mesh: jm.Mesh, seed: int = 0) -> jm.Mesh:
     for kind, ids in mesh.cells.items():
         lattice = lagrange_types()[kind].lattice
         place = {tuple(at): row for row, at in enumerate(lattice.tolist())}
-        mirror = [place[tuple(at)] for at in lattice[:, [1, 0, *range(2, lattice.shape[1])]].tolist()]
+        mirror = [
+            place[tuple(at)] for at in lattice[:, [1, 0, *range(2, lattice.shape[1])]].tolist()
+        ]
         cells[kind] = np.where(rng.random((len(ids), 1)) < 0.5, np.asarray(ids)[:, mirror], ids)
     return jm.Mesh(mesh.points, cells, mesh.patches)
 
@@ -282,7 +332,9 @@ def sphere(count: int) -> np.ndarray:
     """Lists points spread evenly over the unit sphere, no four of them in one plane but by accident."""
     i = np.arange(count) + 0.5
     polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
-    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    return np.stack(
+        [np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1
+    )
 
 
 def ball(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -305,7 +357,12 @@ def box_with_hole(cells: int = 8) -> jm.Mesh:
     used, quads = np.unique(quads, return_inverse=True)
     points = points[used]
     patches = {"hole": np.flatnonzero((np.abs(points) <= 1).all(axis=1))}
-    for name, axis, side in (("left", 0, -half), ("right", 0, half), ("bottom", 1, -half), ("top", 1, half)):
+    for name, axis, side in (
+        ("left", 0, -half),
+        ("right", 0, half),
+        ("bottom", 1, -half),
+        ("top", 1, half),
+    ):
         patches[name] = np.flatnonzero(points[:, axis] == side)
     return jm.Mesh(points, {"quad": quads.reshape(-1, 4)}, patches)
 
@@ -313,19 +370,27 @@ def box_with_hole(cells: int = 8) -> jm.Mesh:
 @functools.cache
 def drum(shape: str = "cylinder") -> jm.Mesh:
     """Makes bricks between an inner cylinder and a shroud around z, 12 around, 4 along; lids at z = 0 and 1."""
-    r, angle, z = np.meshgrid(np.linspace(0, 1, 4), 2 * np.pi / 12 * np.arange(12), np.linspace(0, 1, 5), indexing="ij")
+    r, angle, z = np.meshgrid(
+        np.linspace(0, 1, 4), 2 * np.pi / 12 * np.arange(12), np.linspace(0, 1, 5), indexing="ij"
+    )
     outer = {"cylinder": 2 + 0 * z, "cone": 2 + 0.5 * z, "bell": 2 + 0.3 * np.sin(2 * z)}[shape]
     radius = 1 + r * (outer - 1)
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
     ids = np.arange(r.size).reshape(r.shape)
     ids = np.concatenate([ids, ids[:, :1]], axis=1)
     patches = {"hub": ids[0], "shroud": ids[-1], "bottom": ids[..., 0], "top": ids[..., -1]}
-    return jm.Mesh(points, {"hexahedron": blocks(ids)}, {name: np.unique(nodes) for name, nodes in patches.items()})
+    return jm.Mesh(
+        points,
+        {"hexahedron": blocks(ids)},
+        {name: np.unique(nodes) for name, nodes in patches.items()},
+    )
 
 
 def shaken(mesh: jm.Mesh, size: float, seed: int = 0) -> np.ndarray:
     """Lists the points of a mesh, displaced at random."""
-    return np.asarray(mesh.points) + size * np.random.default_rng(seed).normal(size=mesh.points.shape)
+    return np.asarray(mesh.points) + size * np.random.default_rng(seed).normal(
+        size=mesh.points.shape
+    )
 
 
 def turn(angle: float, dimension: int) -> np.ndarray:
@@ -339,7 +404,11 @@ def sector(dimension: int, sectors: int = 4, whole: bool = False):
     """A ring from radius 1, which moves, to 2, which is fixed with both ends in 3-D; its nodes, lists, sides and a motion."""
     steps = 6
     count = steps * sectors if whole else steps + 1
-    axes = [np.linspace(1, 2, 5), 2 * np.pi / sectors / steps * np.arange(count), np.linspace(0, 1, 4)][:dimension]
+    axes = [
+        np.linspace(1, 2, 5),
+        2 * np.pi / sectors / steps * np.arange(count),
+        np.linspace(0, 1, 4),
+    ][:dimension]
     r, angle, *z = lattice(*axes).T
     points = np.stack([r * np.cos(angle), r * np.sin(angle), *z], axis=1)
     rests = (r == 2) | (np.isin(z[0], (0, 1)) if z else False)
@@ -359,7 +428,11 @@ def joined(dimension: int, pair, **keywords) -> jm.Periodic:
 def naca(camber, place, thickness, count=61, last=0.1015) -> np.ndarray:
     """Lists nodes of a NACA 4-digit airfoil: upper side from nose to tail, then the lower side."""
     s = 0.5 * (1 - np.cos(np.linspace(0, np.pi, count)))
-    half = 5 * thickness * (0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - last * s**4)
+    half = (
+        5
+        * thickness
+        * (0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - last * s**4)
+    )
     front, scale = s < place, np.where(s < place, place, 1 - place)
     line = camber / scale**2 * (np.where(front, 0, 1 - 2 * place) + 2 * place * s - s**2)
     theta = np.arctan(2 * camber / scale**2 * (place - s))

@@ -23,17 +23,36 @@ def moved(x: np.ndarray) -> np.ndarray:
     if not rest:
         return np.stack([x + 0.1 * y**2 - 0.02 * x * y**2, y + 0.05 * x**3 - 0.1 * x * y], axis=1)
     (z,) = rest
-    columns = [x + 0.1 * y**2 - 0.02 * x * y * z, y + 0.05 * x**3 - 0.1 * x * z, z + 0.04 * x * y**2]
+    columns = [
+        x + 0.1 * y**2 - 0.02 * x * y * z,
+        y + 0.05 * x**3 - 0.1 * x * z,
+        z + 0.04 * x * y**2,
+    ]
     return np.stack(columns, axis=1)
 
 
 def straight(mesh: jm.Mesh, name: str) -> str:
     """Text of a straight mesh, version 1.3; its patch of that name becomes a named set of attribute 4."""
-    numbers = {"line": 1, "triangle": 2, "quad": 3, "tetra": 4, "hexahedron": 5, "wedge": 6, "pyramid": 7}
+    numbers = {
+        "line": 1,
+        "triangle": 2,
+        "quad": 3,
+        "tetra": 4,
+        "hexahedron": 5,
+        "wedge": 6,
+        "pyramid": 7,
+    }
     faces = [(kind, row) for kind, rows in jm.boundary_faces(mesh).items() for row in rows.tolist()]
     inside = set(np.asarray(mesh.patch(name)).tolist())
-    cells = [f"1 {numbers[kind]} {' '.join(map(str, row))}" for kind, ids in mesh.cells.items() for row in ids.tolist()]
-    sides = [f"{4 if set(row) <= inside else 2} {numbers[kind]} {' '.join(map(str, row))}" for kind, row in faces]
+    cells = [
+        f"1 {numbers[kind]} {' '.join(map(str, row))}"
+        for kind, ids in mesh.cells.items()
+        for row in ids.tolist()
+    ]
+    sides = [
+        f"{4 if set(row) <= inside else 2} {numbers[kind]} {' '.join(map(str, row))}"
+        for kind, row in faces
+    ]
     points = np.asarray(mesh.points)
     rows = [" ".join(map(repr, row)) for row in points.tolist()]
     parts = [
@@ -63,7 +82,10 @@ CELLS = cells_of(
 )
 """Of `SOLID` and `SOLID2`."""
 IN_PLANE = cells_of(
-    2, ["1 2 1 4 2", "1 3 3 0 1 2", "2 2 4 5 2"], ["1 1 0 1", "1 1 1 4", "2 1 4 5", "2 1 5 2", "4 1 3 0"], 6
+    2,
+    ["1 2 1 4 2", "1 3 3 0 1 2", "2 2 4 5 2"],
+    ["1 1 0 1", "1 1 1 4", "2 1 4 5", "2 1 5 2", "4 1 3 0"],
+    6,
 )
 """Of `FLAT` and `TORN`."""
 NODES = "nodes\nFiniteElementSpace\nFiniteElementCollection: {}\nVDim: {}\nOrdering: {}\n\n"

@@ -59,7 +59,10 @@ for kind, (name, options) in GRIDS.items():
     mesh.setSurfaceCoordinates(meshes.bump(surface))
     mesh.warpMesh()
     moved = mesh.getCommonGrid()
-    found = {"grid": by_place(start, moved), "solver": by_place(whole[indices], mesh.getSolverGrid())}
+    found = {
+        "grid": by_place(start, moved),
+        "solver": by_place(whole[indices], mesh.getSolverGrid()),
+    }
     # a derivative by place: what its copies have adds up to it
     seed = np.cos(7 * start) / summed(start, np.ones(count))[places(start)[0]].ravel()
     mesh.warpDeriv(seed, solverVec=False)
@@ -69,7 +72,10 @@ for kind, (name, options) in GRIDS.items():
     found["change"] = by_place(start, change)
     left = comm.allreduce(float(np.vdot(seed, change)))
     right = comm.allreduce(float(np.vdot(tangent, mesh.getdXs())))
-    assert abs(left - right) < 1e-12 * np.linalg.norm(found["change"]) * np.linalg.norm(seed), (left, right)
+    assert abs(left - right) < 1e-12 * np.linalg.norm(found["change"]) * np.linalg.norm(seed), (
+        left,
+        right,
+    )
     mesh.warpDeriv(np.cos(7 * mesh.getSolverGrid()))
     solvers = mesh.warpDerivFwd(tangent)
     left = comm.allreduce(float(np.vdot(np.cos(7 * mesh.getSolverGrid()), solvers)))
@@ -83,15 +89,22 @@ for kind, (name, options) in GRIDS.items():
 
 # grids that overlap: each process has the nodes of the other, and faces of its half of the zones
 nodes = np.concatenate(
-    [part.reshape(-1, 3, order="F") + meshes.OVERSET[zone] for zone, part in meshes.overset_blocks().items()]
+    [
+        part.reshape(-1, 3, order="F") + meshes.OVERSET[zone]
+        for zone, part in meshes.overset_blocks().items()
+    ]
 )
-grid = MultiUSMesh(str(folder / "overset.cgns"), {key: {"useRotations": False} for key in ("wing", "tip")}, comm)
+grid = MultiUSMesh(
+    str(folder / "overset.cgns"), {key: {"useRotations": False} for key in ("wing", "tip")}, comm
+)
 share = np.array_split(np.arange(len(nodes)), comm.size)[-1 - comm.rank][::-1]
 grid.setExternalMeshIndices((3 * share[:, None] + np.arange(3)).ravel())
 points, zones = meshes.overset_floors()
 own = np.array_split(np.arange(len(zones)), comm.size)[comm.rank]
 corners = (4 * own[:, None] + np.arange(4)).ravel()
-grid.setSurfaceDefinition(points[corners], np.arange(len(corners)), np.full(len(own), 4), zones[own])
+grid.setSurfaceDefinition(
+    points[corners], np.arange(len(corners)), np.full(len(own), 4), zones[own]
+)
 grid.setSurfaceCoordinates(meshes.bump(points[corners]))
 grid.warpMesh()
 moved, change = np.zeros_like(nodes), np.zeros_like(nodes)
@@ -99,7 +112,10 @@ back = np.zeros_like(points)
 back[corners] = grid.warpDeriv(np.cos(7 * nodes[share]).ravel())
 moved[share] = grid.getSolverGrid().reshape(-1, 3)
 change[share] = grid.warpDerivFwd(np.sin(5 * points[corners])).reshape(-1, 3)
-found = {name: np.sum(comm.allgather(each), axis=0) for name, each in (("grid", moved), ("change", change))}
+found = {
+    name: np.sum(comm.allgather(each), axis=0)
+    for name, each in (("grid", moved), ("change", change))
+}
 found["dXs"] = summed(points[corners], back[corners])
 if comm.rank == 0:
     np.savez(folder / f"overset-{comm.size}.npz", **found)

@@ -46,7 +46,10 @@ assert np.array_equal(attached.moving, moving)
 tangent = np.cos(3 * points[wall])
 change = np.asarray(jm.velocity(plan, u_all, tangent))[nodes]
 for each in (piece, attached):
-    assert np.abs(each.pushforward(u, tangent[np.searchsorted(wall, nodes[moving])]) - change).max() < 3e-12
+    assert (
+        np.abs(each.pushforward(u, tangent[np.searchsorted(wall, nodes[moving])]) - change).max()
+        < 3e-12
+    )
 assert np.abs(attached.deform(u) - moved).max() < 3e-12
 
 row = {node: k for k, node in enumerate(wall)}
@@ -63,7 +66,10 @@ assert all(places[0][node] == places[1][node] for node in both)  # bit for bit
 
 part = jm.Mesh(points[nodes], piece_cells)
 limits = jm.Limits(max_skewness=0.2)
-verdict, expected = piece.judge(part, moved, limits), jm.judge(jm.Mesh(points, {kind: cells}), whole, limits)
+verdict, expected = (
+    piece.judge(part, moved, limits),
+    jm.judge(jm.Mesh(points, {kind: cells}), whole, limits),
+)
 assert (verdict.cells, verdict.inverted, verdict.parts) == (len(cells), expected.inverted, 2)
 for row in (("max", "skewness"), ("mean", "skewness"), ("min", "jacobian_ratio")):
     assert abs(verdict.rows[row].value - expected.rows[row].value) < 1e-9
@@ -82,12 +88,23 @@ def moved_in_pieces(whole, patches, parts, u_of):
     one = mpi.prepare(comm, part, here, *lists)
     plan = jm.prepare(whole, *patches)
     expected = np.asarray(jm.deform(plan, u_of(points[patches[0]])))
-    return np.abs(one.deform(u_of(points[here[lists[0]]])) - expected[here]).max() / np.ptp(points, axis=0).max()
+    return (
+        np.abs(one.deform(u_of(points[here[lists[0]]])) - expected[here]).max()
+        / np.ptp(points, axis=0).max()
+    )
 
 
-for whole, patches in ((jm.Mesh(points, {kind: cells}), (wall, far)), (cases.wing(points=300, stations=4), None)):
-    patches = patches or (whole.patch("wing"), np.setdiff1d(whole.patch("farfield"), whole.patch("wing")))
-    middles = {k: np.asarray(whole.points)[np.asarray(ids)].mean(axis=1) for k, ids in whole.cells.items()}
+for whole, patches in (
+    (jm.Mesh(points, {kind: cells}), (wall, far)),
+    (cases.wing(points=300, stations=4), None),
+):
+    patches = patches or (
+        whole.patch("wing"),
+        np.setdiff1d(whole.patch("farfield"), whole.patch("wing")),
+    )
+    middles = {
+        k: np.asarray(whole.points)[np.asarray(ids)].mean(axis=1) for k, ids in whole.cells.items()
+    }
     for ghosts in (0.0, 0.1):  # cells of both pieces lie about the cut
         parts = {k: [x[:, 0] > 0.4 - ghosts, x[:, 0] <= 0.4 + ghosts] for k, x in middles.items()}
         error = moved_in_pieces(whole, patches, parts, lambda x: 0.05 * np.sin(3 * x[:, ::-1]))
@@ -112,10 +129,14 @@ for wrong in (
     lambda: piece.deform(u[:-1] if comm.rank else u),
     lambda: piece.deform(u + comm.rank),
     lambda: mpi.prepare(comm, points[nodes], nodes, moving + 1000 * comm.rank, fixed),
-    lambda: mpi.prepare(comm, points[nodes][: 0 if comm.rank else None], nodes[: 0 if comm.rank else None], [], []),
+    lambda: mpi.prepare(
+        comm, points[nodes][: 0 if comm.rank else None], nodes[: 0 if comm.rank else None], [], []
+    ),
     lambda: mpi.prepare(comm, points[nodes], nodes, np.isin(nodes, wall), fixed),
     lambda: mpi.prepare(comm, None if comm.rank else points[nodes], nodes, moving, fixed),
-    lambda: mpi.prepare(comm, points[nodes], nodes, moving, fixed, symmetry="symmetry" if comm.rank else ()),
+    lambda: mpi.prepare(
+        comm, points[nodes], nodes, moving, fixed, symmetry="symmetry" if comm.rank else ()
+    ),
     lambda: mpi.prepare(comm, part if comm.rank else points[nodes], nodes, moving, fixed),
     lambda: mpi.prepare("world", points[nodes], nodes, moving, fixed),
     lambda: piece.pullback(u, {} if comm.rank else weight[nodes]),

@@ -79,7 +79,9 @@ report = Lazy(lambda: jm.quality(MESH, POINTS))
 def decomposed() -> io.Decomposed:
     """A case of two parts, of four hexahedra each."""
     cells = [foam.cell(foam.HEXAHEDRON, *row) for row in BRICKS.cells["hexahedron"].tolist()]
-    foam.write_parts(FOLDER / "case", PLACES, cells, [("all", "wall", lambda face: True)], np.arange(8) // 4)
+    foam.write_parts(
+        FOLDER / "case", PLACES, cells, [("all", "wall", lambda face: True)], np.arange(8) // 4
+    )
     return io.Decomposed(FOLDER / "case")
 
 
@@ -112,7 +114,9 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.Steps": Lazy(lambda: jm.fewest_steps(plan(), MESH, U)),
     "jm.Turn": Lazy(lambda: jm.Turn.of(np.asarray(MESH.points)[WALL], U)),
     "jm.Verdict": Lazy(lambda: jm.judge(MESH)),
-    "jm.SurfaceHalf": Lazy(lambda: jm.prepare_surface(jm.Boundary(MESH, "wall", "far"), method=jm.InverseDistance())),
+    "jm.SurfaceHalf": Lazy(
+        lambda: jm.prepare_surface(jm.Boundary(MESH, "wall", "far"), method=jm.InverseDistance())
+    ),
     "shapes.FreeForm": lambda: BOX,
     "shapes.Hexahedron": lambda: shapes.Hexahedron(SQUARE, (3, 3)),
     "shapes.History": history,
@@ -123,25 +127,65 @@ OWNERS: dict[str, Callable[[], Any]] = {
 
 GOOD: dict[str, dict[str, Any]] = {
     "": {
-        **{"plan": plan, "report": report, "plans": Lazy(lambda: (plan(),)), "shape": BOX, "parent": BOX, "child": BOX},
+        **{
+            "plan": plan,
+            "report": report,
+            "plans": Lazy(lambda: (plan(),)),
+            "shape": BOX,
+            "parent": BOX,
+            "child": BOX,
+        },
         **{"mesh": MESH, "moved": MESH, "points": POINTS, "u": U, "u_dot": U, "direction": U},
-        **{"moving": WALL, "fixed": FAR, "boundary": Lazy(lambda: jm.Boundary(MESH, "wall", "far"))},
+        **{
+            "moving": WALL,
+            "fixed": FAR,
+            "boundary": Lazy(lambda: jm.Boundary(MESH, "wall", "far")),
+        },
         **{"nodes": np.arange(N), "cotangent": POINTS},
-        **{"path": np.zeros((2, len(WALL), 2)), "motions": np.ones((1, len(WALL), 2)), "wall": WALL},
+        **{
+            "path": np.zeros((2, len(WALL), 2)),
+            "motions": np.ones((1, len(WALL), 2)),
+            "wall": WALL,
+        },
         **{"motion": lambda t: t * U, "displacement": lambda y: U, "k": 0, "nose": 0},
         **each("radius support_radius ell mu width exponent alpha lineal poisson", 0.5),
-        **{"inner": 0.1, "outer": 0.5, "leaves": 4, "points_per_leaf": 4, "crowded": 4, "count": 4, "sources": 4},
-        **{"values": np.array([1.0, 2.0]), "name": "skewness", "parameters": Lazy(BOX.neutral), "steps": 2},
-        **{"patch": "wall", "x": X, "angle": 0.1, "length": 0.5, "about": np.zeros(2), "degree": 1, "tail": 2},
+        **{
+            "inner": 0.1,
+            "outer": 0.5,
+            "leaves": 4,
+            "points_per_leaf": 4,
+            "crowded": 4,
+            "count": 4,
+            "sources": 4,
+        },
+        **{
+            "values": np.array([1.0, 2.0]),
+            "name": "skewness",
+            "parameters": Lazy(BOX.neutral),
+            "steps": 2,
+        },
+        **{
+            "patch": "wall",
+            "x": X,
+            "angle": 0.1,
+            "length": 0.5,
+            "about": np.zeros(2),
+            "degree": 1,
+            "tail": 2,
+        },
         **{"file": FOLDER / "a.vts", "time": 0.0, "d": 2, "dimensions": 2, "order": 3},
         **{"methods": {"a": jm.DelaunayGraph()}},
     },
     "shapes": {"points": X, "faces": LOOP, "loop": np.arange(4), "wall": np.arange(4)},
     "plot": {"path": FOLDER / "a.png", "patch": "floor", "reduction": jm.AllPoints()},
     "io": {"path": FOLDER / "a.vtu"},
-    "jm.curve": {"mesh": Lazy(lambda: jm.elevate(MESH, 2)), "surface": np.asarray(MESH.points)[WALL]},
+    "jm.curve": {
+        "mesh": Lazy(lambda: jm.elevate(MESH, 2)),
+        "surface": np.asarray(MESH.points)[WALL],
+    },
     **each(
-        "jm.Facets.closest jm.Facets.face jm.Facets.distance jm.Facets.at", {"points": X, "facing": np.ones((4, 2))}
+        "jm.Facets.closest jm.Facets.face jm.Facets.distance jm.Facets.at",
+        {"points": X, "facing": np.ones((4, 2))},
     ),
     "jm.Facets": {"points": X, "faces": LOOP, "sides": np.ones((4, 2))},
     "jm.Facets.of": {"*": "wall"},
@@ -154,10 +198,18 @@ GOOD: dict[str, dict[str, Any]] = {
     "jm.export": {"path": FOLDER / "a.plan", "layer": jm.Layer(np.arange(N), (0, 1))},
     "jm.KDTree": {"leaves": 4},
     "jm.Layer": {"points": np.arange(N), "axes": (0, 1)},
-    "jm.Periodic": {"patch": np.array([0]), "partner": np.array([1]), "translation": np.array([0.0, 1.0])},
+    "jm.Periodic": {
+        "patch": np.array([0]),
+        "partner": np.array([1]),
+        "translation": np.array([0.0, 1.0]),
+    },
     "jm.Plane": {"normal": np.array([0.0, 1.0]), "origin": np.zeros(2)},
     "jm.Plane.through": {"nodes": WALL},
-    "jm.Revolution": {"axis": np.eye(3)[2], "origin": np.zeros(3), "profile": np.array([[0.0, 1.0], [1.0, 1.0]])},
+    "jm.Revolution": {
+        "axis": np.eye(3)[2],
+        "origin": np.zeros(3),
+        "profile": np.array([[0.0, 1.0], [1.0, 1.0]]),
+    },
     "jm.Slide": {"patch": np.array([0]), "on": jm.Plane([0.0, 1.0], [0.0, 0.0])},
     **each("jm.boundary_faces jm.Mesh.patch jm.Mesh.patch_names jm.Mesh.skin", {"*": "wall"}),
     "jm.inspect": {"moved": POINTS},
@@ -177,13 +229,27 @@ GOOD: dict[str, dict[str, Any]] = {
     "io.read_sensitivity": {"path": FOLDER / "every.npz"},
     "io.read_surface": {"path": FOLDER / "moves.dat"},
     "io.with_boxes": {"new": ()},
-    "io.write_gradient": {"path": FOLDER / "a.csv", "parameters": {"a": 1.0}, "gradient": {"a": 1.0}},
+    "io.write_gradient": {
+        "path": FOLDER / "a.csv",
+        "parameters": {"a": 1.0},
+        "gradient": {"a": 1.0},
+    },
     "io.write_lattice": {"points": np.zeros((2, 2, 2))},
     "io.write_zones": {"path": FOLDER / "zones.su2", "meshes": zones},
     "io.write_pvd": {"path": FOLDER / "a.pvd", "files": ("a.vtu",), "times": (0.0,)},
-    "io.write_sensitivity": {"path": FOLDER / "a.csv", "ids": np.arange(3), "values": np.zeros((3, 2))},
+    "io.write_sensitivity": {
+        "path": FOLDER / "a.csv",
+        "ids": np.arange(3),
+        "values": np.zeros((3, 2)),
+    },
     "shapes.Chain": {"shapes": {"a": BOX}},
-    "shapes.FreeForm": {"origin": np.zeros(2), "axes": np.eye(2), "counts": (3, 3), "degree": 1, "continuity": 0},
+    "shapes.FreeForm": {
+        "origin": np.zeros(2),
+        "axes": np.eye(2),
+        "counts": (3, 3),
+        "degree": 1,
+        "continuity": 0,
+    },
     "shapes.FreeForm.around": {"counts": (3, 3)},
     "shapes.FreeForm.linked": {"free": np.ones((3, 3), bool), "mirror": 0},
     "shapes.FreeForm.raise_if_torn": {"control": np.zeros((3, 3, 2))},
@@ -191,10 +257,18 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.Hexahedron": {"corners": SQUARE, "counts": (3, 3), "degree": 1, "continuity": 0},
     "shapes.HicksHenne": {"centres": np.array([0.3, 0.5])},
     "shapes.History": {"path": FOLDER / "new.jsonl"},
-    "shapes.History.add": {"design": np.array([0.1]), "value": 1.0, "constraints": {"a": 1.0}, "measures": {"a": 1.0}},
+    "shapes.History.add": {
+        "design": np.array([0.1]),
+        "value": 1.0,
+        "constraints": {"a": 1.0},
+        "measures": {"a": 1.0},
+    },
     "shapes.History.column": {"name": "a"},
     "shapes.Linked": {"matrix": np.ones((18, 1))},
-    **each("shapes.MeshGuard.smallest shapes.MeshGuard.value shapes.MeshGuard.gradient", {"design": np.array([0.1])}),
+    **each(
+        "shapes.MeshGuard.smallest shapes.MeshGuard.value shapes.MeshGuard.gradient",
+        {"design": np.array([0.1])},
+    ),
     "shapes.MeshGuard.callback": {"function": lambda y: None},
     "shapes.MeshGuard.guarded": {"objective": lambda y: (0.0, y)},
     "shapes.MeshGuard.quality_rows": {"design": np.array([0.1]), "count": 2},
@@ -211,7 +285,9 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.names": {"parameters": {"a": 1.0}},
     "shapes.project": {"gradient": X},
     "shapes.scale": {"factors": np.array([1.0, 2.0])},
-    "shapes.thickness": {"stations": Lazy(lambda: shapes.Stations.on(X, LOOP, [[0.5, 0.0]], [0.0, 1.0]))},
+    "shapes.thickness": {
+        "stations": Lazy(lambda: shapes.Stations.on(X, LOOP, [[0.5, 0.0]], [0.0, 1.0]))
+    },
     "shapes.trailing_edge_angle": {"upper": np.array([3, 2]), "lower": np.array([1, 2])},
     "shapes.translate": {"by": np.zeros(2)},
     "shapes.twist": {"x": PLACES, "about": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0])},
@@ -239,25 +315,54 @@ RATIO, LEAST = {"below": -0.1, "beyond": 1.5}, {"less": 0}
 POSITIVE = {"negative": -1.0, "zero": 0.0, "infinite": np.inf}
 EXTRA: dict[str, dict[str, Any]] = {
     **each("separation group min_jacobian_ratio share slope decrease size_weight", RATIO),
-    **each("radius support_radius ell mu width outer max_step spacing first_cell gap pitch lift", POSITIVE),
+    **each(
+        "radius support_radius ell mu width outer max_step spacing first_cell gap pitch lift",
+        POSITIVE,
+    ),
     **each("softness sharpness span edge shapes.bend.length thickness", POSITIVE),
     **each("rate shapes.twist.length widths jm.Graded.share", POSITIVE),
     **each("tolerance smallest_box largest_box", {"negative": -1.0}),
-    **each("count most sources neighbours copies leaves fixed_leaves steps max_steps rows order points", LEAST),
-    **each("stations layers columns around mode frames dense chunk size points_per_leaf crowded", LEAST),
-    **{"k": {"less": -1, "beyond": 99}, "degree": {"less": -1, "beyond": 99}, "d": {"less": 1, "beyond": 4}},
+    **each(
+        "count most sources neighbours copies leaves fixed_leaves steps max_steps rows order points",
+        LEAST,
+    ),
+    **each(
+        "stations layers columns around mode frames dense chunk size points_per_leaf crowded", LEAST
+    ),
+    **{
+        "k": {"less": -1, "beyond": 99},
+        "degree": {"less": -1, "beyond": 99},
+        "d": {"less": 1, "beyond": 4},
+    },
     **{"shapes.FreeForm.linked.mirror": {"less": -1, "beyond": 2}},
-    **{"nose": {"beyond": 9}, "tail": {"beyond": 9}, "poisson": {"below": -1.0, "beyond": 0.5}, "plan": {"mesh": MESH}},
-    **{"dimensions": {"less": 1, "beyond": 4}, "kind": {"other": "cube"}, "mode": {"less": 0, "beyond": 9}},
+    **{
+        "nose": {"beyond": 9},
+        "tail": {"beyond": 9},
+        "poisson": {"below": -1.0, "beyond": 0.5},
+        "plan": {"mesh": MESH},
+    },
+    **{
+        "dimensions": {"less": 1, "beyond": 4},
+        "kind": {"other": "cube"},
+        "mode": {"less": 0, "beyond": 9},
+    },
     **{"place": {"below": 0.0, "beyond": 1.0}, "margin": {"negative": -1.0, "infinite": np.inf}},
     **{"camber": {"infinite": np.inf}, "depth": {"less": -1}},
     **each("mesh moved before", {"plan": plan, "empty": Lazy(lambda: jm.Mesh(np.zeros((0, 2))))}),
     **each("jm.prepare.mesh jm.Boundary.mesh", {"far": POINTS + 1e300}),
-    **each("ridge inner shapes.Smoother.length shapes.Smoother.on.length", {"negative": -1.0, "infinite": np.inf}),
+    **each(
+        "ridge inner shapes.Smoother.length shapes.Smoother.on.length",
+        {"negative": -1.0, "infinite": np.inf},
+    ),
     **each("jm.Multiscale.whole.fraction jm.Iterative.tolerance", POSITIVE | {"beyond": 1.5}),
     **each("name measure", {"unknown": "nonsense"}),
     "counts": {"half": (2.5, 3), "less": (1, 3)},
-    "shapes.FreeForm.counts": {"half": (2.5, 3), "less": (1, 3), "longer": (3, 3, 3), "flags": (True, True)},
+    "shapes.FreeForm.counts": {
+        "half": (2.5, 3),
+        "less": (1, 3),
+        "longer": (3, 3, 3),
+        "flags": (True, True),
+    },
     "jm.Plane.normal": {"zero": np.zeros(2), "wide": np.ones(3)},
     "jm.Revolution.axis": {"zero": np.zeros(3), "short": np.ones(2)},
     "jm.Revolution.profile": {"back": [[1.0, 1.0], [0.0, 1.0]]},
@@ -302,14 +407,25 @@ def kind_of(parameter: inspect.Parameter, good: Any) -> str:
     kind = next((kind for kind, pattern in PATTERNS if re.search(pattern, text)), "instance")
     if kind == "array" and isinstance(good, jm.Plan):
         return "instance"
-    if kind in ("array", "instance") and isinstance(good, int | float) and not isinstance(good, bool):
+    if (
+        kind in ("array", "instance")
+        and isinstance(good, int | float)
+        and not isinstance(good, bool)
+    ):
         return "count" if isinstance(good, int) and kind == "instance" else "number"
     if kind == "instance" and (isinstance(good, np.ndarray) or (isinstance(good, tuple) and good)):
         return "array" if np.asarray(good).dtype.kind == "f" else "ids"
     return kind
 
 
-ANY: dict[str, Any] = {"none": None, "word": "word", "number": 3, "list": [1, 2], "object": object(), "class": dict}
+ANY: dict[str, Any] = {
+    "none": None,
+    "word": "word",
+    "number": 3,
+    "list": [1, 2],
+    "object": object(),
+    "class": dict,
+}
 """Nonsense for most kinds; `of_kind` leaves out what is sense."""
 
 
@@ -319,32 +435,61 @@ def of_kind(kind: str, good: Any) -> dict[str, Any]:
     if kind == "number":
         return ANY | {"number": 1j, "nan": np.nan, "array": array}
     if kind == "count":
-        return ANY | {"number": 2.5, "complex": 2j, "nan": np.nan, "flag": True, "array": np.ones(3, int)}
+        return ANY | {
+            "number": 2.5,
+            "complex": 2j,
+            "nan": np.nan,
+            "flag": True,
+            "array": np.ones(3, int),
+        }
     if kind == "flag":
         return ANY | {"array": np.ones(3, bool)}
     if kind == "word":
         return ANY | {"word": "nonsense", "empty": ""}
     if kind == "path":
         path = good if isinstance(good, pathlib.Path) else FOLDER / "a.vtu"
-        ways = {"mesh": MESH, "ending": FOLDER / "a.nonsense", "folder": FOLDER / "nowhere" / path.name}
+        ways = {
+            "mesh": MESH,
+            "ending": FOLDER / "a.nonsense",
+            "folder": FOLDER / "nowhere" / path.name,
+        }
         return {key: value for key, value in (ANY | ways).items() if key != "word"}
     if kind == "array":
         good = np.asarray(good if good is not None else array, dtype=float)
         masked = np.ma.masked_array(good, mask=np.ones(good.shape, bool))
-        forms = {"words": good.astype(str), "complex": good + 1j, "masked": masked, "axis": good[None], "number": 0.1}
+        forms = {
+            "words": good.astype(str),
+            "complex": good + 1j,
+            "masked": masked,
+            "axis": good[None],
+            "number": 0.1,
+        }
         forms |= {"objects": np.full(good.shape, None), "dates": np.zeros(good.shape, "M8[s]")}
         forms |= {"nan": np.full(good.shape, np.nan), "infinite": np.full(good.shape, np.inf)}
         forms |= {"ragged": [[1.0, 2.0], [3.0]], "list": [[1.0], "a"]}
         return ANY | forms | ({"wide": np.zeros((*good.shape[:-1], 5))} if good.ndim > 1 else {})
     if kind == "ids":
         axis = np.asarray(good)[None] if np.size(good) and good is not None else [[0]]
-        ids = {"objects": np.full(3, None), "dates": np.zeros(3, "M8[s]"), "complex": np.ones(3) + 1j}
+        ids = {
+            "objects": np.full(3, None),
+            "dates": np.zeros(3, "M8[s]"),
+            "complex": np.ones(3) + 1j,
+        }
         ids |= {"below": np.array([-1]), "beyond": np.array([N]), "huge": np.array([2**62])}
-        ids |= {"floats": np.array([0.5, 1.5]), "list": [[0, 1], [1]], "axis": axis, "mask": np.ones(N, bool)}
+        ids |= {
+            "floats": np.array([0.5, 1.5]),
+            "list": [[0, 1], [1]],
+            "axis": axis,
+            "mask": np.ones(N, bool),
+        }
         return ANY | ids
     if bases := [base for base in type(good).__mro__ if base.__name__.startswith("Abstract")]:
         return ANY | {"array": array, "base": bases[-1]}
-    return ANY | {"array": array} | {"mapping": {"contents": {"a": 3}}, "sequence": {"list": [3]}}.get(kind, {})
+    return (
+        ANY
+        | {"array": array}
+        | {"mapping": {"contents": {"a": 3}}, "sequence": {"list": [3]}}.get(kind, {})
+    )
 
 
 def arguments(name: str) -> Iterator[tuple[str, Any, dict[str, Any]]]:
@@ -354,23 +499,40 @@ def arguments(name: str) -> Iterator[tuple[str, Any, dict[str, Any]]]:
         if key in UNCHECKED or f"{name}.{key}" in UNCHECKED:
             continue
         many = parameter.kind is inspect.Parameter.VAR_POSITIONAL
-        is_given, key = parameter.default is inspect.Parameter.empty or key in GOOD.get(name, {}), "*" if many else key
-        good = scope[key] if is_given else parameter.default if parameter.default is not None else scope.get(key)
+        is_given, key = (
+            parameter.default is inspect.Parameter.empty or key in GOOD.get(name, {}),
+            "*" if many else key,
+        )
+        good = (
+            scope[key]
+            if is_given
+            else parameter.default
+            if parameter.default is not None
+            else scope.get(key)
+        )
         value = made(good)
         value = scope.get(key) if type(value).__name__ == "_HAS_DEFAULT_FACTORY_CLASS" else value
         kind = "word" if many and isinstance(value, str) else kind_of(parameter, value)
         places = kind, key, f"{name.split('.')[0]}.{key}", f"{name}.{key}"
-        wrong = functools.reduce(lambda found, place: found | EXTRA.get(place, {}), places, of_kind(kind, value))
+        wrong = functools.reduce(
+            lambda found, place: found | EXTRA.get(place, {}), places, of_kind(kind, value)
+        )
         sense = " ".join(SENSE.get(place, "") for place in places).split()
         if parameter.default is None or "None" in str(parameter.annotation):
             sense.append("none")
-        yield key, good if is_given else None, {label: case for label, case in wrong.items() if label not in sense}
+        yield (
+            key,
+            good if is_given else None,
+            {label: case for label, case in wrong.items() if label not in sense},
+        )
 
 
 UNCHECKED = words("""
 jm.Mesh.source ax plotter label window exponents cache_directory done first classes is_open start
 """)
-UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.prepare_surface.faces")
+UNCHECKED |= words(
+    "jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.prepare_surface.faces"
+)
 """Arguments of other packages, and those that mean something only beside others."""
 
 SENSE = {
@@ -384,7 +546,9 @@ SENSE = {
         "jm.Steps.path_to.u jm.deform.u jm.pullback.u jm.velocity.u shapes.FreeForm.raise_if_torn.control",
         "nan infinite",
     ),
-    **each("u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"),
+    **each(
+        "u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"
+    ),
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
     **each("jm.proof.points jm.proven_margin.points", "nan infinite"),
     **each("jm.wall_quality.points jm.soft_maximum.values plot.values", "nan infinite number axis"),
@@ -399,15 +563,24 @@ SENSE = {
     "shapes.Part.kept": "mask",
     "shapes.Stations.on.direction": "axis",
     **each("shapes.chord.nose shapes.chord.tail", "list array less"),
-    **each("shapes.names.parameters io.write_gradient.parameters shapes.varied.parameters", "none number list array"),
+    **each(
+        "shapes.names.parameters io.write_gradient.parameters shapes.varied.parameters",
+        "none number list array",
+    ),
     "shapes.scale.factors": "number",
     **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k jm.Proof.worst.k", "beyond"),
-    **each("io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh", "empty"),
+    **each(
+        "io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh",
+        "empty",
+    ),
     **each("io.as_written.mesh io.losses.mesh io.boxes.mesh io.with_boxes.mesh", "empty"),
     "continuity": "less",
     **each("shapes.History.path io.Decomposed.check_output.path", "ending"),
     "shapes.History.add.value": "none list nan array",
-    **each("shapes.History.add.constraints shapes.History.add.measures shapes.varied.changes", "contents"),
+    **each(
+        "shapes.History.add.constraints shapes.History.add.measures shapes.varied.changes",
+        "contents",
+    ),
     "io.Decomposed.writing.path": "ending folder",
     "io.read_displacement.moving": "axis",
     "io.write_pvd.times": "list",
@@ -430,12 +603,18 @@ def public() -> Iterator[str]:
     for module, found in MODULES.items():
         for name in sorted(found.__all__ if hasattr(found, "__all__") else vars(found)):
             each = getattr(found, name)
-            if name.startswith(("_", "Abstract")) or not callable(each) or not each.__module__.startswith("jaxmorph"):
+            if (
+                name.startswith(("_", "Abstract"))
+                or not callable(each)
+                or not each.__module__.startswith("jaxmorph")
+            ):
                 continue
             if f"{module}.{name}" not in BUILT:
                 yield f"{module}.{name}"
             for member, value in vars(each).items() if inspect.isclass(each) else ():
-                is_routine = isinstance(value, staticmethod | classmethod) or inspect.isroutine(value)
+                is_routine = isinstance(value, staticmethod | classmethod) or inspect.isroutine(
+                    value
+                )
                 if (
                     (is_routine or hasattr(value, "method"))
                     and not member.startswith("_")

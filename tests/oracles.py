@@ -21,7 +21,9 @@ def boundary_edges(mesh: jm.Mesh) -> np.ndarray:
     """Directed edges that one cell alone has, cell on their left."""
     quads = mesh.cells["quad"]
     directed = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1).reshape(-1, 2)
-    _, first, count = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
+    _, first, count = np.unique(
+        np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True
+    )
     assert count.max() == 2
     return directed[first[count == 1]]
 
@@ -37,7 +39,9 @@ def check_geometry(mesh: jm.Mesh) -> None:
     assert quality["scaled_jacobian"].min() > 0
     corners = mesh.points[mesh.cells["quad"]]
     diagonals = corners[:, 2:] - corners[:, :2]
-    areas = 0.5 * (diagonals[:, 0, 0] * diagonals[:, 1, 1] - diagonals[:, 0, 1] * diagonals[:, 1, 0])
+    areas = 0.5 * (
+        diagonals[:, 0, 0] * diagonals[:, 1, 1] - diagonals[:, 0, 1] * diagonals[:, 1, 0]
+    )
     np.testing.assert_allclose(areas, quality["area"], rtol=1e-6, atol=1e-16)
     distances, _ = cKDTree(mesh.points).query(mesh.points, k=2)
     assert distances[:, 1].min() > 9e-13
@@ -59,7 +63,9 @@ def dense(points, sources, values, phi, degree):
     tail = np.concatenate([np.ones((len(sources), 1)), sources], axis=1)[:, :count]
     distance = np.linalg.norm(sources[:, None] - sources[None], axis=2)
     matrix = np.block([[phi(distance), tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
-    weights = np.linalg.solve(matrix, np.concatenate([values, np.zeros((tail.shape[1], values.shape[1]))]))
+    weights = np.linalg.solve(
+        matrix, np.concatenate([values, np.zeros((tail.shape[1], values.shape[1]))])
+    )
     there = np.concatenate([np.ones((len(points), 1)), points], axis=1)[:, : tail.shape[1]]
     kernel = phi(np.linalg.norm(points[:, None] - sources[None], axis=2))
     return kernel @ weights[: len(sources)] + there @ weights[len(sources) :]
@@ -76,7 +82,9 @@ def jacobian(function, x, step):
 
         def central(h):
             ahead, behind = function(x + h * tangent), function(x - h * tangent)
-            return jax.tree.map(lambda a, b: (np.asarray(a) - np.asarray(b)) / (2 * h), ahead, behind)
+            return jax.tree.map(
+                lambda a, b: (np.asarray(a) - np.asarray(b)) / (2 * h), ahead, behind
+            )
 
         def refined(coarse, middle, fine):
             first, second = (4 * middle - coarse) / 3, (4 * fine - middle) / 3
@@ -85,10 +93,14 @@ def jacobian(function, x, step):
         return jax.tree.map(refined, *(central(step / share) for share in (1, 2, 4)))
 
     columns = [column(place) for place in range(x.size)]
-    return jax.tree.map(lambda *parts: np.stack(parts, axis=-1).reshape((*parts[0].shape, *x.shape)), *columns)
+    return jax.tree.map(
+        lambda *parts: np.stack(parts, axis=-1).reshape((*parts[0].shape, *x.shape)), *columns
+    )
 
 
-def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
+def jacobians_inside(
+    shape: str, order: int, lattice: np.ndarray, nodes: np.ndarray, places: np.ndarray
+) -> np.ndarray:
     """det J (k, s) of curved cells with nodes (k, nodes, d) at places (s, d) in the reference cell, by monomials and LAPACK.
 
     Those of a pyramid are r^i s^j t^k (1 - t)^max(i, j) on the cube that is collapsed: no place may be at the apex.
@@ -112,7 +124,11 @@ def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndar
         others = np.prod([f for i, f in enumerate(factors) if i != axis], axis=0)
         slope = others * powers[:, axis] * x[:, axis, None] ** np.maximum(powers[:, axis] - 1, 0)
         if axis == d - 1:
-            slope -= np.prod(factors[:-1], axis=0) * fall * (1 - x[:, -1, None]) ** np.maximum(fall - 1, 0)
+            slope -= (
+                np.prod(factors[:-1], axis=0)
+                * fall
+                * (1 - x[:, -1, None]) ** np.maximum(fall - 1, 0)
+            )
         return slope
 
     def cube(x):
@@ -123,7 +139,9 @@ def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndar
     slopes = np.stack([values(cube(places), axis) for axis in range(d)], axis=2)
     functions = np.linalg.inv(values(cube(lattice / order)))
     slopes = np.einsum("smj,mn->jsn", slopes, functions)
-    determinants = np.linalg.det(np.moveaxis(np.tensordot(nodes, slopes, (1, 2)), (0, 1, 2, 3), (0, 2, 3, 1)))
+    determinants = np.linalg.det(
+        np.moveaxis(np.tensordot(nodes, slopes, (1, 2)), (0, 1, 2, 3), (0, 2, 3, 1))
+    )
     return determinants / (1 - places[:, 2]) ** 2 if shape == "pyramid" else determinants
 
 
@@ -137,7 +155,10 @@ def corner_areas(mesh: jm.Mesh, points) -> np.ndarray:
 def cells_near_the_limit(cell, count: int, seed: int = 0) -> np.ndarray:
     """Random cells of one type that are about to fold: nodes (count, nodes, d)."""
     rng = np.random.default_rng(seed)
-    places, more = samples_inside(cell.shape, 2 * cell.order + 3), 4 * count  # not every direction leads to a fold
+    places, more = (
+        samples_inside(cell.shape, 2 * cell.order + 3),
+        4 * count,
+    )  # not every direction leads to a fold
     noise = rng.normal(size=(more, *cell.lattice.shape)) / cell.order
 
     def is_folded(share):

@@ -15,7 +15,10 @@ def write(path, blocks, form, order="<", width=8, is_multiple=True, blank=False)
         words = [f"{len(blocks)}"] if is_multiple else []
         words += [" ".join(map(str, shape)) for shape in sizes]
         for block in blocks:
-            words += [" ".join(f"{x:.17e}".replace("e", "D") for x in axis.ravel(order="F")) for axis in block]
+            words += [
+                " ".join(f"{x:.17e}".replace("e", "D") for x in axis.ravel(order="F"))
+                for axis in block
+            ]
             words += [" ".join(["1"] * block[0].size)] * blank
         path.write_text("\n".join(words) + "\n")
         return path
@@ -23,7 +26,11 @@ def write(path, blocks, form, order="<", width=8, is_multiple=True, blank=False)
     out = close(np.array([len(blocks)], f"{order}i4").tobytes(), order) if is_multiple else b""
     out += close(np.array(sizes, f"{order}i4").tobytes(), order)
     for block in blocks:
-        data = np.concatenate([axis.ravel(order="F") for axis in block]).astype(f"{order}f{width}").tobytes()
+        data = (
+            np.concatenate([axis.ravel(order="F") for axis in block])
+            .astype(f"{order}f{width}")
+            .tobytes()
+        )
         out += close(data + np.ones(block[0].size * blank, f"{order}i4").tobytes(), order)
     path.write_bytes(out)
     return path

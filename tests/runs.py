@@ -18,10 +18,14 @@ def mpi_run(count: int, module: str, *words: str) -> str:
     pytest.importorskip("mpi4py")
     command = pathlib.Path(sys.executable).with_name("mpiexec")
     if not command.exists():
-        pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
+        pytest.skip(
+            "no mpiexec beside this python: another one may belong to another MPI than mpi4py"
+        )
     run = [str(command), "-n", str(count), sys.executable, "-m", module, *words]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
-    done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=900, check=False)
+    done = subprocess.run(
+        run, capture_output=True, text=True, env=environment, timeout=900, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -30,7 +34,10 @@ def runs(fast=(), slow=(), nightly=()) -> list:
     """Lists cases for `parametrize`, marked by the run that holds them. A case of several arguments is a tuple."""
     marked = [*((case, ()) for case in fast), *((case, pytest.mark.slow) for case in slow)]
     marked += [(case, pytest.mark.nightly) for case in nightly]
-    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=marks) for case, marks in marked]
+    return [
+        pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=marks)
+        for case, marks in marked
+    ]
 
 
 def printed(capsys, words: list[str]) -> str:
@@ -60,7 +67,9 @@ def all_refused(*cases) -> None:
 
 def over(names: str, *cases, ids=None, **more):
     """Parametrises a test over the cases of `runs`; several names of arguments are parted by spaces."""
-    return pytest.mark.parametrize(names.split() if " " in names else names, runs(*cases, **more), ids=ids)
+    return pytest.mark.parametrize(
+        names.split() if " " in names else names, runs(*cases, **more), ids=ids
+    )
 
 
 def refusals(*cases, of=tuple):

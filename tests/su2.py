@@ -46,7 +46,12 @@ lower	0	1.6e-01	2.5e-01	5.0e-01
 lower	1	6.6e-01	4.0e-01	5.0e-01
 upper	4	5.0e-01	7.0e-01	5.0e-01
 """
-ROWS = [(i, j, k, 0.1 * i + 0.01 * j, i - j, k - 0.5) for i in range(3) for j in range(2) for k in range(2)]
+ROWS = [
+    (i, j, k, 0.1 * i + 0.01 * j, i - j, k - 0.5)
+    for i in range(3)
+    for j in range(2)
+    for k in range(2)
+]
 CONTROL = "\n".join("\t".join(map(str, row)) for row in ROWS)
 
 

@@ -30,7 +30,10 @@ def program(name):
     ("form", "name"),
     runs(
         [*((form, "elements") for form in FORMS), (FORMS[0], "blocks"), (FORMS[-1], "polyhedra")],
-        nightly=[*((form, "blocks") for form in FORMS[1:]), *((form, "polyhedra") for form in FORMS[:-1])],
+        nightly=[
+            *((form, "blocks") for form in FORMS[1:]),
+            *((form, "polyhedra") for form in FORMS[:-1]),
+        ],
     ),
     ids=str,
 )
@@ -50,12 +53,19 @@ def test_every_form_is_the_mesh_of_its_twin(form, name, tmp_path):
 def test_cgnslib_agrees(make, tmp_path):
     """Its converter makes the file, and its comparison finds the moved file and the moved one in HDF5 alike to the last bit."""
     make(tmp_path / "h.cgns")
-    subprocess.run([program("hdf2adf"), "h.cgns", "a.cgns"], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(
+        [program("hdf2adf"), "h.cgns", "a.cgns"], cwd=tmp_path, check=True, capture_output=True
+    )
     mesh, twin = io.read(tmp_path / "a.cgns"), io.read(tmp_path / "h.cgns")
     assert_same(mesh, twin)
     for each, name in ((mesh, "moved.cgns"), (twin, "right.cgns")):
         io.write(tmp_path / name, each.moved(each.points * np.pi))
-    subprocess.run([program("adf2hdf"), "moved.cgns", "back.cgns"], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(
+        [program("adf2hdf"), "moved.cgns", "back.cgns"],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+    )
     words = [program("cgnsdiff"), "-d", "back.cgns", "right.cgns"]
     done = subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True)
     assert done.stdout == ""
@@ -70,9 +80,13 @@ def test_cgnslib_reads_what_these_tests_write(form, tmp_path):
     """The writer of these tests is right: cgnslib finds the same nodes in its files."""
     two_blocks(tmp_path / "h.cgns")
     adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", *form)
-    subprocess.run([program("adf2hdf"), "a.cgns", "b.cgns"], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(
+        [program("adf2hdf"), "a.cgns", "b.cgns"], cwd=tmp_path, check=True, capture_output=True
+    )
     words = [program("cgnsdiff"), "-d", "b.cgns", "h.cgns"]
-    assert subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True).stdout == ""
+    assert (
+        subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True).stdout == ""
+    )
 
 
 def heap(links=None):
@@ -82,7 +96,9 @@ def heap(links=None):
     children = [leaf]
     if links is not None:
         at = made.part(b"DaTa", links, b"dEnD")
-        children.append((b"away".ljust(32), made.add(made.head("away", b"", [], b"LK", [len(links)], 1, at))))
+        children.append(
+            (b"away".ljust(32), made.add(made.head("away", b"", [], b"LK", [len(links)], 1, at)))
+        )
     return made, made.node("ADF MotherNode", b"Root Node of ADF File", None, children)[1]
 
 
@@ -106,21 +122,36 @@ def test_hostile_files_are_refused(tmp_path):
     refused(good[:134] + b"0000000x0000" + good[146:], "where hexadecimal digits should stand")
     table = good.index(b"SNTb") + 16
     entry = slice(table + 32, table + 44)
-    refused(good[: entry.start] + made.pointer(root) + good[entry.stop :], "stands at two places of the tree")
+    refused(
+        good[: entry.start] + made.pointer(root) + good[entry.stop :],
+        "stands at two places of the tree",
+    )
     many = good[: root + 68] + b"FFFFFFFF" + good[root + 76 :]
     refused(many, "a table of 188978560980 bytes in 132")
     leaf = good.index(b"NoDeVersion")
     huge = good[: leaf + 130] + b"FFFFFFFF" + good[leaf + 138 :]
     refused(huge, "less data than its shape")
     refused(good.replace(b"dEnD", b"dEnE"), "where b'dend' should stand")
-    refused(good[: leaf + 230] + made.pointer(table - 16) + good[leaf + 242 :], "where b'data' should stand")
+    refused(
+        good[: leaf + 230] + made.pointer(table - 16) + good[leaf + 242 :],
+        "where b'data' should stand",
+    )
     for target in (b"other.cgns>/Base", b">/Base"):
         made, root = heap(target)
-        refused(made.finish(root), rf"/away is a link to {target.decode()}\. .* `cgnsconvert -l` makes one")
+        refused(
+            made.finish(root),
+            rf"/away is a link to {target.decode()}\. .* `cgnsconvert -l` makes one",
+        )
     made, root = heap()
     data = made.part(b"DaTa", np.float32(1).tobytes(), b"dEnD")
-    twice = [(x.ljust(32), made.add(made.head(x.decode(), b"", [], b"R4", [1], 1, data))) for x in (b"a", b"b")]
-    refused(made.finish(made.node("ADF MotherNode", b"", None, twice)[1]), "parts of the file lie in one another")
+    twice = [
+        (x.ljust(32), made.add(made.head(x.decode(), b"", [], b"R4", [1], 1, data)))
+        for x in (b"a", b"b")
+    ]
+    refused(
+        made.finish(made.node("ADF MotherNode", b"", None, twice)[1]),
+        "parts of the file lie in one another",
+    )
 
 
 @pytest.mark.parametrize("is_adf", [False, True])

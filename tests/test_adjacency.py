@@ -27,7 +27,9 @@ def test_twins_and_single_faces(nodes, corners, largest):
     for row, ids in enumerate(table.tolist()):
         same[frozenset(ids)].append(row)
     columns = adjacency.sorted_columns(adjacency.columns_of(table), 4)
-    assert adjacency.is_single(columns).tolist() == [len(same[frozenset(ids)]) == 1 for ids in table.tolist()]
+    assert adjacency.is_single(columns).tolist() == [
+        len(same[frozenset(ids)]) == 1 for ids in table.tolist()
+    ]
     twin = adjacency.twins(columns)
     for ids, rows in same.items():
         expected = rows[::-1] if len(rows) == 2 else [-1] * len(rows)
@@ -54,9 +56,15 @@ def test_boundary_of_mixed_cells():
 def test_faces_that_are_there_twice_are_dropped_early_or_late(kind):
     """Some cells are left out, and some stand twice: equal to a count of sets of nodes."""
     cells = cases.bricks(kind, cells=3).cells
-    chosen = {kind: np.concatenate([ids[RNG.random(len(ids)) < 0.7], ids[:2]]) for kind, ids in cells.items()}
+    chosen = {
+        kind: np.concatenate([ids[RNG.random(len(ids)) < 0.7], ids[:2]])
+        for kind, ids in cells.items()
+    }
     count = collections.Counter(
-        frozenset(corner[list(side)].tolist()) for kind, ids in chosen.items() for side in FACES[kind] for corner in ids
+        frozenset(corner[list(side)].tolist())
+        for kind, ids in chosen.items()
+        for side in FACES[kind]
+        for corner in ids
     )
     outer = boundary_faces(chosen, int(1 + max(ids.max() for ids in chosen.values())))
     found = [frozenset(ids) for faces in outer.values() for ids in faces.tolist()]
@@ -87,7 +95,9 @@ def test_the_tables_of_a_cell_type_are_those_of_its_shape(kind):
         assert np.linalg.det(points[ends] - points[corner]) > 0
         assert {frozenset((corner, end)) for end in ends} <= edges
     corners = [frame[0] for frame in FRAMES[kind]]
-    expected = {"triangle": [0], "tetra": [0], "pyramid": [0, 1, 2, 3]}.get(kind, range(len(points)))
+    expected = {"triangle": [0], "tetra": [0], "pyramid": [0, 1, 2, 3]}.get(
+        kind, range(len(points))
+    )
     assert sorted(corners) == list(expected)
 
 
@@ -96,8 +106,14 @@ def test_ideal_cells_have_unit_edges_and_square_faces(kind):
     points = np.array(IDEAL[kind], dtype=float)
     lengths = [np.linalg.norm(points[a] - points[b]) for a, b in EDGES[kind]]
     np.testing.assert_allclose(lengths, 1, rtol=1e-14)
-    quads = [face for face in (FACES[kind] if points.shape[1] == 3 else [range(len(points))]) if len(face) == 4]
+    quads = [
+        face
+        for face in (FACES[kind] if points.shape[1] == 3 else [range(len(points))])
+        if len(face) == 4
+    ]
     for a, b, c, e in quads:
-        np.testing.assert_allclose(np.linalg.norm(points[[a, b]] - points[[c, e]], axis=1), 2**0.5, rtol=1e-14)
+        np.testing.assert_allclose(
+            np.linalg.norm(points[[a, b]] - points[[c, e]], axis=1), 2**0.5, rtol=1e-14
+        )
     for corner, *ends in FRAMES[kind]:
         assert np.linalg.det(points[ends] - points[corner]) > 0

@@ -66,7 +66,9 @@ def test_patches_are_the_boundary(coarse):
     assert sum(map(len, named.values())) == len(faces)
     assert all(np.array_equal(np.unique(named[name]), coarse.patch(name)) for name in named)
     edges = np.sort(faces[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=1)
-    assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2), "the boundary is not closed"
+    assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2), (
+        "the boundary is not closed"
+    )
     assert np.unique(coarse.cells["tetra"]).size == len(coarse.points)
     for pair, least in ((("wing", "symmetry"), 40), (("farfield", "symmetry"), 20)):
         assert np.intersect1d(*(coarse.patch(name) for name in pair)).size > least
@@ -99,8 +101,12 @@ def test_areas_and_volume_agree_with_closed_forms(coarse):
     planform = 30 * (21.96 + 14.496) / 2 * INCH**2
     wetted = areas(coarse.points, on_patch(coarse, faces, "wing")).sum()
     assert 2 * planform < wetted < 2 * planform * 1.03
-    assert areas(coarse.points, on_patch(coarse, faces, "symmetry")).sum() == pytest.approx(np.pi * 64, rel=0.01)
-    assert areas(coarse.points, on_patch(coarse, faces, "farfield")).sum() == pytest.approx(2 * np.pi * 64, rel=0.03)
+    assert areas(coarse.points, on_patch(coarse, faces, "symmetry")).sum() == pytest.approx(
+        np.pi * 64, rel=0.01
+    )
+    assert areas(coarse.points, on_patch(coarse, faces, "farfield")).sum() == pytest.approx(
+        2 * np.pi * 64, rel=0.03
+    )
     a, b, c, d = coarse.points[coarse.cells["tetra"]].swapaxes(0, 1)
     volume = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a).sum() / 6
     assert volume == pytest.approx(2 / 3 * np.pi * 512, rel=0.05)
@@ -153,7 +159,9 @@ def test_section_is_the_published_one():
     assert agard445.half_thickness(nose) ** 2 / (2 * nose) == pytest.approx(0.00102, rel=1e-3)
     slope = np.diff(z) / np.diff(x)
     assert np.sum(np.diff(np.sign(slope)) != 0) == 1, "more than one maximum"
-    assert slope[1600:] == pytest.approx(np.full(400, -0.0482), abs=3e-3), "the aft fifth is nearly straight"
+    assert slope[1600:] == pytest.approx(np.full(400, -0.0482), abs=3e-3), (
+        "the aft fifth is nearly straight"
+    )
 
 
 def test_section_belongs_to_its_family():
@@ -164,7 +172,9 @@ def test_section_belongs_to_its_family():
     eight = np.array([3.3022, 3.7910, 3.9942, 3.8946, 3.4545, 2.7623, 1.8997, 0.9627]) / 8
     six = np.array([2.4754, 2.8415, 2.9949, 2.9247, 2.6014, 2.0859, 1.4389, 0.7307]) / 6
     four = 4 * (2 * six - eight)
-    assert 100 * agard445.half_thickness(np.arange(0.2, 0.95, 0.1)) == pytest.approx(four, abs=0.006)
+    assert 100 * agard445.half_thickness(np.arange(0.2, 0.95, 0.1)) == pytest.approx(
+        four, abs=0.006
+    )
 
 
 @pytest.mark.skipif(PUBLISHED is None, reason="the published table is not here")
@@ -177,7 +187,9 @@ def test_table_is_the_published_one(mode):
     assert np.array_equal(np.ravel(agard445.DEFLECTIONS[mode]), normal)
 
 
-@pytest.mark.parametrize(("mode", "root_mean_square", "largest"), [(1, 0.0008, 0.003), (2, 0.005, 0.033)])
+@pytest.mark.parametrize(
+    ("mode", "root_mean_square", "largest"), [(1, 0.0008, 0.003), (2, 0.005, 0.033)]
+)
 def test_modes_fit_the_table(mode, root_mean_square, largest):
     nodes = agard445.structural_nodes()
     table = np.ravel(agard445.DEFLECTIONS[mode])

@@ -58,10 +58,17 @@ def test_horns_of_ice_grow_on_an_airfoil():
     x, y = np.asarray(mesh.points)[mesh.patch("airfoil")].T
     s = np.sign(y) * np.sqrt(np.maximum(x, 0))
     horn = 0.05 * (np.exp(-(((s - 0.12) / 0.03) ** 2)) + 0.6 * np.exp(-(((s + 0.1) / 0.04) ** 2)))
-    assert least_ratio(mesh, "airfoil", straight(np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)) > 0.8
+    assert (
+        least_ratio(
+            mesh, "airfoil", straight(np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)
+        )
+        > 0.8
+    )
 
 
-@over("degrees centre blend", nightly=[(180.0, 0.25, None), (90.0, 0.7, 0.4)], ids=["pitch", "flap"])
+@over(
+    "degrees centre blend", nightly=[(180.0, 0.25, None), (90.0, 0.7, 0.4)], ids=["pitch", "flap"]
+)
 def test_a_wide_flap_and_a_half_turn_in_steps(degrees, centre, blend):
     """The flap's angle grows over 0.4 chord around its hinge; the whole airfoil turns on its head."""
     mesh = cases.naca0015(points=1000)

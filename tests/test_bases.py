@@ -19,10 +19,19 @@ TABLE = {
     jm.WendlandC6: lambda x: (1 - x) ** 8 * (32 * x**3 + 25 * x**2 + 8 * x + 1),
     jm.CompactC0: lambda x: (1 - x) ** 5,
     jm.CompactC1: lambda x: (
-        1 + mpmath.mpf(80) / 3 * x**2 - 40 * x**3 + 15 * x**4 - mpmath.mpf(8) / 3 * x**5 + 20 * x**2 * mpmath.log(x)
+        1
+        + mpmath.mpf(80) / 3 * x**2
+        - 40 * x**3
+        + 15 * x**4
+        - mpmath.mpf(8) / 3 * x**5
+        + 20 * x**2 * mpmath.log(x)
     ),
-    jm.CompactC2a: lambda x: 1 - 30 * x**2 - 10 * x**3 + 45 * x**4 - 6 * x**5 - 60 * x**3 * mpmath.log(x),
-    jm.CompactC2b: lambda x: 1 - 20 * x**2 + 80 * x**3 - 45 * x**4 - 16 * x**5 + 60 * x**4 * mpmath.log(x),
+    jm.CompactC2a: lambda x: (
+        1 - 30 * x**2 - 10 * x**3 + 45 * x**4 - 6 * x**5 - 60 * x**3 * mpmath.log(x)
+    ),
+    jm.CompactC2b: lambda x: (
+        1 - 20 * x**2 + 80 * x**3 - 45 * x**4 - 16 * x**5 + 60 * x**4 * mpmath.log(x)
+    ),
 }
 GLOBAL = {
     jm.Gaussian: lambda x: mpmath.exp(-(x**2)),
@@ -44,7 +53,8 @@ SMOOTH = ("WendlandC2", "WendlandC4", "WendlandC6", *(kind.__name__ for kind in 
 FAST = ("WendlandC2", "CompactC1", "ThinPlateSpline", "Gaussian")
 NAMES = [type(row[0]).__name__ for row in ALL]
 MARKED = [
-    pytest.param(*row, marks=() if name in FAST else pytest.mark.nightly) for name, row in zip(NAMES, ALL, strict=True)
+    pytest.param(*row, marks=() if name in FAST else pytest.mark.nightly)
+    for name, row in zip(NAMES, ALL, strict=True)
 ]
 every = pytest.mark.parametrize(("basis", "form", "radius"), MARKED, ids=NAMES)
 
@@ -56,7 +66,9 @@ def test_values_and_derivatives_in_r(basis, form, radius):
     if not isinstance(basis, tuple(TABLE)):
         xi = np.append(xi, [2.5, 60.0])
     at = [mpmath.mpf(float(x)) for x in xi]
-    value, slope, curvature = (np.array([float(mpmath.diff(form, x, k)) for x in at]) / radius**k for k in range(3))
+    value, slope, curvature = (
+        np.array([float(mpmath.diff(form, x, k)) for x in at]) / radius**k for k in range(3)
+    )
     r = jnp.asarray(xi * radius)
 
     def along(r):
@@ -76,7 +88,9 @@ def test_at_a_source_and_beyond_the_support(basis, form, radius):
 
     @jax.jit
     def derivatives(x):
-        return jax.grad(lambda x: basis(jnp.sum(x**2)))(x), jax.hessian(lambda x: basis(jnp.sum(x**2)))(x)
+        return jax.grad(lambda x: basis(jnp.sum(x**2)))(x), jax.hessian(
+            lambda x: basis(jnp.sum(x**2))
+        )(x)
 
     gradient, hessian = derivatives(jnp.zeros(3))
     assert (gradient == 0).all()
@@ -108,25 +122,36 @@ def test_dtype_and_shape_follow_the_distances(basis, form, radius):
     found = basis(jnp.asarray(r2, jnp.float32))
     assert found.dtype == jnp.float32
     assert found.shape == (3, 4)
-    np.testing.assert_allclose(found, basis(r2), rtol=1e-5, atol=1e-5)  # terms of 80 cancel at the edge
+    np.testing.assert_allclose(
+        found, basis(r2), rtol=1e-5, atol=1e-5
+    )  # terms of 80 cancel at the edge
 
 
-@over("make", [jm.WendlandC2], nightly=[kind for kind in TABLE | GLOBAL if kind is not jm.WendlandC2])
+@over(
+    "make", [jm.WendlandC2], nightly=[kind for kind in TABLE | GLOBAL if kind is not jm.WendlandC2]
+)
 def test_derivative_in_the_radius(make):
     r2 = np.array([0.0, 1e-6, 0.1, 0.5, 0.9, 4 * R**2])
     difference = (make(R + 1e-6)(r2) - make(R - 1e-6)(r2)) / 2e-6
-    np.testing.assert_allclose(jax.jacfwd(lambda radius: make(radius)(r2))(R), difference, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(
+        jax.jacfwd(lambda radius: make(radius)(r2))(R), difference, rtol=1e-6, atol=1e-8
+    )
 
 
 @over("make", [jm.WendlandC2], nightly=[jm.Gaussian, jm.Multiquadric])
 def test_what_a_radius_may_be(make):
-    assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves([make(2), make(np.int32(2)), make(2.0)]))
+    assert all(
+        leaf.dtype == np.float64
+        for leaf in jax.tree.leaves([make(2), make(np.int32(2)), make(2.0)])
+    )
     r2 = np.linspace(0, 3, 7)
     assert (make(2)(r2) == make(2.0)(r2)).all()
     slope = jax.jit(jax.grad(lambda radius: make(radius)(r2).sum()))  # traced, it passes unseen
     assert np.isfinite(slope(2.0))
     swept = jax.vmap(make)(np.array([1.0, 2.0]))
-    np.testing.assert_allclose(jax.vmap(lambda basis: basis(r2))(swept)[1], make(2.0)(r2), rtol=1e-15)
+    np.testing.assert_allclose(
+        jax.vmap(lambda basis: basis(r2))(swept)[1], make(2.0)(r2), rtol=1e-15
+    )
     assert jax.tree.leaves(jax.eval_shape(make, 2.0))[0].shape == ()
 
 
@@ -150,9 +175,16 @@ def test_compact_functions_are_a_sparse_system():
     """Against the dense interpolation with the same function."""
     rng = np.random.default_rng(3)
     points, u = rng.uniform(size=(300, 3)), rng.normal(size=(80, 3))
-    dense = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.RBF.classic(jm.WendlandC2(0.4), degree=None))
+    dense = jm.prepare(
+        points,
+        np.arange(60),
+        np.arange(60, 80),
+        method=jm.RBF.classic(jm.WendlandC2(0.4), degree=None),
+    )
     sparse = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.CompactRBF(0.4))
-    np.testing.assert_allclose(jm.deform(sparse, u[:60]), jm.deform(dense, u[:60]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        jm.deform(sparse, u[:60]), jm.deform(dense, u[:60]), rtol=0, atol=1e-12
+    )
 
 
 def slit(gap):
@@ -174,7 +206,9 @@ def test_coincident_nodes_have_one_compact_function(gap):
         u = np.zeros((len(points), 2))
         u[lower], u[upper] = [0.02, 0.05], [0.02, 0.05]
         together = np.asarray(jm.deform(plan, u[order]))
-        np.testing.assert_allclose(together[: upper[0]], jm.deform(single, u[lower]), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(
+            together[: upper[0]], jm.deform(single, u[lower]), rtol=0, atol=1e-8
+        )
         u[upper, 1] += 0.1
         opened = np.asarray(jm.deform(plan, u[order]))
         inner = np.setdiff1d(np.arange(upper[0]), lower)
@@ -197,7 +231,9 @@ def test_fixed_nodes_do_not_count_where_a_moving_one_is():
 def test_nodes_that_nearly_coincide_are_told(method):
     """A difference between them comes out large: told at 1e-6, not at 1e-2, where it does not exceed the motion by much."""
     points, lower, upper, border = slit(1e-6)
-    told = f"{2 * len(lower)} surface nodes nearly coincide with others, the nearest two 1e-06 apart"
+    told = (
+        f"{2 * len(lower)} surface nodes nearly coincide with others, the nearest two 1e-06 apart"
+    )
     with pytest.warns(UserWarning, match=told):
         jm.prepare(points, np.r_[lower, upper], border, method=method)
     points, lower, upper, border = slit(1e-2)
@@ -209,14 +245,19 @@ def test_nodes_that_nearly_coincide_are_told(method):
 
 def test_a_radius_that_rounding_does_not_bear_is_refused():
     points = np.random.default_rng(3).uniform(size=(400, 2))
-    with pytest.raises(ValueError, match=r"the matrix of CompactRBF, of 400 nodes.*Try a smaller radius"):
+    with pytest.raises(
+        ValueError, match=r"the matrix of CompactRBF, of 400 nodes.*Try a smaller radius"
+    ):
         jm.prepare(points, np.arange(300), np.arange(300, 400), method=jm.CompactRBF(1e6))
 
 
 SQUEEZED = {
     "compact": (jm.CompactRBF(0.2), 0.4),
     "local": (jm.LocalCorrection(0.2), 0.4),
-    "corrected": (jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(2)), jm.CompactRBF(0.2)), 0.4),
+    "corrected": (
+        jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(2)), jm.CompactRBF(0.2)),
+        0.4,
+    ),
     "layered": (jm.NearWall(jm.LocalCorrection(0.2)), 0.4),
 }
 
@@ -241,7 +282,9 @@ def test_a_base_on_which_nodes_come_nearer_is_refused_or_nan(name):
         np.testing.assert_allclose(traced(near)[is_clear], expected[is_clear], rtol=0, atol=1e-6)
     np.testing.assert_allclose(traced(points + 7.0), jm.deform(plan, u) + 7.0, rtol=0, atol=1e-12)
     assert np.isnan(traced(squeezed)).any()
-    with pytest.raises(ValueError, match="points have lost their place at the new base points, first node"):
+    with pytest.raises(
+        ValueError, match="points have lost their place at the new base points, first node"
+    ):
         jm.refit(plan, squeezed)
 
 
@@ -263,7 +306,9 @@ def test_the_automatic_radius_reaches_200_nodes_from_half_of_the_moving_ones(dim
     points = np.random.default_rng(4).uniform(size=(count, dimension)) ** 2
     moving, fixed = np.arange(41), np.arange(41, count)
     radius = jm.prepare(points, moving, fixed, method=jm.CompactRBF()).reach
-    within = (np.linalg.norm(points[moving][:, None] - points[None], axis=2) <= radius * (1 + 1e-12)).sum(axis=1)
+    within = (
+        np.linalg.norm(points[moving][:, None] - points[None], axis=2) <= radius * (1 + 1e-12)
+    ).sum(axis=1)
     assert (within >= min(200, count)).sum() == 21
     shorter = np.linalg.norm(points[moving][:, None] - points[None], axis=2) <= radius * (1 - 1e-9)
     assert (shorter.sum(axis=1) >= min(200, count)).sum() == 20

@@ -81,7 +81,10 @@ test_what_a_boundary_is_not = refusals(
         on_box("hole", ("left", "right"), sliding=("left", "top")),
         r"the patch 'left' is named in `sliding` and in `fixed`: it would not slide. Remove it from one list",
     ),
-    (on_box("hole", "right", sliding="left", symmetry="left"), "'left' is named in `sliding` and in `symmetry`"),
+    (
+        on_box("hole", "right", sliding="left", symmetry="left"),
+        "'left' is named in `sliding` and in `symmetry`",
+    ),
     (
         on_box("hole", box_with_hole().patch("left", "right"), sliding=("left", "top")),
         r"all 9 nodes of the sliding patch 'left' are in `fixed`, first node \d+ at \(-4, .*\): the patch would not slide\.",
@@ -90,17 +93,35 @@ test_what_a_boundary_is_not = refusals(
     (on_pairs(lambda a, b: jm.Periodic(a, a)), "the translation is zero"),
     (on_sector(translation=(1, 0), rotation=1.0), "a translation or a rotation, not both"),
     (on_box("hole", periodic="lower"), r"pairs such as jm.Periodic\('lower', 'upper'"),
-    (lambda: jm.prepare(box_with_hole().points, [0], sliding=jm.Slide([5, 6])), "but points alone have no faces"),
-    (lambda: jm.Slide("left", "top"), r"a patch slides on a jm\.Plane, a jm\.Revolution or its own faces"),
-    (on_box("hole", sliding=jm.Slide("left", AXIS)), "a surface of revolution has an axis in 3-D, and none in 2-D"),
-    (on_box("hole", sliding="hole"), "all 8 nodes of the sliding patch 'hole' are in `moving`, first node 30 at"),
-    (on_box("hole", sliding=["left", jm.Slide("left", jm.Plane((1, 0), (-4, 0)))]), "'left' comes twice in `sliding`"),
+    (
+        lambda: jm.prepare(box_with_hole().points, [0], sliding=jm.Slide([5, 6])),
+        "but points alone have no faces",
+    ),
+    (
+        lambda: jm.Slide("left", "top"),
+        r"a patch slides on a jm\.Plane, a jm\.Revolution or its own faces",
+    ),
+    (
+        on_box("hole", sliding=jm.Slide("left", AXIS)),
+        "a surface of revolution has an axis in 3-D, and none in 2-D",
+    ),
+    (
+        on_box("hole", sliding="hole"),
+        "all 8 nodes of the sliding patch 'hole' are in `moving`, first node 30 at",
+    ),
+    (
+        on_box("hole", sliding=["left", jm.Slide("left", jm.Plane((1, 0), (-4, 0)))]),
+        "'left' comes twice in `sliding`",
+    ),
     (
         on_box("hole", sliding=[*map(jm.Slide, (LEFT[:5], LEFT[4:]))]),
         r"at 1 nodes without an edge, .* node 4 at \(-4, 0\)",
     ),
     (flattened, r"all 9 nodes of the sliding patch 'left' stand at \(-4, 0\)"),
-    (lambda: jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)]), "places along the axis, ascending, and radii"),
+    (
+        lambda: jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)]),
+        "places along the axis, ascending, and radii",
+    ),
     (
         on_drum("hub", ("bottom", "top"), sliding=halves("shroud")),
         r"meet at 10 nodes without an edge, the worst is node \d+ at \(.*Let both slide as one patch, jm\.Slide\(\(first",
@@ -112,8 +133,17 @@ test_what_a_boundary_is_not = refusals(
 def test_a_moved_boundary_is_judged():
     mesh = arc()
     base, inner, outer = mesh.points, mesh.patch("inner"), mesh.patch("outer")
-    plan = jm.prepare(mesh, "inner", sliding="outer", free=np.arange(len(base)), method=full(jm.ThinPlateSpline(), 1))
-    turned = [np.asarray(jm.shapes.rotate(base[inner], angle, about=(0, 0))) - base[inner] for angle in (0.02, 0.9)]
+    plan = jm.prepare(
+        mesh,
+        "inner",
+        sliding="outer",
+        free=np.arange(len(base)),
+        method=full(jm.ThinPlateSpline(), 1),
+    )
+    turned = [
+        np.asarray(jm.shapes.rotate(base[inner], angle, about=(0, 0))) - base[inner]
+        for angle in (0.02, 0.9)
+    ]
     few, many = (jm.inspect(plan, u) for u in turned)
     assert not few.warnings
     assert len(many.ended) > 1
@@ -127,7 +157,10 @@ def test_a_moved_boundary_is_judged():
     judged = jm.boundary_quality(plan, lifted)
     assert judged.off_surface == pytest.approx(0.2 * np.cos(np.pi / 16), rel=0.03)
     assert judged.nodes == {"off_surface": outer[3]}
-    assert f"sliding nodes at most {judged.off_surface:.2g} off their surface (node {outer[3]})" in str(judged)
+    assert (
+        f"sliding nodes at most {judged.off_surface:.2g} off their surface (node {outer[3]})"
+        in str(judged)
+    )
 
 
 @pytest.mark.slow

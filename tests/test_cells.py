@@ -28,7 +28,9 @@ def no_factors_of_other_tests():
 
 def planned_slab(columns, method):
     points, quads, ids = slab(columns)
-    return jm.prepare(jm.Mesh(points, {"quad": quads}), ids[:, 0], ids[:, -1], method=method, free=ids.ravel())
+    return jm.prepare(
+        jm.Mesh(points, {"quad": quads}), ids[:, 0], ids[:, -1], method=method, free=ids.ravel()
+    )
 
 
 def by_both_solvers(monkeypatch, solved):
@@ -73,7 +75,9 @@ def test_laplacian_has_the_cotangents():
     u, inner = motion(mesh.points[mesh.moving]), mesh.inner
     expected = mesh.points.copy()
     expected[mesh.moving] += u
-    expected[inner] -= np.linalg.solve(matrix[np.ix_(inner, inner)], matrix[np.ix_(inner, mesh.moving)] @ u)
+    expected[inner] -= np.linalg.solve(
+        matrix[np.ix_(inner, inner)], matrix[np.ix_(inner, mesh.moving)] @ u
+    )
     plan = BY_NAME["laplacian-uniform"].prepared(mesh.points, mesh.moving, mesh.fixed)
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-11)
 
@@ -81,7 +85,9 @@ def test_laplacian_has_the_cotangents():
 def slab(columns):
     """Quads in a strip of x from -columns to columns, y from 0 to 4; the bottom moves, the top is fixed."""
     x, y = np.meshgrid(np.arange(-columns, columns + 1.0), np.arange(5.0), indexing="ij")
-    points = np.stack([x + 0.1 * np.sin(3 * x) * (abs(x) < columns), y + 0.1 * x**2 * y * (4 - y) / 16], axis=-1)
+    points = np.stack(
+        [x + 0.1 * np.sin(3 * x) * (abs(x) < columns), y + 0.1 * x**2 * y * (4 - y) / 16], axis=-1
+    )
     ids = np.arange(x.size).reshape(x.shape)
     quads = blocks(ids)
     return points.reshape(-1, 2), quads, ids
@@ -103,13 +109,19 @@ def test_nodes_slide_in_symmetry_planes(method, angle):
     expected = jm.deform(plan, u)[kept] @ frame.T
     bottom, top = number[ids[3:, 0]], number[ids[3:, -1]]
     plane = jm.Plane(frame[:, 0], [0.0, 0.0])
-    half_plan = jm.prepare(half, bottom, top, method=method, symmetry=plane, free=np.arange(len(kept)))
+    half_plan = jm.prepare(
+        half, bottom, top, method=method, symmetry=plane, free=np.arange(len(kept))
+    )
     moved = jm.deform(half_plan, u[3:] @ frame.T)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-11)
     if angle == 0:  # a coarse field has to place the images of the surface, too
         coarse = jm.SurfaceReconstruction(method, jm.DelaunayGraph())
-        half_plan = jm.prepare(half, bottom, top, method=coarse, symmetry=plane, free=np.arange(len(kept)))
-        np.testing.assert_allclose(jm.deform(half_plan, u[3:] @ frame.T), expected, rtol=0, atol=1e-11)
+        half_plan = jm.prepare(
+            half, bottom, top, method=coarse, symmetry=plane, free=np.arange(len(kept))
+        )
+        np.testing.assert_allclose(
+            jm.deform(half_plan, u[3:] @ frame.T), expected, rtol=0, atol=1e-11
+        )
 
 
 def test_a_stretched_bar_grows_thin():
@@ -150,7 +162,10 @@ def test_batches_of_meshes():
     """Two meshes of one family under `vmap`: each has its own matrix, and none the other's answer."""
     plan, (points, quads, ids) = planned_slab(2, jm.LinearElasticity()), slab(2)
     u = np.random.default_rng(4).normal(size=(5, 2))
-    family = jnp.asarray(points)[None] * jnp.array([1.0, 2.0])[:, None, None] ** jnp.arange(2.0)[None, None]
+    family = (
+        jnp.asarray(points)[None]
+        * jnp.array([1.0, 2.0])[:, None, None] ** jnp.arange(2.0)[None, None]
+    )
     moved = jax.vmap(lambda points: jm.deform(jm.refit(plan, points), u))(family)
     for k in range(2):
         mesh = jm.Mesh(np.asarray(family[k]), {"quad": quads})
@@ -160,14 +175,22 @@ def test_batches_of_meshes():
 
 def test_wrong_uses_are_told():
     points, quads, ids = slab(2)
-    with pytest.raises(ValueError, match=r"LinearElasticity needs the cells of the whole mesh: pass the mesh"):
+    with pytest.raises(
+        ValueError, match=r"LinearElasticity needs the cells of the whole mesh: pass the mesh"
+    ):
         jm.prepare(points, ids[:, 0], ids[:, -1], method=jm.LinearElasticity())
     mesh = jm.Mesh(points, {"quad": quads})
     with pytest.raises(ValueError, match=r"Laplacian needs the cells of the whole mesh"):
-        jm.prepare_in_chunks(jm.Boundary(mesh, ids[:, 0], ids[:, -1], free=ids.ravel()), size=4, method=jm.Laplacian())
+        jm.prepare_in_chunks(
+            jm.Boundary(mesh, ids[:, 0], ids[:, -1], free=ids.ravel()),
+            size=4,
+            method=jm.Laplacian(),
+        )
     with pytest.raises(ValueError, match=r"solves for all nodes at once"):
         jm.shard(planned_slab(2, jm.Laplacian()), jax.devices())
-    with pytest.raises(ValueError, match=r"unknowns of LinearElasticity .* stiffness is not finite"):
+    with pytest.raises(
+        ValueError, match=r"unknowns of LinearElasticity .* stiffness is not finite"
+    ):
         planned_slab(2, jm.LinearElasticity(jm.ByVolume(3e4)))
 
 
@@ -175,7 +198,9 @@ def test_a_missing_solver_is_told(monkeypatch):
     mesh = cases.bricks("tetra", cells=3)
     monkeypatch.setattr(solves, "DIRECT", 10)
     monkeypatch.setattr(linear, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"24 unknowns in 3-D .* pip install 'jaxmorph\[solvers\]'"):
+    with pytest.raises(
+        ImportError, match=r"24 unknowns in 3-D .* pip install 'jaxmorph\[solvers\]'"
+    ):
         jm.prepare(mesh, hull(mesh.points), method=jm.LinearElasticity())
 
 
@@ -214,11 +239,17 @@ def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
         """Stiffness and masses of linear elements."""
         a, b = lengths[:-1], lengths[1:]
         beside, after = np.diag(b[:-1], -1), np.diag(1 / b[:-1], -1)
-        return np.diag(1 / a + 1 / b) - after - after.T, (np.diag(2 * (a + b)) + beside + beside.T) / 6
+        return np.diag(1 / a + 1 / b) - after - after.T, (
+            np.diag(2 * (a + b)) + beside + beside.T
+        ) / 6
 
-    (wide, wide_mass), (thin, thin_mass) = map(in_one_direction, (np.full(12, 1 / 12), 1e-6 * 1.5 ** np.arange(20)))
+    (wide, wide_mass), (thin, thin_mass) = map(
+        in_one_direction, (np.full(12, 1 / 12), 1e-6 * 1.5 ** np.arange(20))
+    )
     along = sparse.kron(wide, wide_mass) + sparse.kron(wide_mass, wide)
-    matrix = (sparse.kron(thin, sparse.kron(wide_mass, wide_mass)) + sparse.kron(thin_mass, along)).tocsr()
+    matrix = (
+        sparse.kron(thin, sparse.kron(wide_mass, wide_mass)) + sparse.kron(thin_mass, along)
+    ).tocsr()
     root = np.sqrt(matrix.diagonal())
     scaled = (sparse.diags(1 / root) @ matrix @ sparse.diags(1 / root)).tocsr()
     right = np.random.default_rng(0).normal(size=len(root))
@@ -258,7 +289,9 @@ def of_triangles(method, corners, distance, cuts):
     total = np.zeros((6, *np.shape(entries(corners[:3], distance[:3]))[1:]))
     for cut in cuts:
         ids = np.array(cut)
-        for (a, b), part in zip(method.pairs("triangle"), entries(corners[ids], distance[ids]), strict=True):
+        for (a, b), part in zip(
+            method.pairs("triangle"), entries(corners[ids], distance[ids]), strict=True
+        ):
             i, j = cut[a], cut[b]
             total[place[min(i, j), max(i, j)]] += 0.5 * np.asarray(part if i < j else part.T)
     return total
@@ -267,13 +300,17 @@ def of_triangles(method, corners, distance, cuts):
 CUTS = ((0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3))
 
 
-@over("make stiffness", [(jm.LinearElasticity, jm.ByDistance(1.5)), (jm.Laplacian, jm.ByVolume(0.0))])
+@over(
+    "make stiffness", [(jm.LinearElasticity, jm.ByDistance(1.5)), (jm.Laplacian, jm.ByVolume(0.0))]
+)
 def test_a_quad_is_the_mean_of_both_ways_to_cut_it(make, stiffness):
     corners = jnp.array([[0.0, 0.1], [1.3, 0], [1.1, 0.9], [0.2, 0.6]])
     distance = jnp.array([0.0, 0.3, 0.7, 0.2])
     method = make(stiffness)
     found = entries_of(method, "quad")(corners, distance)
-    np.testing.assert_allclose(found, of_triangles(method, corners, distance, CUTS), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        found, of_triangles(method, corners, distance, CUTS), rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -283,7 +320,9 @@ def test_a_quad_with_two_corners_in_one_place_is_a_triangle():
     found = entries_of(method, "quad")(corners, jnp.ones(4))
     expected = of_triangles(method, corners, jnp.ones(4), CUTS[::2])
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-    slope = jax.jit(jax.grad(lambda corners: jnp.sum(method.entries("quad", corners, jnp.ones(4)) ** 2)))(corners)
+    slope = jax.jit(
+        jax.grad(lambda corners: jnp.sum(method.entries("quad", corners, jnp.ones(4)) ** 2))
+    )(corners)
     assert np.isfinite(slope).all()
 
 
@@ -371,10 +410,14 @@ def test_systems_of_pairs_against_dense_matrices(what, monkeypatch):
     held = ~free.ravel()
     matrix[held], matrix[:, held] = 0, 0
     matrix[held, held] = 1
-    expected = np.linalg.solve(matrix, np.where(free, right, 0).reshape(2, -1).T).T.reshape(right.shape)
+    expected = np.linalg.solve(matrix, np.where(free, right, 0).reshape(2, -1).T).T.reshape(
+        right.shape
+    )
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 if what == "multigrid" else 1e-13)
     for wrong in (np.nan, -1.0) if what != "masses" else (np.nan,):
-        assert np.isnan(linear.solve(pairs, values, wrong * diagonal, masses, free, right[0])[free]).any()
+        assert np.isnan(
+            linear.solve(pairs, values, wrong * diagonal, masses, free, right[0])[free]
+        ).any()
 
 
 @pytest.mark.parametrize("other", ["pairs", "masses", "free"])
@@ -391,7 +434,9 @@ def test_kept_factors_belong_to_one_system(other, monkeypatch):
     given = {"pairs": pairs, "masses": masses, "free": free}
     values, diagonal, right = -rng.uniform(0.1, 1, n - 1), np.full(n, 12.0), rng.normal(size=(n, 2))
     inverse = linear._inverse
-    monkeypatch.setattr(linear, "_inverse", lambda *system: factored.append(system) or inverse(*system))
+    monkeypatch.setattr(
+        linear, "_inverse", lambda *system: factored.append(system) or inverse(*system)
+    )
     for system in 2 * [given, given | {other: changed[other]}]:
         i, j = system["pairs"].T
         matrix = sparse.csr_matrix((values, (i, j)), shape=(n, n))
@@ -401,7 +446,9 @@ def test_kept_factors_belong_to_one_system(other, monkeypatch):
         expected = np.zeros((n, 2))
         for k, rows in enumerate(system["free"].T):
             expected[rows, k] = spsolve(matrix.tocsc()[rows][:, rows], right[rows, k])
-        found = linear.solve(system["pairs"], values, diagonal, system["masses"], system["free"], right)
+        found = linear.solve(
+            system["pairs"], values, diagonal, system["masses"], system["free"], right
+        )
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     assert len(factored) == 2
 
@@ -429,7 +476,10 @@ def test_thin_layers_of_soft_and_stiff_cells_are_solved_as_by_factors(method, mo
     points = np.array(mesh.points)
     points[:, 2] = points[:, 2] ** 8 + 1e-4 * points[:, 2]
     mesh = jm.Mesh(points, mesh.cells, {"floor": np.flatnonzero(points[:, 2] == 0)})
-    u, fixed = 0.1 * np.random.default_rng(0).normal(size=(81, 3)), np.setdiff1d(hull(points), mesh.patch("floor"))
+    u, fixed = (
+        0.1 * np.random.default_rng(0).normal(size=(81, 3)),
+        np.setdiff1d(hull(points), mesh.patch("floor")),
+    )
     solved = lambda: jm.deform(jm.prepare(mesh, "floor", fixed, method=method), u)  # noqa: E731
     factored, iterated = by_both_solvers(monkeypatch, solved)
     np.testing.assert_allclose(iterated, factored, rtol=0, atol=1e-7)

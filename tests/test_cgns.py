@@ -38,7 +38,12 @@ def test_unstructured_zones(tmp_path):
     assert {kind: corners.tolist() for kind, corners in mesh.cells.items()} == {
         "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]], "wedge": [[1, 8, 2, 5, 9, 6]]}  # fmt: skip
     named = {name: nodes.tolist() for name, nodes in mesh.patches.items() if name != "unnamed"}
-    assert named == {"wall": [0, 1, 2, 3, 8], "high": [4, 5, 6, 7], "some": [0, 7], "old": [1, 2, 4, 5, 6, 7, 8]}
+    assert named == {
+        "wall": [0, 1, 2, 3, 8],
+        "high": [4, 5, 6, 7],
+        "some": [0, 7],
+        "old": [1, 2, 4, 5, 6, 7, 8],
+    }
 
 
 def test_a_c_grid_is_joined_along_its_wake_and_not_at_its_wall(tmp_path):
@@ -96,7 +101,11 @@ def test_polyhedra(tmp_path):
     good = (tmp_path / "a.cgns").read_bytes()
     for part, value, message in (
         ("cells/ElementConnectivity", 999, "NFACE_n names faces that are in no section NGON_n"),
-        ("faces/ElementConnectivity", 2, r"\d cells do not close, first cell \d: their faces are damaged"),
+        (
+            "faces/ElementConnectivity",
+            2,
+            r"\d cells do not close, first cell \d: their faces are damaged",
+        ),
         ("faces/ElementStartOffset", 1, "the offsets of section faces do not cut its"),
     ):
         (tmp_path / "a.cgns").write_bytes(good)
@@ -133,10 +142,14 @@ def test_data_of_other_files_are_refused_and_never_written(tmp_path, name, how):
         del group[" data"]
         if how == "external storage":
             size = 8 * int(np.prod(shape))
-            group.create_dataset(" data", shape, "<f8", external=[(str(tmp_path / "outside.raw"), 0, size)])
+            group.create_dataset(
+                " data", shape, "<f8", external=[(str(tmp_path / "outside.raw"), 0, size)]
+            )
         elif how == "virtual":
             layout = h5py.VirtualLayout(shape, "<f8")
-            layout[...] = h5py.VirtualSource(str(tmp_path / "other.h5"), "values", (100,))[: int(np.prod(shape))]
+            layout[...] = h5py.VirtualSource(str(tmp_path / "other.h5"), "values", (100,))[
+                : int(np.prod(shape))
+            ]
             group.create_virtual_dataset(" data", layout)
         else:
             group[" data"] = h5py.ExternalLink("other.h5", "/values")
@@ -166,13 +179,19 @@ def test_periodic_interfaces_are_pairs(is_turned, tmp_path):
     low, high = [[1, 1, 1], [1, 3, 3]], [[3, 1, 1], [3, 3, 3]]
     with h5py.File(tmp_path / "a.cgns", "w", track_order=True) as file:
         base = cgns.base(file, 3, 3)
-        zones = {name: cgns.zone(base, name, (x, y, z + above)) for name, above in (("one", 0), ("two", 2))}
+        zones = {
+            name: cgns.zone(base, name, (x, y, z + above))
+            for name, above in (("one", 0), ("two", 2))
+        }
         for name, zone in zones.items():
             cgns.periodic(zone, "low", name, low, high, shift, angles)
         cgns.periodic(zones["one"], "high", "one", high, low, -np.array(shift), -np.array(angles))
     mesh = io.read(tmp_path / "a.cgns")
     pairs = io.periodic(mesh)
-    assert [(pair.patch, pair.partner) for pair in pairs] == [("one/low", "high"), ("two/low", "two/low donor")]
+    assert [(pair.patch, pair.partner) for pair in pairs] == [
+        ("one/low", "high"),
+        ("two/low", "two/low donor"),
+    ]
     assert all(pair.is_rotation == is_turned for pair in pairs)
     sides = [mesh.patch("one/low", "two/low"), mesh.patch("high", "two/low donor")]
     assert [len(side) for side in sides] == [15, 15]
@@ -208,21 +227,31 @@ def test_polyhedra_in_the_forms_of_other_writers(tmp_path, form):
     with h5py.File(tmp_path / "b.cgns", "r+") as file:
         zone = file["Base/p"]
         faces, cells = zone["faces"], zone["cells"]
-        starts, members = cells["ElementStartOffset/ data"][()], cells["ElementConnectivity/ data"][()]
+        starts, members = (
+            cells["ElementStartOffset/ data"][()],
+            cells["ElementConnectivity/ data"][()],
+        )
         if "parents" in form:
             parents = np.zeros((2, len(faces["ElementStartOffset/ data"]) - 1), np.int32)
             for cell, row in enumerate(np.split(members, starts[1:-1])):
                 parents[(row < 0).astype(int), np.abs(row) - 1] = len(parents[0]) + 1 + cell
             cgns.node(faces, "ParentElements", "DataArray_t", parents)
             del zone["cells"]
-        for section in (each for each in (faces, zone.get("cells")) if each is not None and "version 3" in form):
-            rows = np.split(section["ElementConnectivity/ data"][()], section["ElementStartOffset/ data"][1:-1])
+        for section in (
+            each for each in (faces, zone.get("cells")) if each is not None and "version 3" in form
+        ):
+            rows = np.split(
+                section["ElementConnectivity/ data"][()], section["ElementStartOffset/ data"][1:-1]
+            )
             del section["ElementStartOffset"], section["ElementConnectivity"]
             counted = np.concatenate([[len(row), *row] for row in rows]).astype(np.int32)
             cgns.node(section, "ElementConnectivity", "DataArray_t", counted)
     mesh = io.read(tmp_path / "b.cgns")
     same(mesh, io.read(tmp_path / "a.cgns"))
-    same(rewritten(tmp_path / "c.cgns", mesh.moved(mesh.points * np.pi)), mesh.moved(mesh.points * np.pi))
+    same(
+        rewritten(tmp_path / "c.cgns", mesh.moved(mesh.points * np.pi)),
+        mesh.moved(mesh.points * np.pi),
+    )
 
 
 def test_a_region_of_cells_is_no_patch_and_families_above_are_groups(tmp_path):
@@ -241,9 +270,14 @@ def test_zones_join_under_a_condition(tmp_path):
     cgns.two_blocks(tmp_path / "a.cgns")
     cgns.two_blocks(tmp_path / "b.cgns")
     with h5py.File(tmp_path / "b.cgns", "r+") as file:
-        for zone, other, places in (("one", "two", [[4, 1, 1], [4, 3, 3]]), ("two", "one", [[1, 1, 1], [1, 3, 3]])):
+        for zone, other, places in (
+            ("one", "two", [[4, 1, 1], [4, 3, 3]]),
+            ("two", "one", [[1, 1, 1], [1, 3, 3]]),
+        ):
             cgns.condition(file[f"Base/{zone}"], "between", places)
-            found = cgns.node(file[f"Base/{zone}"], "ZoneGridConnectivity", "ZoneGridConnectivity_t")
+            found = cgns.node(
+                file[f"Base/{zone}"], "ZoneGridConnectivity", "ZoneGridConnectivity_t"
+            )
             joint = cgns.node(found, "between", "GridConnectivity1to1_t", other)
             cgns.node(joint, "PointRange", "IndexRange_t", np.array(places, np.int32))
     same(io.read(tmp_path / "b.cgns"), io.read(tmp_path / "a.cgns"))
@@ -275,7 +309,9 @@ def test_faces_of_a_block_one_cell_thick(tmp_path, is_list):
         zone = cgns.zone(cgns.base(file, 3, 3), "one", (x, y, z))
         for name, (places, _) in wanted.items():
             low, high = np.array(places)
-            each = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
+            each = np.stack(
+                np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1
+            ).reshape(-1, 3)
             what = {"what": "PointList"} if is_list else {}
             cgns.condition(zone, name, each if is_list else places, None, "FaceCenter", **what)
     mesh = io.read(tmp_path / "a.cgns")
@@ -301,7 +337,9 @@ def test_bases(tmp_path):
         values = file["Base/all/ZoneBC/high/PointRange"]
         del values[" data"]
         values[" data"] = np.array([[1], [10**12]])
-    with pytest.raises(ValueError, match="condition high: 999999999995 of its 1000000000000 elements are not there"):
+    with pytest.raises(
+        ValueError, match="condition high: 999999999995 of its 1000000000000 elements are not there"
+    ):
         io.read(tmp_path / "a.cgns")
 
 
@@ -313,4 +351,7 @@ def test_names_that_are_not_utf_8(tmp_path):
         del conditions["c"]
     mesh = io.read(tmp_path / "a.cgns")
     assert "sym\xe9trie" in mesh.patches
-    same(rewritten(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi)), mesh.moved(mesh.points * np.pi))
+    same(
+        rewritten(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi)),
+        mesh.moved(mesh.points * np.pi),
+    )

@@ -35,7 +35,12 @@ def test_a_tool_enters_by_a_file_of_moved_points(championship, tmp_path, monkeyp
     (row,) = championship.entered("splines", tmp_path / "moved", case)
     (file,) = (tmp_path / "moved").glob("*/*.npz")
     report = jm.quality(case.mesh, np.load(file)["points"])
-    assert (row["case"], row["motion"], row["method"], row["error"]) == (case.name, "dent", "splines", None)
+    assert (row["case"], row["motion"], row["method"], row["error"]) == (
+        case.name,
+        "dent",
+        "splines",
+        None,
+    )
     assert row["inverted"] == 0
     assert row["max_skewness"] == pytest.approx(float(report.max_skewness))
     assert set(championship.NUMBERS) < set(row)

@@ -37,11 +37,23 @@ def low(axis):
 def of_exodus(path):
     """A block of shells, a set of sides and two sets of nodes, of which one has the nodes of the shells."""
     path = path.with_suffix(".e")
-    sides = [("wall", [cell for cell in range(8) if set(CELLS[cell][[0, 1, 5, 4]]) <= set(LOW[1])], [0] * 4)]
+    sides = [
+        (
+            "wall",
+            [cell for cell in range(8) if set(CELLS[cell][[0, 1, 5, 4]]) <= set(LOW[1])],
+            [0] * 4,
+        )
+    ]
     nodes = [("wall", LOW[0]), ("wall", LOW[2])]
-    exodus.write(path, POINTS, [("solid", "hexahedron", CELLS), ("wall", "quad", low(2))], sides, nodes)
+    exodus.write(
+        path, POINTS, [("solid", "hexahedron", CELLS), ("wall", "quad", low(2))], sides, nodes
+    )
     wanted = {"wall": LOW[2], "wall_sides_10": LOW[1], "wall_nodes_10": LOW[0]}
-    return path, wanted, ["wall_sides_10", "wall_nodes_10", "nodes_20 has the name and the nodes", "solid"]
+    return (
+        path,
+        wanted,
+        ["wall_sides_10", "wall_nodes_10", "nodes_20 has the name and the nodes", "solid"],
+    )
 
 
 def of_med(path):
@@ -50,7 +62,9 @@ def of_med(path):
     blocks = [("hexahedron", corners), ("quad", low(2))]
     tags = [np.full(len(corners), -2), np.full(4, -1)]
     nodes = np.isin(np.arange(len(POINTS)), LOW[0]).astype(int)
-    mesh = meshio.Mesh(POINTS, blocks, point_data={"point_tags": nodes}, cell_data={"cell_tags": tags})
+    mesh = meshio.Mesh(
+        POINTS, blocks, point_data={"point_tags": nodes}, cell_data={"cell_tags": tags}
+    )
     mesh.point_tags, mesh.cell_tags = {1: ["wall"]}, {-1: ["wall"], -2: ["wall", "fluid"]}
     meshio.med.write(path, mesh)
     return path, {"wall": LOW[2], "wall_nodes": LOW[0]}, ["wall_nodes", "wall, fluid"]
@@ -61,15 +75,38 @@ def of_gmsh(path, version="2.2", names=None):
     path = path.with_suffix(".msh")
     names = names or ['3 1 "wall"', '2 2 "wall"', '1 2 "wall"']
     lines = np.array([EDGE[:-1], EDGE[1:]]).T
-    rows = [*((5, 1, row) for row in CELLS), *((3, 2, row) for row in low(2)), *((1, 2, row) for row in lines)]
+    rows = [
+        *((5, 1, row) for row in CELLS),
+        *((3, 2, row) for row in low(2)),
+        *((1, 2, row) for row in lines),
+    ]
     rows += [*((3, 7, row) for row in low(0)), (1, 7, lines[0])]
     numbered = enumerate(rows, start=1)
-    elements = [f"{k} {kind} 2 {tag} {tag} {' '.join(map(str, row + 1))}" for k, (kind, tag, row) in numbered]
-    text = [f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n$PhysicalNames\n{len(names)}", *names, "$EndPhysicalNames"]
-    text += [f"$Nodes\n{len(POINTS)}", *(f"{k} {x} {y} {z}" for k, (x, y, z) in enumerate(POINTS.tolist(), start=1))]
-    text += [f"$EndNodes\n$Elements\n{len(rows)}", *elements, "$EndElements\n$Periodic\n0\n$EndPeriodic\n"]
+    elements = [
+        f"{k} {kind} 2 {tag} {tag} {' '.join(map(str, row + 1))}"
+        for k, (kind, tag, row) in numbered
+    ]
+    text = [
+        f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n$PhysicalNames\n{len(names)}",
+        *names,
+        "$EndPhysicalNames",
+    ]
+    text += [
+        f"$Nodes\n{len(POINTS)}",
+        *(f"{k} {x} {y} {z}" for k, (x, y, z) in enumerate(POINTS.tolist(), start=1)),
+    ]
+    text += [
+        f"$EndNodes\n$Elements\n{len(rows)}",
+        *elements,
+        "$EndElements\n$Periodic\n0\n$EndPeriodic\n",
+    ]
     path.write_text("\n".join(text))
-    wanted = {"wall": LOW[2], "wall_curve_2": EDGE, "physical_7": LOW[0], "physical_7_curve_7": EDGE[:2]}
+    wanted = {
+        "wall": LOW[2],
+        "wall_curve_2": EDGE,
+        "physical_7": LOW[0],
+        "physical_7_curve_7": EDGE[:2],
+    }
     return path, wanted, ["wall_curve_2", "physical_7_curve_7", "as one mesh: wall", "$Periodic"]
 
 
@@ -109,7 +146,9 @@ def of_openfoam(path):
     boundary = path / "constant" / "polyMesh" / "boundary"
     boundary.write_text(boundary.read_text().replace("nFaces", "inGroups 1(rest); nFaces", 1))
     head = "FoamFile { version 2.0; format ascii; class regIOobject; object faceZones; }\n// 7\n"
-    (boundary.parent / "faceZones").write_text(head + "\n2\n(\nwall { type faceZone; }\nfan { type faceZone; }\n)\n")
+    (boundary.parent / "faceZones").write_text(
+        head + "\n2\n(\nwall { type faceZone; }\nfan { type faceZone; }\n)\n"
+    )
     (boundary.parent / "cellZones").write_text(head + "\n0()\n")
     notes = ["2 faceZones are not read", "the regions solid", "the group rest"]
     return path, {"floor": range(4), "rest": range(12)}, notes
@@ -125,8 +164,16 @@ def of_plot3d(path):
 TWO_TYPES, WITH_FAMILY = {"types": ("BCWall", "BCInflow")}, {"families": (None, "wall")}
 KINDS = [
     lambda path: (of_cgns(path), {"wall": (0, 2)}, ["the boundary conditions wall of 2 zones"]),
-    lambda path: (of_cgns(path, **TWO_TYPES), {"wall": (0, 1), "wall_zone2": (1, 2)}, ["wall_zone2"]),
-    lambda path: (of_cgns(path, **WITH_FAMILY), {"wall_zone1": (0, 1), "wall": (1, 2)}, ["called as another patch"]),
+    lambda path: (
+        of_cgns(path, **TWO_TYPES),
+        {"wall": (0, 1), "wall_zone2": (1, 2)},
+        ["wall_zone2"],
+    ),
+    lambda path: (
+        of_cgns(path, **WITH_FAMILY),
+        {"wall_zone1": (0, 1), "wall": (1, 2)},
+        ["called as another patch"],
+    ),
 ]
 KINDS += [of_exodus, of_med, of_gmsh, of_su2, of_mfem, of_openfoam, of_plot3d]
 
@@ -145,10 +192,16 @@ def test_nothing_of_one_name_is_merged_or_lost_silently(tmp_path, capsys, make):
         assert any(part in note for note in mesh.source.notes), (part, mesh.source.notes)
     said = " ".join(printed(capsys, ["info", str(path)]).split())
     assert all(note in said for note in mesh.source.notes)
-    assert json.loads(printed(capsys, ["info", str(path), "--json"]))["notes"] == list(mesh.source.notes)
+    assert json.loads(printed(capsys, ["info", str(path), "--json"]))["notes"] == list(
+        mesh.source.notes
+    )
     out = tmp_path / f"out{path.suffix}"
     io.write(out, mesh)
-    assert foam.tree(out) == foam.tree(path) if path.is_dir() else out.read_bytes() == path.read_bytes()
+    assert (
+        foam.tree(out) == foam.tree(path)
+        if path.is_dir()
+        else out.read_bytes() == path.read_bytes()
+    )
     again = io.read(out)
     assert mesh.patches.keys() == again.patches.keys()
     assert len(again.source.notes) == len(mesh.source.notes)
@@ -157,7 +210,9 @@ def test_nothing_of_one_name_is_merged_or_lost_silently(tmp_path, capsys, make):
 def test_equal_names_that_no_solver_tells_apart_are_refused(tmp_path):
     path = of_mfem(tmp_path / "in")[0]
     path.write_text(path.read_text().replace('1\n"boundary_2" 1 4', '2\n"a" 1 4\n"a" 1 2'))
-    with pytest.raises(ValueError, match=r"in\.mesh: two sets of boundary attributes are called 'a'"):
+    with pytest.raises(
+        ValueError, match=r"in\.mesh: two sets of boundary attributes are called 'a'"
+    ):
         io.read(path)
     path = of_openfoam(tmp_path / "case")[0]
     boundary = path / "constant" / "polyMesh" / "boundary"
@@ -182,7 +237,9 @@ def test_names_of_gmsh_2_0_have_no_dimension(tmp_path, named):
     np.testing.assert_array_equal(again.points, POINTS + 1)
     assert again.patches.keys() == mesh.patches.keys()
     if named:
-        with pytest.raises(ValueError, match=r"in\.msh, line 6: a dimension, a tag and a name expected"):
+        with pytest.raises(
+            ValueError, match=r"in\.msh, line 6: a dimension, a tag and a name expected"
+        ):
             io.read(of_gmsh(tmp_path / "in", "2.2", names)[0])
 
 
@@ -202,7 +259,9 @@ def test_a_surface_in_a_base_of_volumes_is_read(tmp_path, kind):
     assert any("as one mesh: top" in note for note in mesh.source.notes)
     area = np.asarray(jm.quality(mesh).volume).sum()
     np.testing.assert_allclose(area, 6, rtol=1e-6)
-    np.testing.assert_array_equal(rewritten(tmp_path / "b.cgns", mesh.moved(POINTS * np.pi)).points, POINTS * np.pi)
+    np.testing.assert_array_equal(
+        rewritten(tmp_path / "b.cgns", mesh.moved(POINTS * np.pi)).points, POINTS * np.pi
+    )
     with h5py.File(tmp_path / "a.cgns", "r+") as file:
         file["Base/skin/faces/ElementRange/ data"][1] = len(values) + 1
     with pytest.raises(ValueError, match=r"section faces has .* elements, and the range of"):
@@ -240,7 +299,9 @@ def test_sets_of_meshio_are_patches():
     """Point sets and cell sets; of one name both are kept; sets of cells are told."""
     empty = np.zeros(0, int)
     sets = {"wall": [empty, np.arange(4), empty], "fluid": [np.arange(8), empty, empty]}
-    mesh = jm.Mesh.from_meshio(of_meshio([], cell_sets=sets, point_sets={"wall": EDGE, "corner": [0]}))
+    mesh = jm.Mesh.from_meshio(
+        of_meshio([], cell_sets=sets, point_sets={"wall": EDGE, "corner": [0]})
+    )
     for name, nodes in {"wall": LOW[2], "wall_points": EDGE, "corner": [0]}.items():
         np.testing.assert_array_equal(mesh.patch(name), nodes)
     assert list(mesh.patches) == ["wall", "wall_points", "corner"]
@@ -268,14 +329,21 @@ def test_what_a_cgns_file_has_beside_its_mesh_is_told(tmp_path):
         found = cgns.node(zone, "ZoneGridConnectivity", "ZoneGridConnectivity_t")
         cgns.node(found, "slip", "GridConnectivity_t", "all")
     notes = " ".join(io.read(tmp_path / "a.cgns").source.notes)
-    for part in ("the base Surface of 2-D cells", "the sections fan", "of the zones all the first", "all/slip"):
+    for part in (
+        "the base Surface of 2-D cells",
+        "the sections fan",
+        "of the zones all the first",
+        "all/slip",
+    ):
         assert part in notes, notes
 
 
 def test_faces_without_names_are_told():
     mesh = jm.Mesh.from_meshio(of_meshio([]))
     assert list(mesh.patches) == ["boundary"]
-    assert mesh.source.notes == ("8 faces, edges or points of the file have no names, and are no patches.",)
+    assert mesh.source.notes == (
+        "8 faces, edges or points of the file have no names, and are no patches.",
+    )
 
 
 @pytest.mark.parametrize(("form", "width"), [("records", 8), ("plain", 4)])
@@ -285,4 +353,6 @@ def test_blank_nodes_of_binary_grids_are_told(tmp_path, form, width):
     data = (tmp_path / "a.xyz").read_bytes()
     at = data.rindex(b"\0\0\0\1" * 27)
     (tmp_path / "a.xyz").write_bytes(data[:at] + b"\0" * 12 + data[at + 12 :])
-    assert io.read(tmp_path / "a.xyz").source.notes == ("3 nodes are blank (IBLANK 0), and are read as all others.",)
+    assert io.read(tmp_path / "a.xyz").source.notes == (
+        "3 nodes are blank (IBLANK 0), and are read as all others.",
+    )

@@ -82,9 +82,14 @@ def test_the_wall_and_the_overshoot_stand_in_the_table(here, capsys):
     assert deform("wall.su2", "--displacement", "wall.dat") == 0
     text = capsys.readouterr().out
     pattern = r" +\d (.*)   node (\d+) near \("
-    row, low = (re.search(name + pattern, text) for name in ("max wall angle", "min first-cell height"))
+    row, low = (
+        re.search(name + pattern, text) for name in ("max wall angle", "min first-cell height")
+    )
     np.testing.assert_allclose([float(row[1]), float(low[1])], values[1:], rtol=1e-4)
-    assert float(wall.angle[int(np.flatnonzero(np.asarray(wall.nodes) == int(row[2]))[0])]) == values[1]
+    assert (
+        float(wall.angle[int(np.flatnonzero(np.asarray(wall.nodes) == int(row[2]))[0])])
+        == values[1]
+    )
     assert re.search(r"overshoot +- +\S+\novershoot behind", text)
     assert max(map(len, text.split("\n"))) <= 80
 
@@ -109,8 +114,24 @@ def test_methods_by_name(here, name):
 
 @pytest.mark.nightly
 def test_order_of_the_motions(here):
-    motion = ("--scale", "2", "1", "--rotate", "90", "--translate", "0.25", "0", "--displacement", "shift.csv")
-    assert deform("a.su2", *motion, "--displacement-is", "displacement", "--steps", "3", "--sources", "8") == 0
+    motion = (
+        "--scale",
+        "2",
+        "1",
+        "--rotate",
+        "90",
+        "--translate",
+        "0.25",
+        "0",
+        "--displacement",
+        "shift.csv",
+    )
+    assert (
+        deform(
+            "a.su2", *motion, "--displacement-is", "displacement", "--steps", "3", "--sources", "8"
+        )
+        == 0
+    )
     before = io.read("ring.su2")
     shifted = (before.points[:24] + np.array([0.125, -0.25])) * [2, 1]
     expected = np.column_stack([-shifted[:, 1], shifted[:, 0]]) + np.array([0.25, 0])
@@ -123,7 +144,9 @@ def test_new_positions_from_a_file_in_any_order_and_arrays_for_paraview(here):
     np.testing.assert_allclose(after.points[:24], before.points[:24] * [1, 1.25], atol=1e-12)
     data = after.source.content.data
     at_points, at_cells = data_of(data.GetPointData()), data_of(data.GetCellData())
-    np.testing.assert_allclose(at_points["displacement"][:, :2], after.points - before.points, atol=1e-15)
+    np.testing.assert_allclose(
+        at_points["displacement"][:, :2], after.points - before.points, atol=1e-15
+    )
     expected = jm.quality(before, after.points)
     np.testing.assert_allclose(at_cells["skewness"], expected.skewness, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(at_cells["volume_ratio"], expected.volume_ratio, rtol=1e-12)
@@ -171,11 +194,16 @@ WRONG = {
     f"{SURFACE} --rotate 1 --axis 0 0 1": "--rotate: `axis` is for positions in 3-D",
     f"{SURFACE} --rotate 1 --sources 2": "`count` must be 3 or more in 2-D, not 2",
 }
-WRONG = {f"deform ring.su2 out.su2 {flags}": f"^jaxmorph deform: .*{message}" for flags, message in WRONG.items()}
+WRONG = {
+    f"deform ring.su2 out.su2 {flags}": f"^jaxmorph deform: .*{message}"
+    for flags, message in WRONG.items()
+}
 WRONG |= {
     "info text.su2": "^jaxmorph info: text.su2: no NDIME=",
     "quality wall.dat": "^jaxmorph quality: FILE wall.dat: unknown file ending '.dat'; known are SU2",
-    **dict.fromkeys(("dance", "deform ring.su2", "quality a b c", "--dance"), r"^jaxmorph.*--help\)$"),
+    **dict.fromkeys(
+        ("dance", "deform ring.su2", "quality a b c", "--dance"), r"^jaxmorph.*--help\)$"
+    ),
     "defrom": r"there is no command defrom; did you mean deform\?",
     "deform ring.su2 a.su2 --movng wall": r"there is no flag --movng; did you mean --moving\?",
     "quality ring.su2 --max-skewnes=1": r"there is no flag --max-skewnes; did you mean --max-skewness\?",
@@ -196,8 +224,20 @@ def test_no_input_is_overwritten(here, capsys):
     (here / "wall.su2").write_bytes(table)
     for name, flag in (("ring.su2", "IN"), ("wall.su2", "--displacement")):
         for out, *more in ((name,), ("out.su2", "--save-job", name)):
-            words = ["deform", "ring.su2", out, *SURFACE.split(), "--displacement", "wall.su2", *more]
-            refused(capsys, words, f"{more[0] if more else 'OUT'} {name} is the file of {flag}. Write to another file.")
+            words = [
+                "deform",
+                "ring.su2",
+                out,
+                *SURFACE.split(),
+                "--displacement",
+                "wall.su2",
+                *more,
+            ]
+            refused(
+                capsys,
+                words,
+                f"{more[0] if more else 'OUT'} {name} is the file of {flag}. Write to another file.",
+            )
     same = ["--save-job", "a.png", "--picture", "a.png"]
     refused(capsys, [*words[:-2], *same], "--picture a.png is the file of --save-job")
     assert (here / "ring.su2").read_bytes() == original
@@ -226,7 +266,18 @@ def test_a_case_is_called_by_the_name_of_its_folder(tmp_path, monkeypatch, capsy
 
 @pytest.mark.slow
 def test_a_process_of_its_own_computes_in_double_precision(here):
-    command = [sys.executable, "-m", "jaxmorph", "deform", "ring.su2", "own.su2", "--moving", "wall", "--fixed", "far"]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxmorph",
+        "deform",
+        "ring.su2",
+        "own.su2",
+        "--moving",
+        "wall",
+        "--fixed",
+        "far",
+    ]
     command += ["--translate", "1e-9", "0", "--method", "graph"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -266,7 +317,10 @@ def test_sliding_and_periodic_patches_on_the_command_line(tmp_path, capsys):
     file, points, sides = _box(tmp_path)
     flags = "--moving z0 --translate 0.01 0.02 0.1 --fixed z1 --sliding x0 x1 --periodic y0 y1 --method rbf"
     job = tmp_path / "job.toml"
-    said = printed(capsys, ["deform", str(file), str(tmp_path / "out.su2"), *flags.split(), "--save-job", str(job)])
+    said = printed(
+        capsys,
+        ["deform", str(file), str(tmp_path / "out.su2"), *flags.split(), "--save-job", str(job)],
+    )
     assert "sliding  x0, x1: 50 nodes" in said
     assert "periodic y0, y1: 25 pairs" in said
     moved = io.read(tmp_path / "out.su2").points
@@ -285,7 +339,19 @@ def test_sliding_and_periodic_patches_on_the_command_line(tmp_path, capsys):
 
 def test_nodes_out_of_the_hull_are_told(tmp_path, capsys):
     file, _, _ = _box(tmp_path)
-    arguments = ["--moving", "z0", "--fixed", "x0", "--free", "[xyz]1", "y0", "--translate", "0", "0", "0.1"]
+    arguments = [
+        "--moving",
+        "z0",
+        "--fixed",
+        "x0",
+        "--free",
+        "[xyz]1",
+        "y0",
+        "--translate",
+        "0",
+        "0",
+        "0.1",
+    ]
     words = ["deform", str(file), str(tmp_path / "out.su2"), *arguments, "--method", "graph"]
     refused(capsys, words, "outside of the convex hull")
 
@@ -297,7 +363,18 @@ def test_a_symmetry_patch_that_is_not_plane(tmp_path, capsys):
     bent = np.array(mesh.points)
     bent[np.flatnonzero((bent[:, 0] == 0) & (bent[:, 1] == 0.5))[2], 0] = 0.01
     io.write(tmp_path / "bent.su2", mesh.moved(bent))
-    arguments = ["--moving", "z0", "--fixed", "z1", "--symmetry", "x0", "--translate", "0", "0", "0.1"]
+    arguments = [
+        "--moving",
+        "z0",
+        "--fixed",
+        "z1",
+        "--symmetry",
+        "x0",
+        "--translate",
+        "0",
+        "0",
+        "0.1",
+    ]
     words = ["deform", str(tmp_path / "bent.su2"), str(tmp_path / "out.su2"), *arguments]
     refused(capsys, words, "the patch 'x0': these 25 nodes do not lie in one plane: node")
     assert file.read_text() == text
@@ -308,7 +385,14 @@ def ranked(tmp_path):
     """The box with patches of other names: two walls, and the rest."""
     file, _, sides = _box(tmp_path)
     mesh = io.read(file)
-    names = {"z0": "wall.low", "z1": "wall.high", "x0": "in", "x1": "out", "y0": "left", "y1": "right"}
+    names = {
+        "z0": "wall.low",
+        "z1": "wall.high",
+        "x0": "in",
+        "x1": "out",
+        "y0": "left",
+        "y1": "right",
+    }
     named = jm.Mesh(mesh.points, mesh.cells, {names[side]: nodes for side, nodes in sides.items()})
     io.write(tmp_path / "ranked.su2", named)
     return tmp_path / "ranked.su2", named
@@ -332,8 +416,14 @@ def test_patches_by_pattern(ranked, capsys):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("wall.hihg", r"no patch is called 'wall.hihg' (did you mean 'wall.high'?); this mesh has: '"),
-        ("wall*", r"no patch is called 'wall*' (patterns are regular expressions: 'wall.*'); this mesh has"),
+        (
+            "wall.hihg",
+            r"no patch is called 'wall.hihg' (did you mean 'wall.high'?); this mesh has: '",
+        ),
+        (
+            "wall*",
+            r"no patch is called 'wall*' (patterns are regular expressions: 'wall.*'); this mesh has",
+        ),
         ("(wing", r"no patch is called '(wing'; this mesh has"),
         ("q+", r"no patch is called 'q+'; this mesh has"),
     ],
@@ -352,7 +442,9 @@ def test_help_and_version_without_a_command(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
     assert ended.value.code == 0
-    assert re.fullmatch(r"jaxmorph \d\S* \(jax .*, numpy .*, scipy .*, Python .*\)\n", capsys.readouterr().out)
+    assert re.fullmatch(
+        r"jaxmorph \d\S* \(jax .*, numpy .*, scipy .*, Python .*\)\n", capsys.readouterr().out
+    )
 
 
 MOVE = "--moving wall --fixed far --translate 1 0"
@@ -430,7 +522,9 @@ def test_what_no_mesh_can_fulfil_is_told_at_once(tmp_path):
     options = {"env": environment, "cwd": tmp_path, "capture_output": True, "text": True}
     run = subprocess.run([sys.executable, "-c", RUN], input=words, check=False, **options)
     assert not run.stderr
-    for (words, expected), (status, told, has_jax) in zip(AT_ONCE.items(), json.loads(run.stdout), strict=True):
+    for (words, expected), (status, told, has_jax) in zip(
+        AT_ONCE.items(), json.loads(run.stdout), strict=True
+    ):
         assert status == 2, words
         assert expected in told, words
         assert told.count("\n") == 1, words
@@ -440,7 +534,11 @@ def test_what_no_mesh_can_fulfil_is_told_at_once(tmp_path):
 @pytest.mark.parametrize("words", [["--moving=-[wh].*"], ["--moving=-wall", "--moving=-heat"]])
 def test_names_that_begin_with_a_dash(tmp_path, words):
     mesh = ring(names=("-wall", "--far"))
-    both = {"-wall": mesh.patch("-wall")[:12], "-heat": mesh.patch("-wall")[12:], "--far": mesh.patch("--far")}
+    both = {
+        "-wall": mesh.patch("-wall")[:12],
+        "-heat": mesh.patch("-wall")[12:],
+        "--far": mesh.patch("--far"),
+    }
     io.write(tmp_path / "in.su2", jm.Mesh(mesh.points, mesh.cells, both))
     job = ["--save-job", str(tmp_path / "job.toml"), "--method", "graph"]
     paths = [str(tmp_path / name) for name in ("in.su2", "out.su2")]
@@ -449,5 +547,8 @@ def test_names_that_begin_with_a_dash(tmp_path, words):
     assert main(["deform", *paths, "--job", job[1]]) == 0
     wall = mesh.patch("-wall")
     angle = np.radians(-5)
-    turned = np.asarray(mesh.points)[wall] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    turned = np.asarray(mesh.points)[wall] @ [
+        [np.cos(angle), np.sin(angle)],
+        [-np.sin(angle), np.cos(angle)],
+    ]
     np.testing.assert_allclose(io.read(tmp_path / "out.su2").points[wall], turned, atol=1e-14)

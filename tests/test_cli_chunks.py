@@ -35,7 +35,9 @@ def run(file, out, *flags):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("flags", [["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "flags", [["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]], ids=" ".join
+)
 def test_chunks_give_the_mesh_of_the_whole(here, sizes, flags):
     mesh = write_ring(here / "ring.su2")
     whole = run("ring.su2", "whole.su2", *MOVE, *flags)
@@ -75,7 +77,10 @@ def test_chunks_cover_the_mesh_and_have_one_length(here):
     wall, far = mesh.patch("wall"), mesh.patch("far")
     for size in (10, 50, 167, 168, 1000, None):
         boundary = jm.Boundary(mesh.points, wall, far)
-        chunks = [nodes for nodes, _ in jm.prepare_in_chunks(boundary, size=size, method=jm.InverseDistance())]
+        chunks = [
+            nodes
+            for nodes, _ in jm.prepare_in_chunks(boundary, size=size, method=jm.InverseDistance())
+        ]
         assert len(chunks) == (1 if size is None else -(-168 // size))
         assert len({len(nodes) for nodes in chunks}) == 1
         assert all(np.isin([*wall, *far], nodes).all() for nodes in chunks)
@@ -108,7 +113,9 @@ def test_warnings_name_nodes_of_the_mesh(here, capsys):
     (here / "tear.dat").write_text("".join(rows))
     motion = ["--displacement", "tear.dat", "--displacement-is", "displacement", "--no-dry-run"]
     for chunk in ([], ["--chunk", "50"]):
-        main(["deform", "mixed.su2", "b.su2", "--moving", "wall", "--fixed", "far", *motion, *chunk])
+        main(
+            ["deform", "mixed.su2", "b.su2", "--moving", "wall", "--fixed", "far", *motion, *chunk]
+        )
         pair = re.search(r"the worst nodes (\d+) and (\d+) (?:of|near)", capsys.readouterr().err)
         assert pair
         assert {new[3]} < {int(node) for node in pair.groups()} <= {new[2], new[3], new[4]}
@@ -119,5 +126,8 @@ def test_an_error_carries_its_nodes():
     error = jm.MeshError("2 nodes are far away, first node {node}.", [2, 0])
     whole = pickle.loads(pickle.dumps(error.renumbered(np.array([3, 5, 8]))))
     assert isinstance(whole, ValueError)
-    assert (str(error), str(whole)) == ("2 nodes are far away, first node 2.", "2 nodes are far away, first node 8.")
+    assert (str(error), str(whole)) == (
+        "2 nodes are far away, first node 2.",
+        "2 nodes are far away, first node 8.",
+    )
     assert whole.nodes.tolist() == [8, 3]

@@ -40,14 +40,20 @@ def test_a_gate_fails_names_its_cells_and_holds_the_file_back(here, capsys):
     row = re.search(r"max skewness +(\S+) +(\S+) +(\S+)   24 of 192\n", said.out)
     assert row
     before = float(np.max(np.asarray(jm.quality(mesh).skewness)))
-    np.testing.assert_allclose([float(x) for x in row.groups()], [limit, before, skewness.max()], rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(
+        [float(x) for x in row.groups()], [limit, before, skewness.max()], rtol=1e-4, atol=1e-12
+    )
     named = re.findall(r"^  (\d+) +(\S+)   near \((\S+), (\S+)\)$", said.out, re.MULTILINE)
     assert len(named) == 5
     for cell, value, x, y in named:
         assert float(value) == pytest.approx(skewness[int(cell)], rel=1e-4)
         assert skewness[int(cell)] >= np.sort(skewness)[-5]
-        np.testing.assert_allclose([float(x), float(y)], points[mesh.cells["quad"][int(cell)]].mean(axis=0), rtol=1e-2)
-    assert re.search(r"24 of 192 cells are beyond --max-skewness \S+, the worst is cell \d+\. No other", said.err)
+        np.testing.assert_allclose(
+            [float(x), float(y)], points[mesh.cells["quad"][int(cell)]].mean(axis=0), rtol=1e-2
+        )
+    assert re.search(
+        r"24 of 192 cells are beyond --max-skewness \S+, the worst is cell \d+\. No other", said.err
+    )
     assert deform("bad.su2", *motion, *gate, "--allow-inverted") == 1
     np.testing.assert_array_equal(io.read("bad.su2").points, points)
     assert main(["quality", "ring.su2", "bad.su2", *gate[:2]]) == 1
@@ -90,16 +96,28 @@ def test_no_advice_where_none_works(here, capsys):
 def test_a_mesh_that_was_bad_before_is_told_and_gets_no_advice(here, capsys):
     assert deform("was.su2", "--translate", "0.1", "0", "--max-aspect-ratio", "1.1") == 1
     said = capsys.readouterr().err
-    assert "192 of 192 cells are beyond --max-aspect-ratio 1.1 (192 before the motion), the worst is cell" in said
+    assert (
+        "192 of 192 cells are beyond --max-aspect-ratio 1.1 (192 before the motion), the worst is cell"
+        in said
+    )
     assert "Try" not in said
     assert "With" not in said
 
 
 def test_the_preset_is_that_of_checkmesh_and_single_limits_win(here, capsys):
-    assert deform("a.su2", "--rotate", "1", "--preset", "checkmesh", "--max-face-skewness", "3", "--json") == 0
+    assert (
+        deform(
+            "a.su2", "--rotate", "1", "--preset", "checkmesh", "--max-face-skewness", "3", "--json"
+        )
+        == 0
+    )
     gates = {gate["gate"]: gate for gate in json.loads(capsys.readouterr().out)["gates"]}
     limits = {name: gate["limit"] for name, gate in gates.items()}
-    assert limits == {"max_face_aspect_ratio": 1000, "max_non_orthogonality": 70, "max_face_skewness": 3}
+    assert limits == {
+        "max_face_aspect_ratio": 1000,
+        "max_non_orthogonality": 70,
+        "max_face_skewness": 3,
+    }
     assert all(gate["beyond"] == 0 for gate in gates.values())
 
 
@@ -113,7 +131,9 @@ def test_skewness_of_faces_in_2d():
     mesh = jm.Mesh(points, {"quad": [[0, 1, 2, 3], [1, 4, 5, 2]]})
     length = np.sqrt(1 + 0.8**2)
     lower = 0.5 * 0.8 / length / (0.5 * length)
-    np.testing.assert_allclose(jm.face_quality(mesh).skewness, [0.2 / 0.5, max(0.4 / 0.5, lower)], rtol=1e-12)
+    np.testing.assert_allclose(
+        jm.face_quality(mesh).skewness, [0.2 / 0.5, max(0.4 / 0.5, lower)], rtol=1e-12
+    )
 
 
 CUBE = [[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
@@ -122,9 +142,21 @@ TWINS = {
         [*CUBE, [2, 0.4, 0.2], [2, 1.4, 0.2], [2, 0.4, 1.2], [2, 1.4, 1.2]],
         [[0, 1, 2, 3, 4, 5, 6, 7], [1, 8, 9, 2, 5, 10, 11, 6]],
     ),
-    "tetra": ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 1.5, 1.1]], [[0, 1, 2, 3], [1, 4, 2, 3]]),
+    "tetra": (
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 1.5, 1.1]],
+        [[0, 1, 2, 3], [1, 4, 2, 3]],
+    ),
     "wedge": (
-        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1.9, 1.2, 0], [1.9, 1.2, 1]],
+        [
+            [0, 0, 0],
+            [1, 0, 0],
+            [0, 1, 0],
+            [0, 0, 1],
+            [1, 0, 1],
+            [0, 1, 1],
+            [1.9, 1.2, 0],
+            [1.9, 1.2, 1],
+        ],
         [[0, 1, 2, 3, 4, 5], [1, 6, 2, 4, 7, 5]],
     ),
 }
@@ -135,7 +167,10 @@ TWINS = {
 def test_skewness_of_faces_in_3d(kind):
     """One face after the other, as OpenFOAM's primitiveMeshTools says it."""
     points, cells = TWINS[kind]
-    points = np.asarray(points, float) @ (np.eye(3) + 0.3 * np.random.default_rng(0).normal(size=(3, 3))).T
+    points = (
+        np.asarray(points, float)
+        @ (np.eye(3) + 0.3 * np.random.default_rng(0).normal(size=(3, 3))).T
+    )
     expected = []
     for cell, other in (cells, cells[::-1]):
         centre, beyond = points[cell].mean(axis=0), points[other].mean(axis=0)
@@ -149,9 +184,14 @@ def test_skewness_of_faces_in_3d(kind):
             across = beyond - centre if common else normal * (normal @ (middle - centre))
             by = middle - centre - across * (normal @ (middle - centre)) / (normal @ across)
             reach = max(abs((face - middle) @ by)) / np.linalg.norm(by)
-            worst = max(worst, np.linalg.norm(by) / max(reach, (0.2 if common else 0.4) * np.linalg.norm(across)))
+            worst = max(
+                worst,
+                np.linalg.norm(by) / max(reach, (0.2 if common else 0.4) * np.linalg.norm(across)),
+            )
         expected.append(worst)
-    np.testing.assert_allclose(jm.face_quality(jm.Mesh(points, {kind: cells})).skewness, expected, rtol=1e-10)
+    np.testing.assert_allclose(
+        jm.face_quality(jm.Mesh(points, {kind: cells})).skewness, expected, rtol=1e-10
+    )
 
 
 def test_as_many_steps_as_it_takes(here, capsys):
@@ -175,10 +215,21 @@ def test_as_many_steps_as_it_takes(here, capsys):
 
 @pytest.mark.slow
 def test_where_steps_do_not_suffice_the_share_and_a_cure_are_told(here, capsys):
-    motion = ("--rotate", "130", "--method", "graph", "--min-jacobian-ratio", "0.05", "--steps", "auto")
+    motion = (
+        "--rotate",
+        "130",
+        "--method",
+        "graph",
+        "--min-jacobian-ratio",
+        "0.05",
+        "--steps",
+        "auto",
+    )
     assert deform("far.su2", *motion) == 1
     said = capsys.readouterr()
-    assert re.search(r"^steps    16 keep the cells for \d\d\.\d% of the motion$", said.out, flags=re.MULTILINE)
+    assert re.search(
+        r"^steps    16 keep the cells for \d\d\.\d% of the motion$", said.out, flags=re.MULTILINE
+    )
     assert "--sliding far in place of --fixed --steps 1 works." in said.err
 
 

@@ -78,8 +78,18 @@ def test_a_shell_completes(tmp_path, line, expected):
     tags = "MARKER_TAG= wall\n% MARKER_TAG= old\n MARKERTAG =wake % behind\nMARKER_TAG= far\n"
     (tmp_path / "a.su2").write_text(f"NDIME= 2\n{tags}")
     code = "import os, sys; from jaxmorph.cli import main; os.dup2(1, 8); sys.argv = ['jaxmorph']; main()"
-    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
+    asked = {
+        "_ARGCOMPLETE": "1",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "_ARGCOMPLETE_IFS": "\n",
+    }
     done = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True, cwd=tmp_path, check=False
+        [sys.executable, "-c", code],
+        env=os.environ | asked,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
     )
     assert {word.strip() for word in done.stdout.split("\n") if word.strip()} == expected

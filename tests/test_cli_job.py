@@ -48,13 +48,26 @@ mode = [["shift.csv", 0.5]]
 patches = ["wall"]
 box = { low = [-2, -2], high = [2, 2], points = [2, 3], moved = [{ at = [1, 2], by = [0.1, 0] }] }
 """
-BOX = '{"low": [-2, -2], "high": [2, 2], "points": [2, 3], "moved": [{"at": [1, 2], "by": [0.1, 0]}]}'
+BOX = (
+    '{"low": [-2, -2], "high": [2, 2], "points": [2, 3], "moved": [{"at": [1, 2], "by": [0.1, 0]}]}'
+)
 
 
 def test_a_job_says_what_the_flags_say(here, capsys):
     (here / "job.toml").write_text(JOB)
     assert main(["deform", "--job", "job.toml"]) == 0
-    flags = ["--moving", "wall", "--rotate", "-25", "--about", "0.5", "-0.1", "--mode", "shift.csv", "0.5"]
+    flags = [
+        "--moving",
+        "wall",
+        "--rotate",
+        "-25",
+        "--about",
+        "0.5",
+        "-0.1",
+        "--mode",
+        "shift.csv",
+        "0.5",
+    ]
     flags += ["--moving", "wall", "--box", BOX, "--fixed", "far", "--method", "rbf", "--steps", "2"]
     capsys.readouterr()
     flags += ["--max-aspect-ratio", "50", "--save-job", "saved.toml"]
@@ -71,7 +84,20 @@ def test_a_job_says_what_the_flags_say(here, capsys):
 
 def test_flags_beside_a_job_win(here):
     (here / "job.toml").write_text(JOB)
-    assert main(["deform", "ring.su2", "other.su2", "--job", "job.toml", "--box", BOX.replace("0.1", "0.3")]) == 0
+    assert (
+        main(
+            [
+                "deform",
+                "ring.su2",
+                "other.su2",
+                "--job",
+                "job.toml",
+                "--box",
+                BOX.replace("0.1", "0.3"),
+            ]
+        )
+        == 0
+    )
     assert not (here / "from_job.su2").exists()
     assert main(["deform", "--job", "job.toml"]) == 0
     a, b = (np.asarray(io.read(here / name).points)[:24] for name in ("other.su2", "from_job.su2"))
@@ -127,32 +153,69 @@ def test_every_flag_of_deform_stands_in_a_job(here):
     assert again == dataclasses.replace(request, job=again.job)
     assert again.groups[1].box == {"low": [0]}
     known = set(parser()[1]["deform"].flags)
-    assert known - set(words) == {"--help", "--help-all", "--job", "--save-job", "--json", "--verbose"}
+    assert known - set(words) == {
+        "--help",
+        "--help-all",
+        "--job",
+        "--save-job",
+        "--json",
+        "--verbose",
+    }
 
 
 TEXT_OF_PATCH = "[[moving]]\npatches = ['wall']\n"
 BAD_JOBS = [
     ("file = ring.su2", "job.toml: not TOML"),
-    ("fille = 'ring.su2'", r"job.toml: a job has no fille; did you mean file\? It may have file, output"),
-    (f"{TEXT_OF_PATCH}rotat = 1", r"job.toml: \[\[moving\]\] has no rotat; did you mean rotate\? It may have"),
+    (
+        "fille = 'ring.su2'",
+        r"job.toml: a job has no fille; did you mean file\? It may have file, output",
+    ),
+    (
+        f"{TEXT_OF_PATCH}rotat = 1",
+        r"job.toml: \[\[moving\]\] has no rotat; did you mean rotate\? It may have",
+    ),
     ("[[moving]]\nrotate = 1", r"job.toml: a \[\[moving\]\] without patches"),
     ("moving = 'wall'", r"job.toml: moving is a list of tables: begin each with \[\[moving\]\]"),
-    ("steps = true", "job.toml: argument --steps: a whole number of 1 or more expected, found 'True'"),
-    ("steps = 2.5", "job.toml: argument --steps: a whole number of 1 or more expected, found '2.5'"),
+    (
+        "steps = true",
+        "job.toml: argument --steps: a whole number of 1 or more expected, found 'True'",
+    ),
+    (
+        "steps = 2.5",
+        "job.toml: argument --steps: a whole number of 1 or more expected, found '2.5'",
+    ),
     ("rotate = 5", r"job.toml: a job has no rotate: it belongs to .* below a \[\[moving\]\]"),
     ("output = 'out.su2'", "job.toml: file is missing: the mesh that the job moves"),
-    ("method = ['rbf', 'other.su2']", r"job.toml: method is one value, found \['rbf', 'other.su2'\]"),
+    (
+        "method = ['rbf', 'other.su2']",
+        r"job.toml: method is one value, found \['rbf', 'other.su2'\]",
+    ),
     ("method = '--json'", "job.toml: argument --method: invalid choice: '--json' .choose from"),
     ("dtype = 'float16'", "job.toml: argument --dtype: invalid choice: 'float16'"),
     ("set = 5", "job.toml: set is a table of names and numbers, found 5"),
     ("set = {a = 'x'}", "job.toml: argument --set: 'a=x' is not NAME=NUMBER"),
-    (f"{TEXT_OF_PATCH}mode = 5", r'job.toml: mode is a list of files with .*, \[\["FILE", 0.1\], ...\], found 5'),
-    (f"{TEXT_OF_PATCH}mode = ['shift.csv', 1]", r"job.toml: mode is a list of .*, found \['shift.csv', 1\]"),
+    (
+        f"{TEXT_OF_PATCH}mode = 5",
+        r'job.toml: mode is a list of files with .*, \[\["FILE", 0.1\], ...\], found 5',
+    ),
+    (
+        f"{TEXT_OF_PATCH}mode = ['shift.csv', 1]",
+        r"job.toml: mode is a list of .*, found \['shift.csv', 1\]",
+    ),
     (f"steps = 1\nfixed = {5000 * '['}", "job.toml: fixed is nested too deep"),
-    (f"{TEXT_OF_PATCH}rotate = {200 * '['}{200 * ']'}", r"job.toml: rotate is one value, found \[\[\[.{,50}$"),
-    (f"{TEXT_OF_PATCH}box = {{ low = {9000 * '['}{9000 * ']'} }}", "job.toml: box is nested too deep"),
+    (
+        f"{TEXT_OF_PATCH}rotate = {200 * '['}{200 * ']'}",
+        r"job.toml: rotate is one value, found \[\[\[.{,50}$",
+    ),
+    (
+        f"{TEXT_OF_PATCH}box = {{ low = {9000 * '['}{9000 * ']'} }}",
+        "job.toml: box is nested too deep",
+    ),
     (f"steps = {5000 * '1'}", "job.toml: not TOML"),
-    ('file = "ring\\u0000.su2"\noutput = "out.su2"', r"IN 'ring\\x00.su2': a name of a file holds no null byte"),
+    (
+        'file = "ring\\u0000.su2"\noutput = "out.su2"',
+        r"IN 'ring\\x00.su2': a name of a file holds no null byte",
+    ),
     ("allow_inverted = 1", "job.toml: allow_inverted is true or false, found 1"),
 ]
 
@@ -183,7 +246,12 @@ def test_json_is_one_object_and_says_what_the_text_says(here, capsys):
     found = json.loads(said.out)
     mesh = io.read("ring.su2")
     report = jm.quality(mesh, io.read("out.su2").points)
-    assert (found["status"], found["output"], found["points"], found["moving"]) == (0, "out.su2", 216, {"wall": 24})
+    assert (found["status"], found["output"], found["points"], found["moving"]) == (
+        0,
+        "out.su2",
+        216,
+        {"wall": 24},
+    )
     assert found["after"]["max_skewness"] == pytest.approx(float(report.max_skewness), rel=1e-12)
     assert found["after"]["worst_skewness"]["cell"] == int(np.argmax(report.skewness))
     assert found["largest"] == pytest.approx(0.2)
@@ -199,7 +267,14 @@ def test_json_is_one_object_and_says_what_the_text_says(here, capsys):
 @pytest.mark.nightly
 def test_verbose_tells_the_time_of_each_stage(here, capsys):
     said = printed(capsys, ["deform", "ring.su2", "out.su2", *MOVE, "--verbose"])
-    stages = ("reading ring.su2", "preparing", "deforming in 1 step", "judging the cells", "writing out.su2", "all")
+    stages = (
+        "reading ring.su2",
+        "preparing",
+        "deforming in 1 step",
+        "judging the cells",
+        "writing out.su2",
+        "all",
+    )
     assert all(f"\n  {stage} " in said for stage in stages)
     assert max(map(len, said.split("\n"))) <= 80
 
@@ -207,8 +282,13 @@ def test_verbose_tells_the_time_of_each_stage(here, capsys):
 @pytest.mark.slow
 def test_single_precision_moves_to_its_precision_and_the_wall_exactly(here):
     for dtype in ("float64", "float32"):
-        assert main(["deform", "ring.su2", f"{dtype}.su2", *MOVE, "--rotate", "10", "--dtype", dtype]) == 0
-    double, single = (np.asarray(io.read(f"{dtype}.su2").points) for dtype in ("float64", "float32"))
+        assert (
+            main(["deform", "ring.su2", f"{dtype}.su2", *MOVE, "--rotate", "10", "--dtype", dtype])
+            == 0
+        )
+    double, single = (
+        np.asarray(io.read(f"{dtype}.su2").points) for dtype in ("float64", "float32")
+    )
     np.testing.assert_allclose(single, double, atol=1e-5)
     assert np.abs(single - double).max() > 1e-12
     np.testing.assert_allclose(single[:24], double[:24], atol=1e-15)
@@ -241,7 +321,9 @@ sys.exit(main(["deform", "ring.su2", "out.su2", *{MOVE!r}, "--method", "graph"])
     assert done.stderr == "jaxmorph deform: interrupted; no file is half written.\n"
     assert done.returncode == 128 + signal.SIGINT
     left = {path.name for path in here.iterdir()} - {"ring.su2", "shift.csv"}
-    assert left <= {"out.su2"}  # on one core nothing; beside the signal a thread gives the whole file its name
+    assert left <= {
+        "out.su2"
+    }  # on one core nothing; beside the signal a thread gives the whole file its name
     if left:
         assert main(["deform", "ring.su2", "again.su2", *MOVE, "--method", "graph"]) == 0
         assert (here / "out.su2").read_bytes() == (here / "again.su2").read_bytes()
@@ -260,7 +342,9 @@ runpy.run_module("jaxmorph", run_name="__main__", alter_sys=False)
 """
 
 
-@pytest.mark.parametrize("module", ["jax", pytest.param("jaxmorph.cli._inspect", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "module", ["jax", pytest.param("jaxmorph.cli._inspect", marks=pytest.mark.slow)]
+)
 def test_an_interrupt_while_a_module_is_imported_is_one_line(here, module):
     code = INTERRUPTED.format(module=module)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -275,7 +359,16 @@ def test_text_is_utf_8_under_any_locale(here):
     (here / "ring.su2").write_text(mesh, encoding="utf-8")
     (here / "job.toml").write_text(JOB.replace("wall", "flügel"), encoding="utf-8")
     environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    command = [sys.executable, "-m", "jaxmorph", "deform", "--job", "job.toml", "--save-job", "saved.toml"]
+    command = [
+        sys.executable,
+        "-m",
+        "jaxmorph",
+        "deform",
+        "--job",
+        "job.toml",
+        "--save-job",
+        "saved.toml",
+    ]
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
     assert rb"moving   fl\xfcgel: 24 nodes" in done.stdout

@@ -22,7 +22,9 @@ def folder(tmp_path_factory):
     mesh = write_ring(folder / "ring.su2")
     wall = mesh.points[:24]
     shapes = np.stack([wall * (wall[:, :1] > 0), np.random.default_rng(0).normal(size=(24, 2))])
-    rows = "".join(f"{k} {x!r} {y!r}\n" for k, (x, y) in reversed(list(enumerate(shapes[0].tolist()))))
+    rows = "".join(
+        f"{k} {x!r} {y!r}\n" for k, (x, y) in reversed(list(enumerate(shapes[0].tolist())))
+    )
     (folder / "bump.csv").write_text(rows)
     np.savez(folder / "random.npz", displacement=shapes[1])
     np.save(folder / "shapes.npy", shapes)
@@ -48,7 +50,9 @@ def test_each_file_is_what_deform_writes(here, capsys):
     for k, file in ((1, "bump.csv"), (9, "random.npz")):
         motion = ["--mode", file, amplitudes[k % 5 - 1]]
         assert main(["deform", "ring.su2", "one.su2", *SURFACE, *motion]) == 0
-        np.testing.assert_allclose(io.read(f"sweep_{k:04d}.su2").points, io.read("one.su2").points, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(
+            io.read(f"sweep_{k:04d}.su2").points, io.read("one.su2").points, rtol=0, atol=1e-13
+        )
 
 
 def test_a_series_opens_in_paraview_at_its_amplitudes(here):
@@ -74,13 +78,19 @@ def test_bad_cases_are_left_out_and_told(here, capsys):
     assert [case["inverted"] > 0 for case in found["cases"]] == [False, True, False]
     assert re.search(r"case 2: \d+ of 192 cells are inverted", said.err)
     assert "1 of 3 cases not written" in said.err
-    assert sorted(path.name for path in here.glob("bad*")) == ["bad.pvd", "bad_0001.vtu", "bad_0003.vtu"]
+    assert sorted(path.name for path in here.glob("bad*")) == [
+        "bad.pvd",
+        "bad_0001.vtu",
+        "bad_0003.vtu",
+    ]
     assert pyvista.PVDReader("bad.pvd").time_values == [1.0, 3.0]  # the amplitudes do not go up
     assert modes("bad.pvd", *flags, "--allow-inverted") == 1
     assert (here / "bad_0002.vtu").exists()
 
 
-@pytest.mark.parametrize(("form", "ending"), runs([("su2", "csv"), ("table", "npz")], nightly=[("npz", "csv")]))
+@pytest.mark.parametrize(
+    ("form", "ending"), runs([("su2", "csv"), ("table", "npz")], nightly=[("npz", "csv")])
+)
 def test_sensitivity_is_the_slope_of_what_deform_does(here, form, ending):
     """J = sum of g . x over all points, whose gradient is g, against differences of J by two runs of deform."""
     points = np.asarray(io.read("ring.su2").points)
@@ -91,7 +101,9 @@ def test_sensitivity_is_the_slope_of_what_deform_does(here, form, ending):
         lines += [f"{k}, 0.5, 0.25, 7, {float(g[k, 0])!r}, {float(g[k, 1])!r}" for k in order]
         (here / "volume.csv").write_text("\n".join(lines))
     elif form == "table":
-        (here / "volume.csv").write_text("".join(f"{k} {float(g[k, 0])!r} {float(g[k, 1])!r}\n" for k in order))
+        (here / "volume.csv").write_text(
+            "".join(f"{k} {float(g[k, 0])!r} {float(g[k, 1])!r}\n" for k in order)
+        )
     else:
         np.savez("volume.npz", ids=order, sensitivity=g[order])
     file = "volume.npz" if form == "npz" else "volume.csv"
@@ -112,7 +124,10 @@ def test_sensitivity_is_the_slope_of_what_deform_does(here, form, ending):
 
 BAD = {
     "half.csv": ("0 1 2\n1 1 2\n", r"half.csv: 22 of the 24 nodes are missing \(first 2\)"),
-    "foreign.csv": ("216 1 2\n", r"foreign.csv: 1 of its 1 node ids are not of the mesh, 0 to 215 \(first 216\)"),
+    "foreign.csv": (
+        "216 1 2\n",
+        r"foreign.csv: 1 of its 1 node ids are not of the mesh, 0 to 215 \(first 216\)",
+    ),
     "a.csv": (
         "PointID,x,Sensitivity_x,Sensitivity_y\n0,1,2,3\n1,2,3\n",
         "line 3: 4 numbers, as in the header, expected",

@@ -34,7 +34,16 @@ def moved(brick, *flags) -> tuple[np.ndarray, np.ndarray, jm.Mesh]:
     """Old and new points, and the mesh; nothing said of the quality."""
     out = brick.with_name("out.su2")
     fixed = ["rest"] if "low" in flags else ["rest", "low"]
-    words = ["deform", str(brick), str(out), "--fixed", *fixed, *flags, "--allow-inverted", "--no-dry-run"]
+    words = [
+        "deform",
+        str(brick),
+        str(out),
+        "--fixed",
+        *fixed,
+        *flags,
+        "--allow-inverted",
+        "--no-dry-run",
+    ]
     assert main([*words, "--method", "graph"]) in (0, 1)
     mesh = io.read(brick)
     return np.asarray(mesh.points), np.asarray(io.read(out).points), mesh
@@ -42,7 +51,9 @@ def moved(brick, *flags) -> tuple[np.ndarray, np.ndarray, jm.Mesh]:
 
 def test_each_patch_has_its_own_motion(brick):
     turn = ("--rotate", "20", "--about", "0", "0.5", "0", "--axis", "1", "0", "0")
-    x, y, mesh = moved(brick, "--moving", "high", *turn, "--moving", "low", "--translate", "-0.2", "0", "0.1")
+    x, y, mesh = moved(
+        brick, "--moving", "high", *turn, "--moving", "low", "--translate", "-0.2", "0", "0.1"
+    )
     high, low = mesh.patch("high"), mesh.patch("low")
     centre = np.array([0, 0.5, 0])
     expected = centre + Rotation.from_euler("x", 20, degrees=True).apply(x[high] - centre)
@@ -89,7 +100,10 @@ def test_a_node_of_several_patches_moves_once(tmp_path, monkeypatch, name):
 
     def group(*patches):
         u = np.sin(np.arange(2 * len(mesh.points))).reshape(-1, 2)
-        rows = [f"{node},{x},{y}" for node, (x, y) in zip(mesh.patch(*patches), u[mesh.patch(*patches)], strict=True)]
+        rows = [
+            f"{node},{x},{y}"
+            for node, (x, y) in zip(mesh.patch(*patches), u[mesh.patch(*patches)], strict=True)
+        ]
         (tmp_path / f"{patches[0]}.csv").write_text("\n".join(["id,x,y", *rows]))
         return ["--moving", *patches, *MOTIONS[name].replace("FILE", f"{patches[0]}.csv").split()]
 
@@ -106,9 +120,13 @@ def test_a_node_of_several_patches_moves_once(tmp_path, monkeypatch, name):
 def test_patches_that_move_a_common_node_differently_are_told():
     mesh = petals()
     up, down = ("--translate", "0", "0.05"), ("--translate", "0", "-0.05")
-    with pytest.raises(ValueError, match=r"one and two move 2 common nodes differently, by up to 0.1: nodes 8, 9,"):
+    with pytest.raises(
+        ValueError, match=r"one and two move 2 common nodes differently, by up to 0.1: nodes 8, 9,"
+    ):
         path_of(mesh, ["--moving", "one", *up, "--moving", "two", *down])
-    with pytest.raises(ValueError, match=r"one\+three and one\+three then three move \d+ common nodes differently"):
+    with pytest.raises(
+        ValueError, match=r"one\+three and one\+three then three move \d+ common nodes differently"
+    ):
         path_of(mesh, ["--moving", "one", "three", *up, "--moving", "three", "--rotate", "5"])
 
 
@@ -118,13 +136,30 @@ def test_twist_grows_along_the_line_and_stops_at_its_ends(brick):
     centre = np.array([1, -1, 0])
     for node in mesh.patch("high"):
         share = np.clip((x[node, 1] + 1) / 2, 0, 1)
-        expected = centre + Rotation.from_euler("y", 30 * share, degrees=True).apply(x[node] - centre)
+        expected = centre + Rotation.from_euler("y", 30 * share, degrees=True).apply(
+            x[node] - centre
+        )
         np.testing.assert_allclose(y[node], expected, atol=1e-14)
 
 
 def test_bend_makes_an_arc_of_the_same_length(brick):
     """By integrating the tangent along the line: numbers that the closed form of the library does not use."""
-    line = ("--axis", "1", "0", "0", "--along", "0", "1", "0", "--about", "0", "-1", "0", "--length", "2")
+    line = (
+        "--axis",
+        "1",
+        "0",
+        "0",
+        "--along",
+        "0",
+        "1",
+        "0",
+        "--about",
+        "0",
+        "-1",
+        "0",
+        "--length",
+        "2",
+    )
     x, y, mesh = moved(brick, "--moving", "high", "--bend", "60", *line)
     for node in mesh.patch("high"):
         s = x[node, 1] + 1
@@ -144,19 +179,38 @@ def test_modes_and_displacements_add(brick):
     shapes = 0.1 * rng.normal(size=(3, len(high), 3))
     np.savez(brick.with_name("a.npz"), ids=high[::-1], displacement=shapes[0, ::-1])
     for name, shape in (("b.csv", shapes[1]), ("c.csv", shapes[2])):
-        rows = [f"{node},{','.join(map(repr, row))}" for node, row in zip(high.tolist(), shape.tolist(), strict=True)]
+        rows = [
+            f"{node},{','.join(map(repr, row))}"
+            for node, row in zip(high.tolist(), shape.tolist(), strict=True)
+        ]
         brick.with_name(name).write_text("id,dx,dy,dz\n" + "\n".join(rows))
     a, b, c = (str(brick.with_name(name)) for name in ("a.npz", "b.csv", "c.csv"))
-    flags = ("--mode", a, "0.5", "--mode", b, "-2e0", "--displacement", c, "--displacement-is", "displacement")
+    flags = (
+        "--mode",
+        a,
+        "0.5",
+        "--mode",
+        b,
+        "-2e0",
+        "--displacement",
+        c,
+        "--displacement-is",
+        "displacement",
+    )
     x, y, _ = moved(brick, "--moving", "high", *flags, "--steps", "2")
-    np.testing.assert_allclose(y[high], x[high] + 0.5 * shapes[0] - 2 * shapes[1] + shapes[2], atol=1e-14)
+    np.testing.assert_allclose(
+        y[high], x[high] + 0.5 * shapes[0] - 2 * shapes[1] + shapes[2], atol=1e-14
+    )
 
 
 def test_a_box_moves_what_is_inside_by_bernstein_polynomials(brick):
     box = {"low": [1, -1.5, -3], "high": [3, 2.5, 3], "points": [2, 4, 3]}
     control = np.zeros((2, 4, 3, 3))
     control[1, 2, 1], control[0, 1, 2] = [0.1, 0.2, -0.3], [0.3, 0, 0.1]
-    box["moved"] = [{"at": [1, 2, 1], "by": [0.1, 0.2, -0.3]}, {"at": [0, 1, 2], "by": [0.3, 0, 0.1]}]
+    box["moved"] = [
+        {"at": [1, 2, 1], "by": [0.1, 0.2, -0.3]},
+        {"at": [0, 1, 2], "by": [0.3, 0, 0.1]},
+    ]
     x, y, mesh = moved(brick, "--moving", "high", "--box", json.dumps(box))
     high = mesh.patch("high")
     t = (x[high] - [1, -1.5, -3]) / [2, 4, 6]
@@ -174,7 +228,9 @@ def test_a_box_moves_what_is_inside_by_bernstein_polynomials(brick):
         "low = [1, -1.5, -3]\nhigh = [3, 2.5, 3]\npoints = [2, 4, 3]\n[[moved]]\nat = [1, 2, 1]\n"
         "by = [0.1, 0.2, -0.3]\n[[moved]]\nat = [0, 1, 2]\nby = [0.3, 0, 0.1]\n"
     )
-    np.testing.assert_array_equal(moved(brick, "--moving", "high", "--box", str(brick.with_name("box.toml")))[1], y)
+    np.testing.assert_array_equal(
+        moved(brick, "--moving", "high", "--box", str(brick.with_name("box.toml")))[1], y
+    )
 
 
 BOX = '--box {{"low":[0,0,0],"high":[1,1,{}],"points":[2,2,2],"moved":[{}]}}'
@@ -189,13 +245,25 @@ WRONG = {
     "--twist 5 --along 1 0 0 --about 3 0 0": "--twist: `length` is -1.0; it must be above 0",
     '--box {"low":[0,0,0]}': "--box: low and high or corners, points and a list moved expected, found low",
     BOX.format(0, ""): "--box: low must be below high",
-    BOX.format(1, '{"at":[2,0,0],"by":[0,0,1]}'): r"--box: at = \[2, 0, 0\]: whole numbers from 0 to \[1, 1, 1\]",
+    BOX.format(
+        1, '{"at":[2,0,0],"by":[0,0,1]}'
+    ): r"--box: at = \[2, 0, 0\]: whole numbers from 0 to \[1, 1, 1\]",
 }
 
 
 @pytest.mark.parametrize("flags", WRONG)
 def test_motions_that_make_no_sense(brick, capsys, flags):
     out = brick.with_name("wrong.su2")
-    words = ["deform", str(brick), str(out), "--moving", "high", *flags.split(), "--fixed", "rest", "low"]
+    words = [
+        "deform",
+        str(brick),
+        str(out),
+        "--moving",
+        "high",
+        *flags.split(),
+        "--fixed",
+        "rest",
+        "low",
+    ]
     refused(capsys, words, WRONG[flags])
     assert not out.exists()

@@ -27,17 +27,43 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_ring(tmp_path / "ring.su2")
     block = bricks(2)
-    sides = {name: np.flatnonzero(block.points[:, 2] == z) for name, z in (("floor", 0), ("roof", 1))}
+    sides = {
+        name: np.flatnonzero(block.points[:, 2] == z) for name, z in (("floor", 0), ("roof", 1))
+    }
     io.write(tmp_path / "block.su2", jm.Mesh(block.points, block.cells, sides))
     return tmp_path
 
 
 def ring(*more):
-    return main(["deform", "ring.su2", "out.su2", "--moving", "wall", "--fixed", "far", "--method", "graph", *more])
+    return main(
+        [
+            "deform",
+            "ring.su2",
+            "out.su2",
+            "--moving",
+            "wall",
+            "--fixed",
+            "far",
+            "--method",
+            "graph",
+            *more,
+        ]
+    )
 
 
 def block(*more):
-    motion = ["--moving", "roof", "--fixed", "floor", "--method", "graph", "--translate", "0", "0", "0.5"]
+    motion = [
+        "--moving",
+        "roof",
+        "--fixed",
+        "floor",
+        "--method",
+        "graph",
+        "--translate",
+        "0",
+        "0",
+        "0.5",
+    ]
     return main(["deform", "block.su2", "out.su2", *motion, *more])
 
 
@@ -52,7 +78,9 @@ def test_in_2d_before_and_after_side_by_side(here, capsys):
     hollow = [(half == body).all(axis=2).sum() for half in halves]
     assert min(hollow) > 20_000  # the wall's inside
     assert hollow[0] == pytest.approx(hollow[1], rel=0.02)
-    dark = [half[(half[..., 0] - half[..., 2]) > 60].sum() for half in halves]  # skewed by the rotation
+    dark = [
+        half[(half[..., 0] - half[..., 2]) > 60].sum() for half in halves
+    ]  # skewed by the rotation
     assert dark[1] > 10 * dark[0]
     assert tomllib.loads((here / "job.toml").read_text())["picture"] == "ring.png"
 
@@ -77,9 +105,13 @@ def test_a_mesh_one_cell_wide_is_drawn_in_2d(tmp_path, lift):
     n, moved = len(flat.points), np.array(flat.points)
     moved[flat.patch("wall")] += [0.1, 0.05]
     slab = np.concatenate([np.insert(flat.points, 1, y, axis=1) for y in (0, 0.2)])
-    after = np.concatenate([np.insert(moved, 1, y + lift * (moved[:, 0] > 0), axis=1) for y in (0, 0.2)])
+    after = np.concatenate(
+        [np.insert(moved, 1, y + lift * (moved[:, 0] > 0), axis=1) for y in (0, 0.2)]
+    )
     cells = np.concatenate([flat.cells["quad"] + n, flat.cells["quad"]], axis=1)
-    mesh = jm.Mesh(slab, {"hexahedron": cells}, {"wall": np.append(flat.patch("wall"), flat.patch("wall") + n)})
+    mesh = jm.Mesh(
+        slab, {"hexahedron": cells}, {"wall": np.append(flat.patch("wall"), flat.patch("wall") + n)}
+    )
     plot.picture(tmp_path / "slab.png", mesh, after, moving=mesh.patch("wall"))
     plot.picture(tmp_path / "flat.png", flat, moved, moving=flat.patch("wall"))
     pictures = [np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("slab", "flat")]
@@ -91,7 +123,9 @@ def figures(monkeypatch):
     """The figures that are saved."""
     saved, save = [], Figure.savefig
     monkeypatch.setattr(
-        Figure, "savefig", lambda self, *args, **settings: saved.append(self) or save(self, *args, **settings)
+        Figure,
+        "savefig",
+        lambda self, *args, **settings: saved.append(self) or save(self, *args, **settings),
     )
     return saved
 
@@ -108,7 +142,9 @@ def channel(columns=30):
     return jm.Mesh(np.column_stack([x, y]), {"triangle": cells}, patches)
 
 
-def test_of_internal_flow_the_whole_mesh_is_in_view_and_the_numbers_are_those_of_the_table(tmp_path, figures):
+def test_of_internal_flow_the_whole_mesh_is_in_view_and_the_numbers_are_those_of_the_table(
+    tmp_path, figures
+):
     """The channel fills the width, its two states one above the other; each cell has a mean of its neighbours."""
     mesh = channel()
     moved = np.array(mesh.points)
@@ -137,7 +173,12 @@ def test_of_polyhedra_one_layer_thick_the_measure_is_that_of_the_table(tmp_path,
         walls = [[a, b, b + 6, a + 6] for a, b in itertools.pairwise([*rim, rim[0]])]
         cells.append([rim[::-1], [node + 6 for node in rim], *walls])
     mesh = io.read(
-        foam.write_case(tmp_path / "case", np.concatenate([plane, plane + np.array([0, 0, 0.1])]), cells, foam.PATCHES)
+        foam.write_case(
+            tmp_path / "case",
+            np.concatenate([plane, plane + np.array([0, 0, 0.1])]),
+            cells,
+            foam.PATCHES,
+        )
     )
     worst = jm.judge(mesh).rows["max", "face_skewness"]
     plot.picture(tmp_path / "two.png", mesh)
@@ -146,7 +187,10 @@ def test_of_polyhedra_one_layer_thick_the_measure_is_that_of_the_table(tmp_path,
     assert bar.get_xlabel().startswith("face skewness")
     np.testing.assert_allclose(np.ravel(axis.lines[-1].get_data()), worst.near[:2])
     assert (axis.get_xlim(), axis.get_ylim()) == ((0, 2.2), (0, 2))
-    drawn, own = np.asarray(axis.collections[0].get_array()), np.asarray(jm.face_quality(mesh).skewness)
+    drawn, own = (
+        np.asarray(axis.collections[0].get_array()),
+        np.asarray(jm.face_quality(mesh).skewness),
+    )
     assert own.min() <= drawn.min() < drawn.max() <= own.max() == worst.value
 
 
@@ -158,6 +202,18 @@ def test_a_bad_mesh_is_drawn_though_not_written(here, capsys):
 
 
 def test_a_page_of_a_mesh_in_2d_is_refused_before_the_work(here, capsys):
-    words = ["deform", "ring.su2", "out.su2", "--moving", "wall", "--fixed", "far", "--picture", "ring.html"]
-    refused(capsys, [*words, "--rotate", "20"], r"ring.html: a picture of this mesh ends in \.png\.$")
+    words = [
+        "deform",
+        "ring.su2",
+        "out.su2",
+        "--moving",
+        "wall",
+        "--fixed",
+        "far",
+        "--picture",
+        "ring.html",
+    ]
+    refused(
+        capsys, [*words, "--rotate", "20"], r"ring.html: a picture of this mesh ends in \.png\.$"
+    )
     assert not (here / "out.su2").exists()

@@ -27,7 +27,11 @@ def test_rows_say_what_the_plans_do_and_the_best_comes_first():
     base = np.asarray(mesh.points)[boundary.moving]
     motions = np.stack([0.4 * np.sin(k * base[:, ::-1]) for k in (1, 4)])
     none = jm.RBF(reduction=jm.FarthestPoints(1), fixed_reduction=jm.FarthestPoints(1))
-    methods = {"one source": none, "graph": jm.DelaunayGraph(), "default": jm.SurfaceReconstruction()}
+    methods = {
+        "one source": none,
+        "graph": jm.DelaunayGraph(),
+        "default": jm.SurfaceReconstruction(),
+    }
     methods |= {"springs": jm.SpringAnalogy(), "distance": jm.InverseDistance()}
     found = jm.compare(boundary, motions, methods)
     assert sorted(row.method for row in found.rows) == sorted(methods)
@@ -59,7 +63,9 @@ def test_a_boundary_keeps_its_planes():
     u = np.full((1, len(boundary.moving), 3), 0.01)
     plan = jm.compare(boundary, u, {"graph": jm.Multiscale()}).plans[0]
     assert plan.images is not None
-    np.testing.assert_array_equal(jm.deform(plan, u[0]), jm.deform(jm.prepare(boundary, method=plan.method), u[0]))
+    np.testing.assert_array_equal(
+        jm.deform(plan, u[0]), jm.deform(jm.prepare(boundary, method=plan.method), u[0])
+    )
 
 
 @pytest.mark.parametrize("name", jm.METHODS)
@@ -83,10 +89,16 @@ def test_camber_asks_for_the_cells(problem, monkeypatch):
     boundary, base = problem
     camber = 0.2 * (base[:, :1] - base[:, :1] ** 2) * [0, 1]
     first = jm.compare(boundary, jnp.asarray(camber[None]))
-    names = {"default", "interpolated", *(name for name, entry in jm.METHODS.items() if entry.is_tried)}
+    names = {
+        "default",
+        "interpolated",
+        *(name for name, entry in jm.METHODS.items() if entry.is_tried),
+    }
     assert {row.method for row in first.rows} == names
     angles = {row.method: row.angle for row in first.rows}
-    assert max(angles["elasticity"], angles["torsional"]) < angles["default"] < angles["interpolated"]
+    assert (
+        max(angles["elasticity"], angles["torsional"]) < angles["default"] < angles["interpolated"]
+    )
     assert angles["elasticity"] < angles["graph"]
     assert all(row.seconds > 0 for row in first.rows)
     monkeypatch.setitem(MOST_POINTS, 2, 1000)
@@ -108,5 +120,7 @@ def test_where_sources_determine_no_field_other_methods_are_left():
         assert isinstance(found.plans[0].method, jm.InverseDistance)
         assert "do not span 2 dimensions" in found.rows[1].refused
         del methods["by distance"]
-        with pytest.raises(ValueError, match=r"every method is refused\. default: .*do not span 2 dimensions"):
+        with pytest.raises(
+            ValueError, match=r"every method is refused\. default: .*do not span 2 dimensions"
+        ):
             jm.compare(boundary, motions, methods)

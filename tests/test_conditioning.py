@@ -15,7 +15,11 @@ from jaxmorph import cases
 
 WIDE = runs(
     [(jm.Multiquadric(100.0), 0, 2)],
-    nightly=[(jm.Gaussian(10.0), 1, 2), (jm.Gaussian(100.0), None, 3), (jm.Multiquadric(10.0), 0, 3)],
+    nightly=[
+        (jm.Gaussian(10.0), 1, 2),
+        (jm.Gaussian(100.0), None, 3),
+        (jm.Multiquadric(10.0), 0, 3),
+    ],
 )
 
 
@@ -28,7 +32,12 @@ def test_bases_too_wide_for_their_sources_are_refused(basis, degree, dimension):
         planned(mesh, full(basis, degree))
     method, ids = full(basis, degree), jnp.arange(len(mesh.boundary))
     sources, values = mesh.points[mesh.boundary], surface_values(mesh)[1]
-    field = method.field(ids, method.fit(ids, jnp.asarray(sources), jnp.asarray(sources)), sources, jnp.asarray(values))
+    field = method.field(
+        ids,
+        method.fit(ids, jnp.asarray(sources), jnp.asarray(sources)),
+        sources,
+        jnp.asarray(values),
+    )
     assert np.abs(field.evaluate(sources, None) - values).max() > 1e-3 * np.abs(values).max()
 
 
@@ -40,7 +49,9 @@ def test_between_good_and_useless_is_a_warning():
     with pytest.warns(UserWarning, match=told):
         planned(mesh, full(jm.WendlandC2(2000.0), None))
     moved = moved_by(mesh, full(jm.WendlandC2(200.0), None), u)
-    expected = dense(mesh.points, mesh.points[mesh.boundary], values, lambda r: wendland(r, 200.0), None)
+    expected = dense(
+        mesh.points, mesh.points[mesh.boundary], values, lambda r: wendland(r, 200.0), None
+    )
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-7)
 
 
@@ -49,7 +60,9 @@ def test_a_large_condition_number_alone_is_no_fault():
     """The sources of a C-grid lie 1e-3 to 15 chords apart: reciprocal condition 1e-11 and less, interpolated values right."""
     mesh = cases.naca0015(points=2000)
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
-    plan = jm.prepare(mesh.points, moving, fixed, method=full(jm.ThinPlateSpline(), 1))  # any warning is an error here
+    plan = jm.prepare(
+        mesh.points, moving, fixed, method=full(jm.ThinPlateSpline(), 1)
+    )  # any warning is an error here
     sources = plan.points[plan.surface.nodes]
     matrix = dense_matrix(np.asarray(sources) / 15)
     assert np.linalg.cond(matrix, 1) > 1e9
@@ -68,7 +81,11 @@ def dense_matrix(sources):
     return np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
 
 
-@over("solver more", slow=[(None, "")], nightly=[(jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`")])
+@over(
+    "solver more",
+    slow=[(None, "")],
+    nightly=[(jm.Iterative(neighbours=12, dense=12), ", or a larger `tolerance`")],
+)
 def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
     """A fixed node 1e-9 beside a moving one, which no field follows: each hint is one that the method can follow."""
     mesh = body(2)
@@ -83,7 +100,9 @@ def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
     with pytest.raises(ValueError, match=told):
         prepared(classic)
     smooth = prepared(dataclasses.replace(classic, ridge=1e-6))
-    few = prepared(dataclasses.replace(classic, reduction=jm.KDTree(64), fixed_reduction=jm.KDTree(64)))
+    few = prepared(
+        dataclasses.replace(classic, reduction=jm.KDTree(64), fixed_reduction=jm.KDTree(64))
+    )
     for plan in (smooth, few):
         assert np.abs(jm.deform(plan, u) - points).max() < 2 * np.abs(u).max()
     close = jm.KDTree(64, separation=0.0)
@@ -98,22 +117,30 @@ def test_one_source(degree):
     points = np.array([[3.0, 1.0], [3.5, 1.0], [3.0, 2.0]])
     plan = jm.prepare(points, [0], method=full(jm.Gaussian(0.7), degree))
     spread = np.exp(-np.array([0, 0.25, 1]) / 0.49) if degree is None else np.ones(3)
-    np.testing.assert_allclose(jm.deform(plan, [[0.2, -0.1]]) - points, spread[:, None] * [0.2, -0.1], atol=1e-15)
-    assert np.isfinite(jax.grad(lambda x: jm.deform(jm.refit(plan, x), [[0.2, -0.1]]).sum())(points)).all()
+    np.testing.assert_allclose(
+        jm.deform(plan, [[0.2, -0.1]]) - points, spread[:, None] * [0.2, -0.1], atol=1e-15
+    )
+    assert np.isfinite(
+        jax.grad(lambda x: jm.deform(jm.refit(plan, x), [[0.2, -0.1]]).sum())(points)
+    ).all()
 
 
 def test_a_singular_system():
     """One source of a thin plate spline, which is zero there, and no polynomial."""
     with pytest.warns(UserWarning, match="ThinPlateSpline without a polynomial"):
         method = full(jm.ThinPlateSpline(), None)
-    with pytest.raises(ValueError, match=r"the interpolation matrix of 1 sources is singular\. Try"):
+    with pytest.raises(
+        ValueError, match=r"the interpolation matrix of 1 sources is singular\. Try"
+    ):
         jm.prepare(np.eye(2), [0], method=method)
 
 
 def test_fixed_sources_keep_away_from_moving_ones():
     """A wall that goes on as a fixed one, and a node of each 9e-4 from the other: the moving one alone is a source."""
     moving = np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1)
-    fixed = np.concatenate([np.stack([np.linspace(1 + 9e-4, 3, 9), np.zeros(9)], axis=1), [[0, 2.0], [3, 2]]])
+    fixed = np.concatenate(
+        [np.stack([np.linspace(1 + 9e-4, 3, 9), np.zeros(9)], axis=1), [[0, 2.0], [3, 2]]]
+    )
     points = np.concatenate([moving, fixed])
 
     def sources(reduction, fixed_reduction):
@@ -123,6 +150,8 @@ def test_fixed_sources_keep_away_from_moving_ones():
     near = sources(jm.KDTree(2), jm.KDTree(2))
     assert 8 in near
     assert 9 not in near
-    assert 9 in sources(jm.KDTree(2), jm.KDTree(2, separation=1e-6))  # the smaller one of both counts
+    assert 9 in sources(
+        jm.KDTree(2), jm.KDTree(2, separation=1e-6)
+    )  # the smaller one of both counts
     assert 9 in sources(jm.AllPoints(), jm.KDTree(2))
     assert len(sources(jm.AllPoints(), jm.AllPoints())) == 20

@@ -24,10 +24,21 @@ import jaxmorph as jm
 FAST = {("delaunay", 2), ("reduced", 2)}
 """Cases whose laws the fast tests hold."""
 
-WHOLE = FAST | {("default", 2), ("inverse-distance", 2), ("elasticity", 2), ("notebook's method", 2)}
+WHOLE = FAST | {
+    ("default", 2),
+    ("inverse-distance", 2),
+    ("elasticity", 2),
+    ("notebook's method", 2),
+}
 """One case for each class of fields: `.ci/run` holds all laws of these. `.ci/nightly` holds every law of every case."""
 
-CHEAP = {("default", 2), ("elasticity", 2), ("compact", 2), ("inverse-distance", 2), ("torsional", 3)}
+CHEAP = {
+    ("default", 2),
+    ("elasticity", 2),
+    ("compact", 2),
+    ("inverse-distance", 2),
+    ("torsional", 3),
+}
 """Cases of which the fast tests hold the cheap laws too; of all others `.ci/run` holds them."""
 
 
@@ -35,11 +46,14 @@ def over(names, is_cheap=False):
     """Parametrises a law over cases, each marked by the run that holds it."""
     fast = FAST | CHEAP if is_cheap else FAST
     marks = [
-        [] if pair in fast else [pytest.mark.slow if is_cheap or pair in WHOLE else pytest.mark.nightly]
+        []
+        if pair in fast
+        else [pytest.mark.slow if is_cheap or pair in WHOLE else pytest.mark.nightly]
         for pair in names
     ]
     cases = [
-        pytest.param(*pair, marks=mark, id=f"{pair[0]}-{pair[1]}d") for pair, mark in zip(names, marks, strict=True)
+        pytest.param(*pair, marks=mark, id=f"{pair[0]}-{pair[1]}d")
+        for pair, mark in zip(names, marks, strict=True)
     ]
     return pytest.mark.parametrize(("name", "dimension"), cases)
 
@@ -47,7 +61,15 @@ def over(names, is_cheap=False):
 every_method, every_method_cheaply = over(NAMES), over(NAMES, is_cheap=True)
 LINEAR = [pair for pair in NAMES if BY_NAME[pair[0]].make(1.0).linear]
 every_linear, every_linear_cheaply = over(LINEAR), over(LINEAR, is_cheap=True)
-PIECES = ("default", "few-sources", "near-wall", "multiscale", "delaunay", "wendland-none", "reduced")
+PIECES = (
+    "default",
+    "few-sources",
+    "near-wall",
+    "multiscale",
+    "delaunay",
+    "wendland-none",
+    "reduced",
+)
 every_piece = over([pair for pair in NAMES if pair[0] in PIECES and pair[1] == 2])
 
 
@@ -97,7 +119,13 @@ def test_nodes_of_no_cell_stay_and_change_nothing(name, dimension):
     cells = {kind: mesh.cells if method.needs_cells else mesh.outside}
     loose = np.array([[50.0] * dimension, [0.0] * dimension, mesh.points[mesh.moving[3]]])
     plans = [
-        jm.prepare(jm.Mesh(points, cells), mesh.moving, mesh.fixed, method=method, free=np.arange(len(points)))
+        jm.prepare(
+            jm.Mesh(points, cells),
+            mesh.moving,
+            mesh.fixed,
+            method=method,
+            free=np.arange(len(points)),
+        )
         for points in (mesh.points, np.concatenate([mesh.points, loose]))
     ]
     moved, more = (np.asarray(jm.deform(plan, u)) for plan in plans)
@@ -120,7 +148,9 @@ def test_the_surface_goes_where_it_is_told(name, dimension):
         assert 1e-12 < miss < np.abs(u).max()
     assert np.isfinite(moved).all()
     inner = moved[mesh.inner] - mesh.points[mesh.inner]
-    assert 1e-3 < np.abs(inner).max() < 3 * np.abs(u).max()  # the volume follows, and does not overshoot
+    assert (
+        1e-3 < np.abs(inner).max() < 3 * np.abs(u).max()
+    )  # the volume follows, and does not overshoot
 
 
 @every_method_cheaply
@@ -139,7 +169,9 @@ def test_interior_is_continuous_at_the_wall(name, dimension):
 @every_method_cheaply
 def test_nothing_moves_when_nothing_is_asked(name, dimension):
     plan = planned(name, dimension)
-    assert (np.asarray(jm.deform(plan, np.zeros((plan.n_moving, dimension)))) == body(dimension).points).all()
+    assert (
+        np.asarray(jm.deform(plan, np.zeros((plan.n_moving, dimension)))) == body(dimension).points
+    ).all()
 
 
 @over([pair for pair in NAMES if BY_NAME[pair[0]].translates])
@@ -149,7 +181,9 @@ def test_affine_motions_of_the_whole_boundary(name, dimension):
     shift = np.array([0.3, -0.2, 0.5])[:dimension]
     motions = [np.eye(dimension)]
     if case.affine:
-        shear = np.eye(dimension) + 0.3 * np.random.default_rng(1).normal(size=(dimension, dimension))
+        shear = np.eye(dimension) + 0.3 * np.random.default_rng(1).normal(
+            size=(dimension, dimension)
+        )
         motions += [rotation(dimension), shear]
     for matrix in motions:
         target = mesh.points @ matrix.T + shift
@@ -214,17 +248,35 @@ def test_derivatives_with_respect_to_the_base_points(name, dimension):
     step = 1e-7 * np.random.default_rng(5).normal(size=w.shape)
     difference = (objective(mesh.points + step)[0] - objective(mesh.points - step)[0]) / 2
     np.testing.assert_allclose(np.vdot(found, step), difference, rtol=1e-6, atol=1e-13)
-    for node, axis in ((mesh.moving[3], 0), (mesh.moving[11], 1), (mesh.fixed[5], 0), (mesh.inner[40], dimension - 1)):
+    for node, axis in (
+        (mesh.moving[3], 0),
+        (mesh.moving[11], 1),
+        (mesh.fixed[5], 0),
+        (mesh.inner[40], dimension - 1),
+    ):
         step = np.zeros_like(mesh.points)
         step[node, axis] = 1e-6
         difference = (objective(mesh.points + step)[0] - objective(mesh.points - step)[0]) / 2e-6
         np.testing.assert_allclose(found[node, axis], difference, rtol=1e-6, atol=2e-6)
 
 
-@over([("reduced", 2), ("wendland-none", 2), ("elasticity", 2), ("laplacian", 2), ("elasticity", 3), ("laplacian", 3)])
+@over(
+    [
+        ("reduced", 2),
+        ("wendland-none", 2),
+        ("elasticity", 2),
+        ("laplacian", 2),
+        ("elasticity", 3),
+        ("laplacian", 3),
+    ]
+)
 def test_second_derivatives_with_respect_to_the_base_points(name, dimension):
     plan, (u, w), mesh = planned(name, dimension), given(dimension), body(dimension)
-    v = np.linalg.norm(mesh.points, axis=1)[:, None] * 0.1 * np.random.default_rng(6).normal(size=w.shape)
+    v = (
+        np.linalg.norm(mesh.points, axis=1)[:, None]
+        * 0.1
+        * np.random.default_rng(6).normal(size=w.shape)
+    )
     gradient = jax.jit(jax.grad(lambda points: jnp.sum(w * jm.deform(jm.refit(plan, points), u))))
     second = jax.jit(jax.grad(lambda points: jnp.vdot(gradient(points), v)))(mesh.points)
     h = 1e-6
@@ -249,13 +301,19 @@ def test_eager_scan_jacfwd_and_vjp(name):
     one = jm.deform(plan, u)
     with jax.disable_jit():
         np.testing.assert_allclose(jm.deform(plan, u), one, rtol=0, atol=1e-13)
-    _, scanned = jax.lax.scan(lambda carry, u: (carry, jm.deform(plan, carry * u)), 2.0, jnp.stack([u, -u]))
+    _, scanned = jax.lax.scan(
+        lambda carry, u: (carry, jm.deform(plan, carry * u)), 2.0, jnp.stack([u, -u])
+    )
     np.testing.assert_allclose(scanned[1], jm.deform(plan, -2 * u), rtol=0, atol=1e-13)
     jacobian = jax.jacfwd(lambda u: jm.deform(plan, u))(jnp.asarray(u))
-    np.testing.assert_allclose(jacobian.reshape(w.size, u.size), operator(name, 2), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        jacobian.reshape(w.size, u.size), operator(name, 2), rtol=0, atol=1e-12
+    )
     _, pushed = jax.jvp(lambda u: jm.deform(plan, u), (jnp.asarray(u),), (jnp.asarray(2 * u),))
     np.testing.assert_allclose(pushed, 2 * (one - plan.points), rtol=0, atol=1e-13)
-    _, transpose = jax.vjp(lambda w: jm.pullback(plan, u, w), jnp.asarray(w))  # the transpose of the transpose
+    _, transpose = jax.vjp(
+        lambda w: jm.pullback(plan, u, w), jnp.asarray(w)
+    )  # the transpose of the transpose
     np.testing.assert_allclose(transpose(jnp.asarray(u))[0], one - plan.points, rtol=0, atol=1e-12)
 
 
@@ -265,7 +323,11 @@ def test_translated_turned_and_scaled_meshes(name, dimension):
     case, mesh, (u, _) = BY_NAME[name], body(dimension), given(dimension)
     reference = np.asarray(jm.deform(planned(name, dimension), u)) - mesh.points
     turned = rotation(dimension) if case.turns else np.roll(np.eye(dimension), 1, axis=0)
-    for length, shift, matrix in ((1e3, 0, np.eye(dimension)), (1e-3, 7e-3, np.eye(dimension)), (1, 0, turned)):
+    for length, shift, matrix in (
+        (1e3, 0, np.eye(dimension)),
+        (1e-3, 7e-3, np.eye(dimension)),
+        (1, 0, turned),
+    ):
         points = length * mesh.points @ matrix.T + shift
         plan = case.prepared(points, mesh.moving, mesh.fixed, length)
         moved = jm.deform(plan, length * u @ matrix.T) - points
@@ -278,9 +340,13 @@ def test_the_order_of_the_points_does_not_matter(name, dimension):
     rng = np.random.default_rng(8)
     order, rows = rng.permutation(len(mesh.points)), rng.permutation(len(mesh.moving))
     place = np.argsort(order)
-    plan = case.prepared(mesh.points[order], place[mesh.moving][rows], place[mesh.fixed][::-1], order=order)
+    plan = case.prepared(
+        mesh.points[order], place[mesh.moving][rows], place[mesh.fixed][::-1], order=order
+    )
     moved = jm.deform(plan, u[rows])
-    np.testing.assert_allclose(moved, jm.deform(planned(name, dimension), u)[order], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        moved, jm.deform(planned(name, dimension), u)[order], rtol=0, atol=1e-11
+    )
 
 
 def change_by_numbers(mesh, make, seeds, alone=False, **boundaries):
@@ -293,7 +359,9 @@ def change_by_numbers(mesh, make, seeds, alone=False, **boundaries):
         for corners in mesh.cells.values():
             np.add.at(around, corners, points[corners].mean(axis=1)[:, None])
         u = motion(2 * points[wall]) + 0.01 * np.sign(np.round(around[wall], 9))
-        plan = jm.prepare(points if alone else mesh, wall, mesh.patch("far"), method=make(), **boundaries)
+        plan = jm.prepare(
+            points if alone else mesh, wall, mesh.patch("far"), method=make(), **boundaries
+        )
         return np.asarray(jm.deform(plan, u)) - points, np.abs(u).max()
 
     (still, size), changes = moved(mesh), []
@@ -309,7 +377,10 @@ def test_numbering_does_not_matter(name, dimension):
     case = BY_NAME[name]
     for kind in ["2-D"] if dimension == 2 else ["3-D", "tetra"]:
         for alone in [False] if case.faces or case.make(1.0).needs_cells else [False, True]:
-            assert change_by_numbers(even(kind), lambda: case.make(0.3), [0], alone) < 1e-9, (kind, alone)
+            assert change_by_numbers(even(kind), lambda: case.make(0.3), [0], alone) < 1e-9, (
+                kind,
+                alone,
+            )
 
 
 SLIT = functools.cache(lambda: slit(12))
@@ -340,7 +411,10 @@ def test_numbering_does_not_matter_to_prepares_own_default(kind, alone):
 
 
 @pytest.mark.slow
-@given_by(strategies.sampled_from(["lattice", "ellipse", "slit", "tetrahedra"]), strategies.integers(0, 2**32 - 1))
+@given_by(
+    strategies.sampled_from(["lattice", "ellipse", "slit", "tetrahedra"]),
+    strategies.integers(0, 2**32 - 1),
+)
 @settings(max_examples=20, deadline=None)
 def test_no_numbering_is_found_that_matters(kind, seed):
     assert change_by_numbers(NUMBERED[kind][0](), lambda: None, [seed]) < 1e-9
@@ -349,7 +423,9 @@ def test_no_numbering_is_found_that_matters(kind, seed):
 @every_piece
 def test_float32(name, dimension):
     mesh, (u, w) = body(dimension), given(dimension)
-    plan = jm.prepare(mesh.points.astype(np.float32), mesh.moving, mesh.fixed, method=BY_NAME[name].make(1.0))
+    plan = jm.prepare(
+        mesh.points.astype(np.float32), mesh.moving, mesh.fixed, method=BY_NAME[name].make(1.0)
+    )
     moved = jm.deform(plan, u.astype(np.float32))
     assert moved.dtype == jm.pullback(plan, u, w).dtype == plan.points.dtype == np.float32
     np.testing.assert_allclose(moved, jm.deform(planned(name, dimension), u), rtol=0, atol=1e-4)
@@ -390,7 +466,9 @@ def test_blocks_agree_with_the_one_point_form(name, dimension):
     answers = [jax.jit(lambda own, form=form: jax.vjp(form, own)) for form in (blocks, one_by_one)]
     (value, pull), (expected, expected_pull) = (answer(own) for answer in answers)
     np.testing.assert_allclose(value, expected, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(pull(jnp.asarray(w))[0], expected_pull(jnp.asarray(w))[0], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(
+        pull(jnp.asarray(w))[0], expected_pull(jnp.asarray(w))[0], rtol=0, atol=1e-10
+    )
 
 
 X64_OFF = """
@@ -418,10 +496,14 @@ print(json.dumps(answer))
 def test_without_x64(request):
     """In a process of its own: float32 in, float32 out; float64 points are not cut to float32 in silence."""
     root = request.config.rootpath
-    done = subprocess.run([sys.executable, "-c", X64_OFF], capture_output=True, text=True, cwd=root, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", X64_OFF], capture_output=True, text=True, cwd=root, check=False
+    )
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert "x64" in answer.pop("warning")
     for name, (dtype, gradient_dtype, moved) in answer.items():
         assert dtype == gradient_dtype == "float32"
-        np.testing.assert_allclose(moved, jm.deform(planned(name, 2), given(2)[0]), rtol=0, atol=2e-3)
+        np.testing.assert_allclose(
+            moved, jm.deform(planned(name, 2), given(2)[0]), rtol=0, atol=2e-3
+        )

@@ -38,7 +38,11 @@ def fine():
     """A square of 5,041 nodes with a bump at the bottom."""
     axis = np.linspace(0, 1, 71) ** 1.5
     rest = lambda ids: np.concatenate([ids[-1], ids[:, -1]])  # noqa: E731
-    return grid(axis, axis, patches={"bottom": lambda ids: ids[:, 0], "left": lambda ids: ids[0], "rest": rest})
+    return grid(
+        axis,
+        axis,
+        patches={"bottom": lambda ids: ids[:, 0], "left": lambda ids: ids[0], "rest": rest},
+    )
 
 
 @pytest.fixture
@@ -55,7 +59,9 @@ EVERY = list(itertools.product(METHODS, ("fixed", "a plane")))
 FAST = ("radial functions", "fixed")
 
 
-@pytest.mark.parametrize(("name", "sides"), runs([FAST], nightly=[case for case in EVERY if case != FAST]))
+@pytest.mark.parametrize(
+    ("name", "sides"), runs([FAST], nightly=[case for case in EVERY if case != FAST])
+)
 def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, name, sides):
     fixed, symmetry = (("left", "rest"), ()) if sides == "fixed" else ("rest", "left")
     x = np.asarray(fine.points)[fine.patch("bottom")]
@@ -107,7 +113,9 @@ def test_the_environment_and_the_affinity_say_how_many_cores(monkeypatch):
     assert cores.cores() == 48
     for words in ("0", "-1", "two", "1.5"):
         monkeypatch.setenv(cores.SWITCH, words)
-        with pytest.raises(ValueError, match=f"JAXMORPH_CPUS must be a number of cores, 1 or more, found '{words}'"):
+        with pytest.raises(
+            ValueError, match=f"JAXMORPH_CPUS must be a number of cores, 1 or more, found '{words}'"
+        ):
             cores.cores()
 
 
@@ -138,22 +146,30 @@ def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
     from jaxmorph._methods import sparse
 
     made, tabled = [], sparse.Interpolation._tabled
-    monkeypatch.setattr(sparse.Interpolation, "_tabled", lambda *given: made.append(given) or tabled(*given))
+    monkeypatch.setattr(
+        sparse.Interpolation, "_tabled", lambda *given: made.append(given) or tabled(*given)
+    )
     mesh = body(2)
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
     u, w = motion(mesh.points)[mesh.moving], np.random.default_rng(0).normal(size=mesh.points.shape)
     jm.deform(plan, u)
     assert not made
-    assert all(rows.table is None for rows in jax.tree.leaves(plan, is_leaf=is_rows) if is_rows(rows))
+    assert all(
+        rows.table is None for rows in jax.tree.leaves(plan, is_leaf=is_rows) if is_rows(rows)
+    )
     expected = jm.pullback(plan, u, w)
     count = len(made)
     assert count
     jm.pullback(plan, 2 * u, w)
     jax.grad(lambda u: jnp.vdot(w, jm.deform(plan, u)))(jnp.asarray(u))
     assert len(made) == count
-    scattered = eqx.filter_jit(eqx.filter_grad(lambda u, plan: jnp.vdot(w, jm.deform(plan, u))))(jnp.asarray(u), plan)
+    scattered = eqx.filter_jit(eqx.filter_grad(lambda u, plan: jnp.vdot(w, jm.deform(plan, u))))(
+        jnp.asarray(u), plan
+    )
     np.testing.assert_allclose(scattered, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
-    np.testing.assert_allclose(jnp.vdot(w, jm.deform(plan, u) - plan.points), jnp.vdot(expected, u), rtol=1e-9)
+    np.testing.assert_allclose(
+        jnp.vdot(w, jm.deform(plan, u) - plan.points), jnp.vdot(expected, u), rtol=1e-9
+    )
 
 
 def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_points, monkeypatch):
@@ -175,7 +191,12 @@ def test_quality_has_equal_bits_on_any_number_of_cores(few_points, monkeypatch, 
         monkeypatch.setenv(cores.SWITCH, count)
         faces = jm.face_quality(mesh, points)
         measures = jm.quality(mesh, points), jm.quality(mesh), jm.wall_quality(mesh, wall, points)
-        found.append([*jax.tree.leaves(measures), *(getattr(faces, field.name) for field in dataclasses.fields(faces))])
+        found.append(
+            [
+                *jax.tree.leaves(measures),
+                *(getattr(faces, field.name) for field in dataclasses.fields(faces)),
+            ]
+        )
     assert len(faces.volume) > 512
     for others in found[1:]:
         for first, other in zip(found[0], others, strict=True):

@@ -59,7 +59,11 @@ INVERTED = runs(
     [("6409", SMALL, True, flap_up)],
     slow=[("cusped", SMALL, True, flap_up)],
     nightly=[
-        *(("cusped", SMALL, True, turn), ("cusped", SMALL, True, camber), ("6612", SMALL, True, flap_up)),
+        *(
+            ("cusped", SMALL, True, turn),
+            ("cusped", SMALL, True, camber),
+            ("6612", SMALL, True, flap_up),
+        ),
         *(("9412", SMALL, False, turn), ("4412", WHOLE, False, less_camber)),
     ],
 )
@@ -68,7 +72,11 @@ INVERTED = runs(
 @pytest.mark.parametrize(("section", "points", "extremes", "motion"), INVERTED)
 def test_the_defect_and_the_cure(section, points, extremes, motion):
     own = section == "cusped"
-    mesh = c_grid(cusped, points=points, first_cell=1e-6) if own else cases.naca4(section, points=points)
+    mesh = (
+        c_grid(cusped, points=points, first_cell=1e-6)
+        if own
+        else cases.naca4(section, points=points)
+    )
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
     path, start = motion(mesh.points[moving]), corner_areas(mesh, mesh.points)
     ratios = []
@@ -76,7 +84,9 @@ def test_the_defect_and_the_cure(section, points, extremes, motion):
         method = few_sources(correction, extremes=extremes)
         plans, points = jm.march(jm.prepare(mesh.points, moving, fixed, method=method), path)
         assert 6 <= np.isin(plans[0].sources, moving).sum() <= 12
-        np.testing.assert_allclose(np.asarray(points)[moving], mesh.points[moving] + path[-1], atol=1e-15)
+        np.testing.assert_allclose(
+            np.asarray(points)[moving], mesh.points[moving] + path[-1], atol=1e-15
+        )
         np.testing.assert_array_equal(np.asarray(points)[fixed], mesh.points[fixed])
         ratios.append((corner_areas(mesh, points) / start).min())
         assert float(jm.quality(mesh, points).min_jacobian_ratio) < ratios[-1] + 0.1
@@ -91,7 +101,9 @@ def passage(gap, columns=60, rows=40, first_cell=1e-5):
     across = 0.5 + 0.5 * np.tanh(np.linspace(-delta, delta, rows + 1)) / np.tanh(delta)
     y = 0.6 * x * (1 - x) + gap * across[:, None]
     ids = np.arange(y.size).reshape(y.shape)
-    quads = np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
+    quads = np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(
+        -1, 4
+    )
     points = np.stack([np.broadcast_to(x, y.shape), y], axis=-1).reshape(-1, 2)
     return jm.Mesh(points, {"quad": quads}, {"lower": ids[0], "upper": ids[-1]})
 
@@ -106,7 +118,9 @@ def test_layers_of_close_walls_end_between_them(gap, width):
     bump = 0.3 * gap * side * np.exp(-(((mesh.points[moving, 0] - 0.5) / 0.1) ** 2))
     coarse = jm.RBF(reduction=jm.KDTree(1, extremes=True))
     method = jm.SurfaceReconstruction(coarse, jm.NearWall(width=width))
-    points = np.asarray(jm.deform(jm.prepare(mesh.points, moving, method=method), np.column_stack([0 * bump, bump])))
+    points = np.asarray(
+        jm.deform(jm.prepare(mesh.points, moving, method=method), np.column_stack([0 * bump, bump]))
+    )
     ratios = corner_areas(mesh, points) / corner_areas(mesh, mesh.points)
     assert 0.1 < ratios.min() < 0.4  # 0.4 is what is left of the gap
 
@@ -119,7 +133,10 @@ def test_the_formula_written_out(width):
     inner = np.column_stack([np.full(40, x[10] + 0.002), np.geomspace(1e-6, 0.9, 40)])
     points, moving, fixed = np.concatenate([wall, lid, inner]), np.arange(21), np.arange(21, 42)
     u = np.random.default_rng(0).normal(size=(21, 2))
-    plans = [jm.prepare(points, moving, fixed, method=method) for method in (PUBLISHED, jm.NearWall(width=width))]
+    plans = [
+        jm.prepare(points, moving, fixed, method=method)
+        for method in (PUBLISHED, jm.NearWall(width=width))
+    ]
     alone, moved = (np.asarray(jm.deform(plan, u) - points)[42:] for plan in plans)
     apart, gap = (cdist(points[42:], points[nodes]) for nodes in (moving, fixed))
     order = np.argsort(apart, axis=1)[:, :7]
@@ -131,7 +148,9 @@ def test_the_formula_written_out(width):
     chi = ((1 - xi) ** 4 * (4 * xi + 1))[:, None]
     below = points[42:, 1] < 0.5
     assert ((chi > 0.05) & (chi < 0.95)).sum() > 4
-    np.testing.assert_allclose(moved[below], (chi * wall + (1 - chi) * alone)[below], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(
+        moved[below], (chi * wall + (1 - chi) * alone)[below], rtol=0, atol=1e-5
+    )
     outside = (chi[:, 0] == 0) & below
     assert outside.any()
     np.testing.assert_allclose(moved[outside], alone[outside], rtol=0, atol=1e-15)
@@ -158,7 +177,9 @@ def test_the_nearest_nodes_of_two_walls_are_those_of_all_distances(walls):
     first = np.where(is_reached, apart, np.inf).argmin(axis=1)
     other = np.where(wall[first][:, None] != wall[None], apart, np.inf)
     bound = 8 * reach[first]
-    expected = np.flatnonzero(is_reached.any(axis=1) & (apart[np.arange(500), first] <= other.min(axis=1)))
+    expected = np.flatnonzero(
+        is_reached.any(axis=1) & (apart[np.arange(500), first] <= other.min(axis=1))
+    )
     np.testing.assert_array_equal(np.sort(near), expected)
     np.testing.assert_array_equal(rows[:, 0], first[near])
     within = other.min(axis=1) < bound
@@ -173,7 +194,9 @@ def test_a_reconstruction_takes_the_displacement_where_its_correction_does():
     coarse = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=few())
     count = len(plan.surface_nodes)
     assert len(coarse.sources) < count
-    np.testing.assert_array_equal(np.sort(plan.method.control(plan.surface.ids).matched), np.arange(count))
+    np.testing.assert_array_equal(
+        np.sort(plan.method.control(plan.surface.ids).matched), np.arange(count)
+    )
     u = np.random.default_rng(0).normal(size=(len(mesh.moving), 2))
     field = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RBF.classic())
     np.testing.assert_allclose(field.offset(u), 0, rtol=0, atol=1e-9)  # it takes all of them
@@ -208,7 +231,11 @@ def test_it_carries_what_a_reduced_field_misses_as_far_as_the_sources_are_apart(
         gaps = np.linalg.norm(mesh.points[wall][:, None] - own[None], axis=2).min(axis=1)
         radius.append(np.full(len(wall), gaps.max()))
     moved = moved_by(mesh, jm.SurfaceReconstruction(few(), jm.LocalCorrection()), u)
-    expected = mesh.points + coarse + nearest_by_hand(mesh, values - coarse[mesh.boundary], np.concatenate(radius))
+    expected = (
+        mesh.points
+        + coarse
+        + nearest_by_hand(mesh, values - coarse[mesh.boundary], np.concatenate(radius))
+    )
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
 
 
@@ -218,10 +245,16 @@ def test_nothing_is_corrected_where_every_node_is_a_source():
     nodes = Reach(jnp.zeros(1, int), jnp.ones(1, bool))
 
     def weight(x, radius, surface):
-        return jm.LocalCorrection().place(x, nodes, LocalFactors(radius, jnp.array(True)), surface).weights.sum()
+        return (
+            jm.LocalCorrection()
+            .place(x, nodes, LocalFactors(radius, jnp.array(True)), surface)
+            .weights.sum()
+        )
 
     for x in np.eye(2):
-        value, slopes = jax.value_and_grad(weight, (0, 1, 2))(jnp.asarray(x), jnp.zeros(1), jnp.asarray([[1.0, 0.0]]))
+        value, slopes = jax.value_and_grad(weight, (0, 1, 2))(
+            jnp.asarray(x), jnp.zeros(1), jnp.asarray([[1.0, 0.0]])
+        )
         assert value == 0
         assert all((slope == 0).all() for slope in slopes)
 
@@ -250,19 +283,31 @@ def by_hand(surface, sources, values, points):
         if gap[node] == 0:
             return field
         coefficient = left[node].copy()
-        left -= wendland(np.linalg.norm(surface - surface[node], axis=1) / gap[node])[:, None] * coefficient
-        field += wendland(np.linalg.norm(points - surface[node], axis=1) / gap[node])[:, None] * coefficient
+        left -= (
+            wendland(np.linalg.norm(surface - surface[node], axis=1) / gap[node])[:, None]
+            * coefficient
+        )
+        field += (
+            wendland(np.linalg.norm(points - surface[node], axis=1) / gap[node])[:, None]
+            * coefficient
+        )
         before.append(node)
 
 
 @pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.nightly)])
 def test_as_the_paper_tells_it(dimension):
     mesh = body(dimension)
-    plan, coarse_plan = planned(mesh, jm.SurfaceReconstruction(few(), jm.Multiscale())), planned(mesh, few())
+    plan, coarse_plan = (
+        planned(mesh, jm.SurfaceReconstruction(few(), jm.Multiscale())),
+        planned(mesh, few()),
+    )
     u, values = surface_values(mesh)
     coarse = np.asarray(jm.deform(coarse_plan, u)) - mesh.points
     missed = values - coarse[mesh.boundary]
-    order, sources = np.asarray(plan.images.rows), np.asarray(coarse_plan.surface.ids)  # a method's rows go by place
+    order, sources = (
+        np.asarray(plan.images.rows),
+        np.asarray(coarse_plan.surface.ids),
+    )  # a method's rows go by place
     missed, surface = missed[order], mesh.points[mesh.boundary][order]
     missed[sources] = 0
     expected = mesh.points + coarse + by_hand(surface, sources, missed, mesh.points)
@@ -289,7 +334,12 @@ def test_the_order_does_not_depend_on_the_unit():
         assert (again[1] == nearest).all()
 
 
-@over("method", slow=[jm.Multiscale()], nightly=[jm.Multiscale.whole(1.0, 0.2)], ids=["alone", "whole"])
+@over(
+    "method",
+    slow=[jm.Multiscale()],
+    nightly=[jm.Multiscale.whole(1.0, 0.2)],
+    ids=["alone", "whole"],
+)
 def test_mirror_images_move_alike(method):
     """The field of the whole surface, images included, is symmetric: nodes on the plane have no motion across it."""
     part, role, *_ = whole_and_part(2, 1)
@@ -299,7 +349,9 @@ def test_mirror_images_move_alike(method):
     u[part[moving, 0] == 0, 0] = 0
     surface = plan.surface
     own = jnp.zeros((len(surface.nodes), 2)).at[: len(moving)].set(u)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.images.vectors(own))
+    field = plan.method.field(
+        surface.ids, surface.factors, surface.points, surface.images.vectors(own)
+    )
     displacement = np.asarray(field.evaluate(plan.points, plan.volume.placed))
     on = part[:, 0] == 0
     assert (on & (role == 0)).sum() > 3
@@ -315,7 +367,9 @@ def test_nodes_that_coincide():
     moving = np.concatenate([mesh.moving, len(mesh.points) + np.arange(5)])
     u = motion(points[moving])
     u[-5:] += 1e-3
-    plan = jm.prepare(points, moving, mesh.fixed, method=jm.SurfaceReconstruction(few(), jm.Multiscale()))
+    plan = jm.prepare(
+        points, moving, mesh.fixed, method=jm.SurfaceReconstruction(few(), jm.Multiscale())
+    )
     moved = np.asarray(jm.deform(plan, u))
     assert (moved[moving] == points[moving] + u).all()
     assert np.isfinite(moved).all()

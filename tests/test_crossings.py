@@ -30,7 +30,10 @@ def grid(shape, holes):
     outer = (points == 0).any(axis=1) | (points == shape).any(axis=1)
     cells = cells[keep]
     used = np.unique(cells)
-    patches = {name: np.searchsorted(used, np.flatnonzero(here)) for name, here in {**patches, "outer": outer}.items()}
+    patches = {
+        name: np.searchsorted(used, np.flatnonzero(here))
+        for name, here in {**patches, "outer": outer}.items()
+    }
     kind = "quad" if d == 2 else "hexahedron"
     return jm.Mesh(points[used], {kind: np.searchsorted(used, cells)}, patches)
 
@@ -54,7 +57,9 @@ def squares():
 
 
 @pytest.mark.parametrize("up", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize(("way", "overlap"), [(0.9, False), (0.999, False), (1.1, True), (1.5, True), (2.5, True)])
+@pytest.mark.parametrize(
+    ("way", "overlap"), [(0.9, False), (0.999, False), (1.1, True), (1.5, True), (2.5, True)]
+)
 def test_two_squares_cross_once_they_overlap(squares, way, up, overlap):
     report = found(squares, "left", (way, up))
     assert bool(report) == overlap
@@ -114,7 +119,9 @@ def plate(longest):
     def u(base):
         t, height = (base[:, 0] - 20) / 10 * longest, base[:, 1] - 5.5
         slope = np.stack([2 * t, 3 * t**2 - 1], axis=1)
-        normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1) / np.linalg.norm(slope, axis=1)[:, None]
+        normal = (
+            np.stack([-slope[:, 1], slope[:, 0]], axis=1) / np.linalg.norm(slope, axis=1)[:, None]
+        )
         curve = np.stack([t**2 - 1, t**3 - t], axis=1)
         return [20, 6] + 3 * (curve + 0.1 * height[:, None] * normal) - base
 
@@ -140,27 +147,42 @@ def ball():
     points[nodes] = 4 + 2 * arms / np.linalg.norm(arms, axis=1)[:, None]
     outer = mesh.patch("outer")
     floor = outer[points[outer, 2] == 0]
-    return jm.Mesh(points, mesh.cells, {"ball": nodes, "floor": floor, "sides": np.setdiff1d(outer, floor)})
+    return jm.Mesh(
+        points, mesh.cells, {"ball": nodes, "floor": floor, "sides": np.setdiff1d(outer, floor)}
+    )
 
 
-@pytest.mark.parametrize(("way", "crosses"), [(1.9, False), (1.99, False), (2.2, True), (3.5, True)])
+@pytest.mark.parametrize(
+    ("way", "crosses"), [(1.9, False), (1.99, False), (2.2, True), (3.5, True)]
+)
 def test_a_sphere_moved_into_a_plane(ball, way, crosses):
     report = found(ball, "ball", (0.13, 0.21, -way))
     assert bool(report) == crosses
-    assert {frozenset(pair) for pair in report.patches} == ({frozenset({"ball", "floor"})} if crosses else set())
+    assert {frozenset(pair) for pair in report.patches} == (
+        {frozenset({"ball", "floor"})} if crosses else set()
+    )
     centre = np.array([4.13, 4.21])
     assert np.allclose(report.places[:, 2], 0, atol=1e-9)
     radius = np.sqrt(4 - (4 - way) ** 2 if crosses else 0)
     assert (np.linalg.norm(report.places[:, :2] - centre, axis=1) <= radius).all()
 
 
-@over("make", [lambda: cases.naca4("0012", points=600, sharp=True), lambda: cases.naca0015(points=600), cases.bricks])
+@over(
+    "make",
+    [
+        lambda: cases.naca4("0012", points=600, sharp=True),
+        lambda: cases.naca0015(points=600),
+        cases.bricks,
+    ],
+)
 def test_a_mesh_that_turns_as_a_whole_crosses_nothing(make):
     """Wake cuts and sharp edges have coincident nodes."""
     mesh = make()
     nodes = np.unique(np.concatenate(list(mesh.patches.values())))
     base = np.asarray(mesh.points)[nodes]
-    report = crossings(simplices(mesh, nodes), mesh, nodes, base @ turn(0.7, base.shape[1]).T + 1 / 3 - base)
+    report = crossings(
+        simplices(mesh, nodes), mesh, nodes, base @ turn(0.7, base.shape[1]).T + 1 / 3 - base
+    )
     assert report is not None
     assert not len(report)
     assert str(report) == ""
@@ -176,11 +198,17 @@ def test_what_crossed_before_is_no_news(squares):
 
 
 def test_a_part_names_nodes_of_the_whole(squares):
-    nodes, plan = next(jm.prepare_in_chunks(jm.Boundary(squares, "left", ("right", "outer")), size=40, method=METHOD))
+    nodes, plan = next(
+        jm.prepare_in_chunks(
+            jm.Boundary(squares, "left", ("right", "outer")), size=40, method=METHOD
+        )
+    )
     whole = found(squares, "left", (1.4, 0.7))
     part = jm.inspect(plan, np.tile([1.4, 0.7], (plan.n_moving, 1)), mesh=squares, nodes=nodes)
     assert part.crossings is not None
-    np.testing.assert_array_equal(np.sort(part.crossings.nodes, axis=None), np.sort(whole.nodes, axis=None))
+    np.testing.assert_array_equal(
+        np.sort(part.crossings.nodes, axis=None), np.sort(whole.nodes, axis=None)
+    )
     assert part.offset_node in squares.patch("left", "right", "outer")
 
 
@@ -217,7 +245,9 @@ def test_overlapping_boxes_are_those_of_all_pairs(d):
     corners = random.uniform(size=(300, 1, d)) + sizes * random.normal(size=(300, d, d))
     moves = random.uniform(size=300) < 0.3
     low, high = corners.min(axis=1), corners.max(axis=1)
-    overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2) & (moves[:, None] | moves)
+    overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2) & (
+        moves[:, None] | moves
+    )
     expected = {tuple(pair) for pair in np.argwhere(np.triu(overlap, 1))}
     listed = [tuple(sorted(pair)) for pair in overlapping_boxes(corners, moves)]
     assert len(listed) == len(set(listed))
@@ -236,7 +266,11 @@ def test_random_triangles_cross_where_the_equations_say():
         for j in range(40):
             for start, end in ((0, 1), (1, 2), (2, 0)):
                 p, q, (a, b, c) = points[faces[i, start]], points[faces[i, end]], points[faces[j]]
-                t, u, v = np.linalg.solve(np.stack([p - q, b - a, c - a], axis=1), p - a) if i != j else (2, 0, 0)
+                t, u, v = (
+                    np.linalg.solve(np.stack([p - q, b - a, c - a], axis=1), p - a)
+                    if i != j
+                    else (2, 0, 0)
+                )
                 if 0 <= t <= 1 and min(u, v) >= 0 and u + v <= 1:
                     expected.add((min(i, j), max(i, j)))
     assert {tuple(sorted(pair)) for pair in pairs} == expected
@@ -254,14 +288,19 @@ def test_faces_that_touch_meet_at_every_size(size):
             face, weights = random.normal(size=(d, d)), random.dirichlet(np.ones(d))
             foot = weights @ face
             normal = np.linalg.svd(face[1:] - face[0])[2][-1]
-            away = [foot + height * normal + across for height, across in zip((1, 1.5), 0.2 * np.eye(d), strict=False)]
+            away = [
+                foot + height * normal + across
+                for height, across in zip((1, 1.5), 0.2 * np.eye(d), strict=False)
+            ]
             other = np.array([foot, *away[: d - 1]])
             before = size * np.concatenate([face, other + 3 * normal])
             for gap, meets in ((0.0, True), (1e-6, False)):
                 after = size * np.concatenate([face, other + gap * normal])
                 pairs, places = crossing_faces(before, after, faces, place)
                 assert len(pairs) == meets
-                np.testing.assert_allclose(places, np.tile(size * foot, (meets, 1)), rtol=0, atol=1e-7 * size)
+                np.testing.assert_allclose(
+                    places, np.tile(size * foot, (meets, 1)), rtol=0, atol=1e-7 * size
+                )
 
 
 def test_faces_of_which_no_node_moves_or_that_are_no_whole_ones_cross_nothing(squares):

@@ -32,22 +32,35 @@ def test_elevated_cell_is_the_straight_cell(kind, order):
     (name,) = high.cells
     assert (TYPES[name].shape, TYPES[name].order) == (kind, order)
     np.testing.assert_allclose(jm.quality(high).volume, jm.quality(mesh).volume, rtol=1e-12)
-    edges = high.points[high.cells[name][0]][TYPES[name].edges]  # inner nodes at equal steps of straight edges
+    edges = high.points[high.cells[name][0]][
+        TYPES[name].edges
+    ]  # inner nodes at equal steps of straight edges
     steps = np.arange(1, order)[:, None] / order
-    np.testing.assert_allclose(edges[:, 2:], edges[:, :1] + steps * (edges[:, 1:2] - edges[:, :1]), atol=1e-14)
+    np.testing.assert_allclose(
+        edges[:, 2:], edges[:, :1] + steps * (edges[:, 1:2] - edges[:, :1]), atol=1e-14
+    )
 
 
 def test_neighbours_of_all_types_share_the_nodes_of_their_faces():
     """A hexahedron with a pyramid on it, a wedge beside it and a tetrahedron on the pyramid: as many nodes as their union."""
-    points = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)], float)
-    points = np.concatenate([points, [(0.5, 0.5, 1.6), (1.7, 0, 0.5), (1.7, 1, 0.5), (1.5, 0.5, 1.7)]])
+    points = np.array(
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
+        float,
+    )
+    points = np.concatenate(
+        [points, [(0.5, 0.5, 1.6), (1.7, 0, 0.5), (1.7, 1, 0.5), (1.5, 0.5, 1.7)]]
+    )
     cells = {"hexahedron": [range(8)], "pyramid": [[4, 5, 6, 7, 8]]}
     cells |= {"wedge": [[1, 9, 5, 2, 10, 6]], "tetra": [[5, 11, 6, 8]]}
-    mesh = jm.Mesh(points, {kind: np.array([list(row) for row in rows]) for kind, rows in cells.items()})
+    mesh = jm.Mesh(
+        points, {kind: np.array([list(row) for row in rows]) for kind, rows in cells.items()}
+    )
     assert not jm.quality(mesh).is_inverted.any()
     high = jm.elevate(mesh, 3)
     assert len(np.unique(np.round(high.points, 9), axis=0)) == len(high.points)
-    assert sum(map(len, jm.boundary_faces(high).values())) == 9 * sum(map(len, jm.boundary_faces(mesh).values()))
+    assert sum(map(len, jm.boundary_faces(high).values())) == 9 * sum(
+        map(len, jm.boundary_faces(mesh).values())
+    )
 
 
 @over("order", slow=[3], nightly=[2])
@@ -72,15 +85,24 @@ def test_surface_as_places_function_and_mesh():
     by_function = jm.curve(high, unit, "wall", "far").points
     by_places = jm.curve(high, unit(high.points[nodes]), "wall", "far").points
     np.testing.assert_array_equal(by_function, by_places)
-    lines = jm.Mesh(meshes.circle(400), {"line": np.stack([np.arange(400), np.roll(np.arange(400), -1)], axis=1)})
+    lines = jm.Mesh(
+        meshes.circle(400),
+        {"line": np.stack([np.arange(400), np.roll(np.arange(400), -1)], axis=1)},
+    )
     by_mesh = jm.curve(high, lines, "wall", "far").points
-    assert np.abs(np.linalg.norm(by_mesh[nodes], axis=1) - 1).max() <= 1.001 * (1 - np.cos(np.pi / 400))
-    np.testing.assert_allclose(by_mesh, by_function, atol=1e-3)  # along the wall the normal of a line leads elsewhere
+    assert np.abs(np.linalg.norm(by_mesh[nodes], axis=1) - 1).max() <= 1.001 * (
+        1 - np.cos(np.pi / 400)
+    )
+    np.testing.assert_allclose(
+        by_mesh, by_function, atol=1e-3
+    )  # along the wall the normal of a line leads elsewhere
 
 
 def test_inverted_sees_a_fold_between_corners():
     """An edge bent beyond the opposite one: all corners are as they were, the cell is not."""
-    mesh = jm.elevate(jm.Mesh(np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)]), {"quad": [[0, 1, 2, 3]]}), 2)
+    mesh = jm.elevate(
+        jm.Mesh(np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)]), {"quad": [[0, 1, 2, 3]]}), 2
+    )
     bent = np.array(mesh.points)
     middle = np.flatnonzero(np.isclose(bent, (0.5, 0)).all(axis=1))[0]
     bent[middle, 1] = 0.9
@@ -92,7 +114,11 @@ def test_inverted_sees_a_fold_between_corners():
         jm.quality(mesh, bent).raise_if_inverted()
 
 
-@over("method", slow=[jm.LinearElasticity()], nightly=[None, jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))])
+@over(
+    "method",
+    slow=[jm.LinearElasticity()],
+    nightly=[None, jm.TorsionalSprings(), jm.RBF.classic(jm.WendlandC2(4.0))],
+)
 def test_methods_move_all_nodes_and_pass_derivatives(method):
     high = jm.curve(jm.elevate(ring(), 3), unit, "wall", "far")
     plan = jm.prepare(high, "wall", "far", method=method)
@@ -117,7 +143,9 @@ def test_report_of_straight_cells_is_that_of_their_corners():
         mesh = jm.Mesh(x, {kind: np.arange(CORNERS[kind])[None]})
         expected, found = jm.quality(mesh), jm.quality(jm.elevate(mesh, 3))
         for name in ("volume", "skewness", "aspect_ratio", "jacobian", "non_orthogonality"):
-            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(expected, name), rtol=1e-9, err_msg=name
+            )
 
 
 @pytest.mark.nightly
@@ -136,9 +164,15 @@ def test_wall_and_smooth_measures_of_curved_cells():
 
 
 test_bad_input_is_refused_in_a_sentence = refusals(
-    (lambda mesh, high: jm.elevate(mesh, 5), "`order` is 5; meshes of order 2, 3 and 4 can be made"),
+    (
+        lambda mesh, high: jm.elevate(mesh, 5),
+        "`order` is 5; meshes of order 2, 3 and 4 can be made",
+    ),
     (lambda mesh, high: jm.elevate(high, 3), "cannot be elevated: linear cells are needed"),
-    (lambda mesh, high: jm.curve(mesh, unit, "wall", "far"), "has linear cells alone, which stay straight"),
+    (
+        lambda mesh, high: jm.curve(mesh, unit, "wall", "far"),
+        "has linear cells alone, which stay straight",
+    ),
     (
         lambda mesh, high: jm.curve(high, lambda x: x + np.array([3.0, 4]), "wall", "far"),
         r"24 of 24 nodes of the wall are farther from the surface .*5 away",
@@ -161,13 +195,21 @@ def test_a_mesh_that_is_folded_before_it_is_curved_is_told():
 
 
 def of_one_cell(kind, nodes):
-    return lambda: jm.Mesh(np.random.default_rng(0).normal(size=(nodes, 3)), {kind: np.arange(nodes)[None]})
+    return lambda: jm.Mesh(
+        np.random.default_rng(0).normal(size=(nodes, 3)), {kind: np.arange(nodes)[None]}
+    )
 
 
 test_orders_and_cells_that_are_not_known_are_told = refusals(
-    (of_one_cell("triangle21", 21), "unknown cell type 'triangle21'; known are .* and of order 2 to 4 line3"),
+    (
+        of_one_cell("triangle21", 21),
+        "unknown cell type 'triangle21'; known are .* and of order 2 to 4 line3",
+    ),
     (of_one_cell("hexahedron26", 26), "unknown cell type 'hexahedron26'"),
-    (of_one_cell("hexahedron27", 26), r"cells of type 'hexahedron27' have shape \(1, 26\); expected \(k, 27\)"),
+    (
+        of_one_cell("hexahedron27", 26),
+        r"cells of type 'hexahedron27' have shape \(1, 26\); expected \(k, 27\)",
+    ),
 )
 
 
@@ -186,7 +228,9 @@ def test_a_mesh_that_is_invalid_from_the_start_is_judged_by_its_own_margin():
     np.testing.assert_array_equal(turned.is_invalid, alone.is_invalid)
     assert int(jm.quality(start).inverted) == 2
     relative = jm.quality(start, folded @ turn.T)
-    np.testing.assert_allclose(relative.jacobian_ratio, 1, rtol=1e-9)  # of the places that were sound
+    np.testing.assert_allclose(
+        relative.jacobian_ratio, 1, rtol=1e-9
+    )  # of the places that were sound
     assert int(relative.inverted) == 0
 
 
@@ -203,7 +247,11 @@ def test_every_method_moves_a_p2_cylinder_and_no_cell_folds_on_the_way(name):
     angle = np.arctan2(wall[:, 1], wall[:, 0])
     method = jm.METHODS[name].make(float(np.ptp(wall, axis=0).max()))
     plan = jm.prepare(mesh, "wall", "far", method=method)
-    motions = [wall @ meshes.turn(np.deg2rad(20), 2).T - wall, 0 * wall + [0.15, 0.05], wall * [0.15, -0.15]]
+    motions = [
+        wall @ meshes.turn(np.deg2rad(20), 2).T - wall,
+        0 * wall + [0.15, 0.05],
+        wall * [0.15, -0.15],
+    ]
     motions.append(0.04 * wall * np.cos(4 * angle)[:, None])
     for u in motions:
         points = np.asarray(jm.deform(plan, u))

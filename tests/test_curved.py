@@ -22,29 +22,44 @@ def disc(order: int, kind: str, *, is_complete: bool = True) -> None:
     """Meshes a disc with a hole, or a ball's shell cut from a box, of curved cells of one kind."""
     gmsh.clear()
     occ = gmsh.model.occ
-    for name, value in {"RecombineAll": kind == "quad", "SecondOrderIncomplete": not is_complete}.items():
+    for name, value in {
+        "RecombineAll": kind == "quad",
+        "SecondOrderIncomplete": not is_complete,
+    }.items():
         gmsh.option.setNumber(f"Mesh.{name}", value)
     gmsh.option.setNumber("Mesh.MeshSizeMax", 1.2)
     gmsh.option.setNumber("Mesh.MeshSizeMin", 0.5)
     if kind in ("triangle", "quad"):
-        surface, _ = occ.cut([(2, occ.addDisk(0, 0, 0, 2, 2))], [(2, occ.addDisk(0.2, 0, 0, 0.7, 0.7))])
+        surface, _ = occ.cut(
+            [(2, occ.addDisk(0, 0, 0, 2, 2))], [(2, occ.addDisk(0.2, 0, 0, 0.7, 0.7))]
+        )
         occ.synchronize()
         sides = [tag for _, tag in gmsh.model.getBoundary(surface, oriented=False)]
         inner = min(sides, key=lambda tag: occ.getMass(1, tag))
         gmsh.model.addPhysicalGroup(2, [surface[0][1]], name="fluid")
         dimension = 2
     elif kind == "tetra":
-        volume, _ = occ.cut([(3, occ.addBox(-1, -1, -1, 2, 2, 2))], [(3, occ.addSphere(0, 0, 0, 0.6))])
+        volume, _ = occ.cut(
+            [(3, occ.addBox(-1, -1, -1, 2, 2, 2))], [(3, occ.addSphere(0, 0, 0, 0.6))]
+        )
         occ.synchronize()
         sides = [tag for _, tag in gmsh.model.getBoundary(volume, oriented=False)]
-        inner = min(sides, key=lambda tag: occ.getMass(2, tag) if gmsh.model.getType(2, tag) == "Sphere" else 99)
+        inner = min(
+            sides,
+            key=lambda tag: occ.getMass(2, tag) if gmsh.model.getType(2, tag) == "Sphere" else 99,
+        )
         gmsh.model.addPhysicalGroup(3, [volume[0][1]], name="fluid")
         dimension = 3
     else:  # a quarter of a ring, extruded
         gmsh.option.setNumber("Mesh.RecombineAll", kind == "hexahedron")
         for at in ((0, 0), (1, 0), (2, 0), (0, 2), (0, 1)):
             occ.addPoint(*at, 0)
-        lines = occ.addLine(2, 3), occ.addCircleArc(3, 1, 4), occ.addLine(4, 5), occ.addCircleArc(5, 1, 2)
+        lines = (
+            occ.addLine(2, 3),
+            occ.addCircleArc(3, 1, 4),
+            occ.addLine(4, 5),
+            occ.addCircleArc(5, 1, 2),
+        )
         face = occ.addPlaneSurface([occ.addCurveLoop(lines)])
         made = occ.extrude([(2, face)], 0, 0, 0.7, [2], recombine=True)
         occ.remove([(0, 1)])
@@ -55,7 +70,9 @@ def disc(order: int, kind: str, *, is_complete: bool = True) -> None:
             gmsh.model.mesh.setTransfiniteCurve(line, 4)
         gmsh.model.mesh.setTransfiniteSurface(face)
         sides = [tag for _, tag in gmsh.model.getBoundary([made[1]], oriented=False)]
-        inner = next(t for t in sides if gmsh.model.getType(2, t) == "Cylinder" and occ.getMass(2, t) < 1.5)
+        inner = next(
+            t for t in sides if gmsh.model.getType(2, t) == "Cylinder" and occ.getMass(2, t) < 1.5
+        )
         gmsh.model.addPhysicalGroup(3, [made[1][1]], name="fluid")
         dimension = 3
     gmsh.model.addPhysicalGroup(dimension - 1, [inner], name="wall")
@@ -91,7 +108,15 @@ def volumes(number: int) -> np.ndarray:
     return gmsh.model.mesh.getJacobians(number, places)[1].reshape(-1, len(weights)) @ weights
 
 
-CASES = [("triangle", 3), ("quad", 4), ("tetra", 2), ("tetra", 4), ("hexahedron", 2), ("hexahedron", 3), ("wedge", 2)]
+CASES = [
+    ("triangle", 3),
+    ("quad", 4),
+    ("tetra", 2),
+    ("tetra", 4),
+    ("hexahedron", 2),
+    ("hexahedron", 3),
+    ("wedge", 2),
+]
 
 
 @over("kind order", [case for case in CASES if case != ("tetra", 4)], nightly=[("tetra", 4)])
@@ -140,7 +165,10 @@ def test_gmsh_files_move_and_come_back(tmp_path, kind, order, version, binary):
 
 @pytest.mark.parametrize(
     ("order", "is_complete", "words"),
-    [(5, True, "elements of type 28; elements of order 1 to 4 are read"), (3, False, "with all inner nodes")],
+    [
+        (5, True, "elements of type 28; elements of order 1 to 4 are read"),
+        (3, False, "with all inner nodes"),
+    ],
 )
 def test_orders_that_are_not_read_are_told_in_one_sentence(tmp_path, order, is_complete, words):
     disc(order, "triangle", is_complete=is_complete)

@@ -39,7 +39,9 @@ def slopes(x):
     return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
 
-@pytest.mark.parametrize(("kind", "order"), [("hexahedron", 2), ("wedge", 2), ("tetra", 2), ("pyramid", 2)])
+@pytest.mark.parametrize(
+    ("kind", "order"), [("hexahedron", 2), ("wedge", 2), ("tetra", 2), ("pyramid", 2)]
+)
 def test_normals_lines_and_heights_are_those_of_the_map(kind, order):
     """The wall turns by the map's inverse transposed, tangents of lines by the map itself, ends go where the map takes them."""
     mesh = jm.elevate(cases.bricks(kind, cells=3), order)
@@ -98,13 +100,19 @@ def test_derivatives_of_the_measures_of_a_curved_wall():
 
     step = 1e-6 * rng.normal(size=points.shape)
     difference = (objective(points + step) - objective(points - step)) / 2
-    np.testing.assert_allclose(np.vdot(jax.jit(jax.grad(objective))(points), step), difference, rtol=1e-5)
-    np.testing.assert_allclose(jax.jit(objective)(points), objective(np.asarray(points)), rtol=1e-10)
+    np.testing.assert_allclose(
+        np.vdot(jax.jit(jax.grad(objective))(points), step), difference, rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        jax.jit(objective)(points), objective(np.asarray(points)), rtol=1e-10
+    )
 
 
 def test_a_wall_without_the_nodes_between_corners_is_told():
     mesh = circles(8, 2)
-    with pytest.raises(ValueError, match="no cell has a boundary side whose nodes are all among the 8 wall nodes"):
+    with pytest.raises(
+        ValueError, match="no cell has a boundary side whose nodes are all among the 8 wall nodes"
+    ):
         jm.wall_quality(mesh, np.flatnonzero(np.arange(len(mesh.points)) < 8))
 
 
@@ -116,7 +124,9 @@ def test_nodes_slide_on_the_polynomials_of_curved_faces():
         mesh = circles(n, 3)
         wall, nodes = wall_of(mesh, "far")
         assert type(wall) is CurvedFaces
-        np.testing.assert_allclose(wall.nearest(jnp.asarray(mesh.points[nodes]))[0], mesh.points[nodes], atol=1e-13)
+        np.testing.assert_allclose(
+            wall.nearest(jnp.asarray(mesh.points[nodes]))[0], mesh.points[nodes], atol=1e-13
+        )
         angle = np.linspace(0, 2 * np.pi, 97)[:-1] + 0.01
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         places, normals = map(np.asarray, wall.nearest(jnp.asarray(2.02 * circle)))
@@ -164,7 +174,9 @@ def test_pictures_draw_the_curved_cells():
     cells_of = pytest.importorskip("jaxmorph.plot._plane").PlaneCells
     mesh = circles(6, 3)
     cells = cells_of.of(mesh, None)
-    np.testing.assert_allclose(np.bincount(cells.cell, cells.areas), jm.quality(mesh).volume, rtol=2e-3)
+    np.testing.assert_allclose(
+        np.bincount(cells.cell, cells.areas), jm.quality(mesh).volume, rtol=2e-3
+    )
     edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
     assert (cells.steps, len(edges), (counts == 1).sum()) == (12, 12 * (6 * 3 + 12), 12 * 12)
     radius = np.linalg.norm(edges[counts == 1], axis=2)

@@ -67,7 +67,9 @@ def check_files(output, said, start, patch, motion, measure, methods):
         to_look_at = meshio.read(output / f"{name}-{method}.vtu")
         np.testing.assert_array_equal(to_look_at.points[:, :d], moved.points)
         displacement = moved.points - start.points
-        np.testing.assert_allclose(to_look_at.point_data["displacement"][:, :d], displacement, atol=1e-15)
+        np.testing.assert_allclose(
+            to_look_at.point_data["displacement"][:, :d], displacement, atol=1e-15
+        )
         expected = np.asarray(getattr(jm.quality(start, moved.points), measure))
         np.testing.assert_allclose(to_look_at.cell_data[measure][0], expected, rtol=1e-9, atol=1e-9)
 
@@ -87,18 +89,32 @@ def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatc
 
 
 @pytest.mark.parametrize(
-    "points", [pytest.param(6_500, marks=pytest.mark.nightly), pytest.param(64_943, marks=pytest.mark.full)]
+    "points",
+    [pytest.param(6_500, marks=pytest.mark.nightly), pytest.param(64_943, marks=pytest.mark.full)],
 )
 def test_the_wing_leaves_tables_pictures_and_meshes(tmp_path, points):
     agard445 = pytest.importorskip("benchmarks.agard445")
-    command = [sys.executable, ROOT / "benchmarks/wing.py", "--points", str(points), "--output", tmp_path / "wing"]
+    command = [
+        sys.executable,
+        ROOT / "benchmarks/wing.py",
+        "--points",
+        str(points),
+        "--output",
+        tmp_path / "wing",
+    ]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     start = agard445.mesh(points)
     methods = ("dgm", "reduced-rbf", "default")
     check_files(
-        tmp_path / "wing", done.stdout, start, "wing", lambda x: x + agard445.mode(x, 1, 0.5), "aspect_ratio", methods
+        tmp_path / "wing",
+        done.stdout,
+        start,
+        "wing",
+        lambda x: x + agard445.mode(x, 1, 0.5),
+        "aspect_ratio",
+        methods,
     )
     _, far = re.search(r"reduced RBF +(\d+) +(\d+) ", done.stdout).groups()
     assert int(far) == len(start.patch("farfield"))
@@ -142,10 +158,14 @@ def test_figure_6_of_the_paper():
     assert list(found) == list(EXPECTED)
     for name, (mean, largest, change) in EXPECTED.items():
         outcome, within = found[name], 0.001 if name.startswith("full") else 0.003
-        np.testing.assert_allclose((*outcome.skewness[-1], outcome.change), (mean, largest, change), atol=within)
+        np.testing.assert_allclose(
+            (*outcome.skewness[-1], outcome.change), (mean, largest, change), atol=within
+        )
         assert outcome.inverted == 0
         assert outcome.error < 1e-14
-    full, dgm, reduced = (found[name].skewness for name in list(EXPECTED)[:4] if name != "DGM, ids found again")
+    full, dgm, reduced = (
+        found[name].skewness for name in list(EXPECTED)[:4] if name != "DGM, ids found again"
+    )
     for at_full, at_dgm, at_reduced in zip(full, dgm, reduced, strict=True):
         assert at_dgm[0] < at_reduced[0] < at_full[0]
         assert at_full[1] < at_reduced[1] < at_dgm[1]

@@ -39,7 +39,10 @@ def cloud(points):
 @pytest.mark.parametrize("form", ["npz", "obj", "ascii.stl", "binary.stl"])
 def test_an_affine_motion_between_two_surfaces(tmp_path, form):
     points, triangles = sphere()
-    matrix, shift = np.array([[1.1, 0.2, 0], [0, 0.9, 0.1], [0.3, 0, 1]]), np.array([0.1, 0.2, -0.3])
+    matrix, shift = (
+        np.array([[1.1, 0.2, 0], [0, 0.9, 0.1], [0.3, 0, 1]]),
+        np.array([0.1, 0.2, -0.3]),
+    )
     names = [tmp_path / f"{name}.{form}" for name in ("before", "after")]
     write_surface(names[0], points, triangles, form)
     write_surface(names[1], points @ matrix + shift, triangles, form)
@@ -59,10 +62,14 @@ def test_the_closest_place_is_the_one_that_vtk_finds(tmp_path):
     np.savez(tmp_path / "a.npz", points=points, triangles=triangles)
     x = points[::3] + 0.02 * np.random.default_rng(0).normal(size=(len(points[::3]), 3))
     np.savez(tmp_path / "b.npz", points=2 * points, triangles=triangles)
-    u = io.read_displacement(tmp_path / "b.npz", cloud(x), np.arange(len(x)), before=tmp_path / "a.npz")
+    u = io.read_displacement(
+        tmp_path / "b.npz", cloud(x), np.arange(len(x)), before=tmp_path / "a.npz"
+    )
     surface = pyvista.PolyData(points, np.insert(triangles, 0, 3, axis=1).ravel())
     place = surface.find_closest_cell(x, return_closest_point=True)[1]
-    np.testing.assert_allclose(np.linalg.norm(u - x, axis=1), np.linalg.norm(place - x, axis=1), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(u - x, axis=1), np.linalg.norm(place - x, axis=1), rtol=1e-6, atol=1e-9
+    )
     np.testing.assert_allclose(u, place, atol=1e-6)
 
 
@@ -81,13 +88,28 @@ def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
     u = io.read_displacement(tmp_path / "d.npz", mesh, nodes, before=tmp_path / "a.obj")
     np.testing.assert_allclose(u, mesh.points[nodes] * [0.1, -0.1], atol=1e-15)
     io.write(tmp_path / "ring.su2", mesh)
-    files = ["--displacement", str(tmp_path / "d.npz"), "--displacement-from", str(tmp_path / "a.obj")]
-    deform = ["deform", str(tmp_path / "ring.su2"), str(tmp_path / "out.su2"), "--moving", "wall", "--fixed", "far"]
+    files = [
+        "--displacement",
+        str(tmp_path / "d.npz"),
+        "--displacement-from",
+        str(tmp_path / "a.obj"),
+    ]
+    deform = [
+        "deform",
+        str(tmp_path / "ring.su2"),
+        str(tmp_path / "out.su2"),
+        "--moving",
+        "wall",
+        "--fixed",
+        "far",
+    ]
     assert main([*deform, *files]) == 0
     moved = io.read(tmp_path / "out.su2").points
     np.testing.assert_allclose(moved[nodes], mesh.points[nodes] * [1.1, 0.9], atol=1e-12)
     refused(capsys, [*deform, *files[:1], files[3]], "give the surface before the motion too")
-    refused(capsys, [*deform, *files[2:], "--rotate", "3"], "--displacement-from without --displacement")
+    refused(
+        capsys, [*deform, *files[2:], "--rotate", "3"], "--displacement-from without --displacement"
+    )
 
 
 def test_arrays_by_node_id(tmp_path):
@@ -97,13 +119,25 @@ def test_arrays_by_node_id(tmp_path):
     np.savez(tmp_path / "a.npz", ids=moving[::-1], displacement=u[::-1])
     np.testing.assert_array_equal(io.read_displacement(tmp_path / "a.npz", mesh, moving), u)
     np.savez(tmp_path / "b.npz", position=mesh.points[moving] + u)
-    np.testing.assert_allclose(io.read_displacement(tmp_path / "b.npz", mesh, moving), u, atol=1e-15)
-    rows = [f"{i}, {x!r}, {y!r}, {z!r}\n" for i, (x, y, z) in zip(moving.tolist(), u.tolist(), strict=True)]
+    np.testing.assert_allclose(
+        io.read_displacement(tmp_path / "b.npz", mesh, moving), u, atol=1e-15
+    )
+    rows = [
+        f"{i}, {x!r}, {y!r}, {z!r}\n"
+        for i, (x, y, z) in zip(moving.tolist(), u.tolist(), strict=True)
+    ]
     (tmp_path / "c.csv").write_text("PointID, x, y, z\n" + "".join(rows[::-1]))
-    np.testing.assert_array_equal(io.read_displacement(tmp_path / "c.csv", mesh, moving, is_position=False), u)
-    np.testing.assert_array_equal(io.read_displacement(tmp_path / "c.csv", mesh, moving), u - mesh.points[moving])
+    np.testing.assert_array_equal(
+        io.read_displacement(tmp_path / "c.csv", mesh, moving, is_position=False), u
+    )
+    np.testing.assert_array_equal(
+        io.read_displacement(tmp_path / "c.csv", mesh, moving), u - mesh.points[moving]
+    )
     for arrays, message in (
-        ({"ids": moving + 1, "displacement": u}, "node ids are not of the moving patches .first 12., and 1 of the 6"),
+        (
+            {"ids": moving + 1, "displacement": u},
+            "node ids are not of the moving patches .first 12., and 1 of the 6",
+        ),
         ({"ids": moving * 0, "displacement": u}, "5 of its 6 node ids come a second time"),
         ({"displacement": u[:5]}, r"shape \(6, 3\) expected, found shape \(5, 3\)"),
         ({"displacement": u, "position": u}, "one array displacement or position expected"),
@@ -133,16 +167,24 @@ def test_surfaces_that_do_not_fit(tmp_path):
         ("g.ply", "found the ending '.ply'"),
     ):
         with pytest.raises(ValueError, match=message):
-            io.read_displacement(tmp_path / name, cloud(points), np.arange(400), before=tmp_path / "a.npz")
-    with pytest.raises(ValueError, match=r"400 of 400 moving nodes are off this surface by more than .*units"):
-        io.read_displacement(tmp_path / "a.npz", cloud(1000 * points + 99), np.arange(400), before=tmp_path / "a.npz")
+            io.read_displacement(
+                tmp_path / name, cloud(points), np.arange(400), before=tmp_path / "a.npz"
+            )
+    with pytest.raises(
+        ValueError, match=r"400 of 400 moving nodes are off this surface by more than .*units"
+    ):
+        io.read_displacement(
+            tmp_path / "a.npz", cloud(1000 * points + 99), np.arange(400), before=tmp_path / "a.npz"
+        )
     with pytest.raises(ValueError, match="a mesh in 2-D takes lines"):
         io.read_displacement(tmp_path / "a.npz", ring(), np.arange(3), before=tmp_path / "a.npz")
 
 
 def test_polygons_are_cut_into_triangles(tmp_path):
     """A cube of quads, one of them with a middle node more, carries as its triangles do."""
-    cube = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)] + [[0.5, 0, 0]], float)
+    cube = np.array(
+        [[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)] + [[0.5, 0, 0]], float
+    )
     faces = ["1 9 2 4 3", "5 6 8 7", "1 2 6 5", "3 4 8 7", "1 3 7 5", "2 4 8 6"]
     for name, points in (("a", cube), ("b", cube * [1, 2, 3])):
         rows = [f"v {x} {y} {z}" for x, y, z in points] + [f"f {face}" for face in faces]

@@ -19,7 +19,9 @@ import jaxmorph as jm
 from jaxmorph.cli._requests import COMMANDS
 
 PAGES = ROOT / "docs" / "pages"
-WITH_CODE = sorted(str(page.relative_to(ROOT)) for page in PAGES.rglob("*.md") if "```python" in page.read_text())
+WITH_CODE = sorted(
+    str(page.relative_to(ROOT)) for page in PAGES.rglob("*.md") if "```python" in page.read_text()
+)
 LONG = [page for page in WITH_CODE if pathlib.Path(page).stem != "first_ten_minutes"]
 NUMBER = r"(?<![\w.])[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
 
@@ -43,7 +45,9 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
         said = capsys.readouterr().out
         if output is not None:
             assert re.sub(NUMBER, "#", said).split() == re.sub(NUMBER, "#", output).split()
-            numbers = [[float(number) for number in re.findall(NUMBER, text)] for text in (said, output)]
+            numbers = [
+                [float(number) for number in re.findall(NUMBER, text)] for text in (said, output)
+            ]
             assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=1e-6)  # below: rounding
 
 
@@ -51,7 +55,12 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
 @pytest.mark.parametrize("tool", ["SU2", "OpenFOAM"])
 def test_what_one_types_first_prints_what_the_page_says(tool, tmp_path):
     """Each line of the page is printed, in this order; times differ, and numbers little."""
-    text = (PAGES / "first_ten_minutes.md").read_text().partition(f"\n## {tool}\n")[2].partition("\n## ")[0]
+    text = (
+        (PAGES / "first_ten_minutes.md")
+        .read_text()
+        .partition(f"\n## {tool}\n")[2]
+        .partition("\n## ")[0]
+    )
     commands = re.findall(r"```sh\n(.*?)```\n\n```text\n(.*?)```", text, flags=re.DOTALL)
     assert commands
     environment = dict(os.environ)
@@ -62,7 +71,9 @@ def test_what_one_types_first_prints_what_the_page_says(tool, tmp_path):
     environment |= {"PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
     for typed, seen in commands:
         arguments = ["bash", "-ec", own + typed]
-        said = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        said = subprocess.run(
+            arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
         left = iter([re.sub(r" \(\S+ s\)$", "", line).split() for line in said.stdout.splitlines()])
         for line in seen.splitlines():
             words = re.sub(r" \(\S+ s\)$", "", line).split()
@@ -74,7 +85,9 @@ def alike(words, others):
     """Tells whether two lines have the same words, and numbers within a hundredth."""
     if re.sub(NUMBER, "#", " ".join(words)) != re.sub(NUMBER, "#", " ".join(others)):
         return False
-    numbers = [[float(number) for number in re.findall(NUMBER, " ".join(line))] for line in (words, others)]
+    numbers = [
+        [float(number) for number in re.findall(NUMBER, " ".join(line))] for line in (words, others)
+    ]
     return numbers[0] == pytest.approx(numbers[1], rel=0.01)
 
 
@@ -82,18 +95,35 @@ def alike(words, others):
 def test_the_reference_names_all_that_is_public(name):
     page = "\n".join(page.read_text() for page in sorted((PAGES / "reference").glob("*.md")))
     module = jm if name == "jaxmorph" else importlib.import_module(f"jaxmorph.{name}")
-    assert module.__all__ if hasattr(module, "__all__") else module  # names are loaded when they are first used
+    assert (
+        module.__all__ if hasattr(module, "__all__") else module
+    )  # names are loaded when they are first used
     names = [key for key in dir(module) if not key.startswith("_")]
-    public = {key: getattr(module, key) for key in names if not isinstance(getattr(module, key), types.ModuleType)}
-    functions = [key for key, value in public.items() if callable(value) and value.__module__.startswith("jaxmorph")]
-    assert sorted(re.findall(rf"^::: {module.__name__}\.(\w+)$", page, flags=re.MULTILINE)) == sorted(functions)
+    public = {
+        key: getattr(module, key)
+        for key in names
+        if not isinstance(getattr(module, key), types.ModuleType)
+    }
+    functions = [
+        key
+        for key, value in public.items()
+        if callable(value) and value.__module__.startswith("jaxmorph")
+    ]
+    assert sorted(
+        re.findall(rf"^::: {module.__name__}\.(\w+)$", page, flags=re.MULTILINE)
+    ) == sorted(functions)
     for constant in set(public) - set(functions):
         assert f"`{name}.{constant}`" in page
 
 
 def test_links_of_pages_lead_to_files():
     """On a code host as well as on the site: each relative link is a file of the project."""
-    documents = ["README.md", "CONTRIBUTING.md", "benchmarks/README.md", *(ROOT / "docs" / "pages").rglob("*.md")]
+    documents = [
+        "README.md",
+        "CONTRIBUTING.md",
+        "benchmarks/README.md",
+        *(ROOT / "docs" / "pages").rglob("*.md"),
+    ]
     for document in documents:
         file = ROOT / document
         for address in re.findall(r"\[[^\]]*\]\(([^)\s]+)\)", file.read_text()):
@@ -105,11 +135,18 @@ def test_links_of_pages_lead_to_files():
 def test_pages_are_narrow():
     """Prose of at most 100 characters a line, tables of at most 120 and six columns."""
     wide = []
-    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md", *PAGES.glob("*.md")):
+    for page in (
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        ROOT / "benchmarks" / "README.md",
+        *PAGES.glob("*.md"),
+    ):
         text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
         for line in text.splitlines():
             is_row = line.startswith("|")
-            if not line.startswith("![") and (len(line) > (120 if is_row else 100) or (is_row and line.count("|") > 7)):
+            if not line.startswith("![") and (
+                len(line) > (120 if is_row else 100) or (is_row and line.count("|") > 7)
+            ):
                 wide.append(f"{page.name}: {line[:70]}")
     assert not wide, "\n".join(wide)
 
@@ -117,14 +154,31 @@ def test_pages_are_narrow():
 def test_tables_of_figures_have_a_script_and_a_tolerance(monkeypatch):
     monkeypatch.syspath_prepend(ROOT)
     tables = importlib.import_module("benchmarks.tables")
-    marks = [name for page in PAGES.glob("*.md") for name in re.findall(r"<!-- table (.*) -->", page.read_text())]
+    marks = [
+        name
+        for page in PAGES.glob("*.md")
+        for name in re.findall(r"<!-- table (.*) -->", page.read_text())
+    ]
     assert sorted(marks) == sorted(tables.TABLES)
     for name, place in tables.TABLES.items():
         module, _, function = place.partition(".")
-        (page,) = [page for page in PAGES.glob("*.md") if tables.marked(name).search(page.read_text())]
+        (page,) = [
+            page for page in PAGES.glob("*.md") if tables.marked(name).search(page.read_text())
+        ]
         assert f"def {function}(" in (ROOT / "benchmarks" / f"{module}.py").read_text(), page
-    same = [("0, 0.412", "0, 0.414"), ("134", "136"), ("1.55 / 7.42", "1.57 / 7.50"), ("180+", "180+")]
-    moved = [("0, 0.412", "1, 0.412"), ("0.016", "-0.003"), ("0.412", "0.430"), ("180+", "180"), ("all, 0.5", "38 %")]
+    same = [
+        ("0, 0.412", "0, 0.414"),
+        ("134", "136"),
+        ("1.55 / 7.42", "1.57 / 7.50"),
+        ("180+", "180+"),
+    ]
+    moved = [
+        ("0, 0.412", "1, 0.412"),
+        ("0.016", "-0.003"),
+        ("0.412", "0.430"),
+        ("180+", "180"),
+        ("all, 0.5", "38 %"),
+    ]
     assert not any(tables.has_moved(*cells) for cells in same)
     assert all(tables.has_moved(*cells) for cells in moved)
 

@@ -18,8 +18,15 @@ def test_extensions_move_a_mesh(code):
     names = {"__name__": "contributed"}
     exec(code, names)
     rng = np.random.default_rng(0)
-    circle = lambda radius, n: radius * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, n, False)), np.sin(t)], axis=1)  # noqa: E731
-    points = np.concatenate([circle(1, 30), circle(5, 20), circle(1, 200) * rng.uniform(1.5, 4, (200, 1))])
+
+    def circle(radius, n):
+        return radius * np.stack(
+            [np.cos(t := np.linspace(0, 2 * np.pi, n, False)), np.sin(t)], axis=1
+        )
+
+    points = np.concatenate(
+        [circle(1, 30), circle(5, 20), circle(1, 200) * rng.uniform(1.5, 4, (200, 1))]
+    )
     plan = jm.prepare(points, np.arange(30), np.arange(30, 50), method=names["method"])
     u = 0.1 * rng.normal(size=(30, 2))
     moved = jm.deform(plan, u)
@@ -49,7 +56,9 @@ def test_readme_runs(tmp_path, monkeypatch, capsys):
 def test_a_remesher_takes_over_as_the_page_says(capsys):
     pytest.importorskip("mmgpy")
     text = (ROOT / "docs" / "pages" / "steps.md").read_text()
-    ((code, printed),) = re.findall(r"```py\n(import mmgpy\n.*?)```\n.*?```text\n(.*?)```", text, flags=re.DOTALL)
+    ((code, printed),) = re.findall(
+        r"```py\n(import mmgpy\n.*?)```\n.*?```text\n(.*?)```", text, flags=re.DOTALL
+    )
     exec(code, {"jm": jm, "cases": cases})
     assert capsys.readouterr().out == printed
 

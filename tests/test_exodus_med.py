@@ -29,7 +29,11 @@ def test_blocks_and_sets_are_those_of_vtk(tmp_path, form, is_joined):
     for kind, corners in CELLS.items():
         np.testing.assert_array_equal(mesh.cells[kind], corners)
     seen = of_vtk(tmp_path / "a.e")
-    patches = {name: places for (what, name), (places, _) in seen.items() if what[0] != "b" or name in ("skin", "tip")}
+    patches = {
+        name: places
+        for (what, name), (places, _) in seen.items()
+        if what[0] != "b" or name in ("skin", "tip")
+    }
     assert set(mesh.patches) == {*patches, "none"}
     for name, places in patches.items():
         assert rows(mesh.points[mesh.patch(name)]) == rows(places), name
@@ -41,14 +45,25 @@ def test_blocks_and_sets_are_those_of_vtk(tmp_path, form, is_joined):
 def test_two_dimensions(tmp_path, form):
     """Beams at the boundary are a patch, and so are sides; sets of one name, or of none."""
     points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0]], float)
-    blocks = [("q", "quad", [[0, 1, 2, 3]]), ("", "triangle", [[1, 4, 2]]), ("wall", "line", [[0, 1]])]
+    blocks = [
+        ("q", "quad", [[0, 1, 2, 3]]),
+        ("", "triangle", [[1, 4, 2]]),
+        ("wall", "line", [[0, 1]]),
+    ]
     sets = [("wall", [1], [0]), ("", [1, 0], [1, 3])]
     types = exodus.TYPES | {"quad": "QUAD"}
     exodus.write(tmp_path / "a.e", points, blocks, sets, [("", [3])], form=form, types=types)
     mesh = io.read(tmp_path / "a.e")
     found = {name: nodes.tolist() for name, nodes in mesh.patches.items()}
-    assert found == {"wall": [0, 1], "wall_sides_10": [1, 4], "sides_20": [0, 2, 3, 4], "nodes_10": [3]}
-    np.testing.assert_array_equal(rewritten(tmp_path / "b.e", mesh.moved(points * 3)).points, points * 3)
+    assert found == {
+        "wall": [0, 1],
+        "wall_sides_10": [1, 4],
+        "sides_20": [0, 2, 3, 4],
+        "nodes_10": [3],
+    }
+    np.testing.assert_array_equal(
+        rewritten(tmp_path / "b.e", mesh.moved(points * 3)).points, points * 3
+    )
     raised = np.pad(points, [(0, 0), (0, 1)], constant_values=7)
     exodus.write(tmp_path / "c.e", raised, blocks[:2], form=form, types=types)
     mesh = io.read(tmp_path / "c.e")
@@ -99,7 +114,8 @@ def test_cells_of_order_2(tmp_path, kind):
     name, groups = MANUAL[kind]
     shape = kind.rstrip("0123456789")
     corners = (
-        np.array(PLACES[shape], float) @ np.array([[1, 0.1, 0], [0.2, 1, 0.3], [0, 0.1, 1]])[: len(PLACES[shape][0])]
+        np.array(PLACES[shape], float)
+        @ np.array([[1, 0.1, 0], [0.2, 1, 0.3], [0, 0.1, 1]])[: len(PLACES[shape][0])]
     )
     middles = [[int(digit) for digit in group] for group in groups.split()]
     nodes = [*([k] for k in range(len(corners))), *middles]
@@ -107,18 +123,27 @@ def test_cells_of_order_2(tmp_path, kind):
     is_shell = name.startswith("SHELL")
     sides = [(f"side {k}", [0], [k + 2 * is_shell]) for k in range(len(SIDES[shape].split()))]
     flat = points[:, : 2 if shape in ("triangle", "quad") and not is_shell else 3]
-    exodus.write(tmp_path / "a.e", flat, [("", kind, [np.arange(len(points))])], sides, types={kind: name})
+    exodus.write(
+        tmp_path / "a.e", flat, [("", kind, [np.arange(len(points))])], sides, types={kind: name}
+    )
     mesh = io.read(tmp_path / "a.e")
     for k, side in enumerate(SIDES[shape].split()):
-        inside = [node for node, group in enumerate(nodes) if set(group) <= {int(digit) for digit in side}]
+        inside = [
+            node for node, group in enumerate(nodes) if set(group) <= {int(digit) for digit in side}
+        ]
         assert mesh.patch(f"side {k}").tolist() == inside
-    grid, straight = mesh.to_pyvista(), jm.Mesh(flat[: len(corners)], {shape: [np.arange(len(corners))]}).to_pyvista()
+    grid, straight = (
+        mesh.to_pyvista(),
+        jm.Mesh(flat[: len(corners)], {shape: [np.arange(len(corners))]}).to_pyvista(),
+    )
     cell, linear = grid.GetCell(0), straight.GetCell(0)
     at = np.array([cell.GetParametricCoords()[k] for k in range(3 * len(points))]).reshape(-1, 3)
     in_cell = np.asarray(grid.points)[[cell.GetPointId(k) for k in range(len(points))]]
     for node, coordinates in zip(in_cell, at, strict=True):
         place = [0.0] * 3
-        linear.EvaluateLocation(vtkCommonCore.reference(0), coordinates, place, [0.0] * len(corners))
+        linear.EvaluateLocation(
+            vtkCommonCore.reference(0), coordinates, place, [0.0] * len(corners)
+        )
         np.testing.assert_allclose(place, node, atol=1e-12)
     moved = mesh.moved(np.asarray(mesh.points) * 1.25)
     np.testing.assert_array_equal(rewritten(tmp_path / "b.e", moved).points, moved.points)
@@ -129,7 +154,8 @@ def test_what_is_refused(tmp_path):
     for form in FORMS:
         exodus.write(tmp_path / "b.e", points, [("", "tetra", [np.arange(11)])], form=form)
         with pytest.raises(
-            ValueError, match=r"b\.e: elements of type TETRA4 with 11 nodes are not read; of order 1 and 2"
+            ValueError,
+            match=r"b\.e: elements of type TETRA4 with 11 nodes are not read; of order 1 and 2",
         ):
             io.read(tmp_path / "b.e")
         solid(tmp_path / "c.e", form=form)
@@ -138,7 +164,9 @@ def test_what_is_refused(tmp_path):
         with pytest.raises(ValueError, match=r"c\.e: not an Exodus file, or a damaged one"):
             io.read(tmp_path / "c.e")
         for sets in ([("s", [4], [0])], [("s", [0], [6])]):
-            exodus.write(tmp_path / "d.e", points, [("", "hexahedron", CELLS["hexahedron"])], sets, form=form)
+            exodus.write(
+                tmp_path / "d.e", points, [("", "hexahedron", CELLS["hexahedron"])], sets, form=form
+            )
             with pytest.raises(ValueError, match=r"side"):
                 io.read(tmp_path / "d.e")
         exodus.write(tmp_path / "d.e", points, [("", "tetra", [[0, 1, 2, 12]])], form=form)

@@ -32,7 +32,10 @@ def test_an_extension_checks_its_arguments(tmp_path):
         return factor * extend.finite_array("values", values, (None,))
 
     np.testing.assert_array_equal(scaled([1, 2], 2), [2, 4])
-    with pytest.raises(ValueError, match=r"`factor` must be a real number, not 'a'. Call .*scaled\(values, factor\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"`factor` must be a real number, not 'a'. Call .*scaled\(values, factor\)",
+    ):
         scaled([1.0], "a")
     with pytest.raises(ValueError, match="`factor` must be a real number above 0"):
         scaled([1.0], -1.0)
@@ -51,4 +54,6 @@ def test_one_process_speaks_with_itself():
     alone = extend.Alone()
     assert extend.together(alone, lambda: 3) == 3
     values = np.array([[1.0], [2.0], [1.5]])
-    np.testing.assert_array_equal(extend.Agreement(alone)(np.array([4, 5, 4]), values), [[1], [2], [1]])
+    np.testing.assert_array_equal(
+        extend.Agreement(alone)(np.array([4, 5, 4]), values), [[1], [2], [1]]
+    )

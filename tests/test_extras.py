@@ -48,10 +48,13 @@ for name, call in calls.items():
 def test_each_missing_extra_is_named(tmp_path):
     root = str(pathlib.Path(jaxmorph.__file__).parents[1])
     code = f"import sys; sys.path.insert(0, {root!r})\n{CODE}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
     assert done.returncode == 0, done.stderr
     remedies = dict(
-        re.match(r"(\w+) .*pip install 'jaxmorph\[(\w+)\]'", line).groups() for line in done.stdout.splitlines()
+        re.match(r"(\w+) .*pip install 'jaxmorph\[(\w+)\]'", line).groups()
+        for line in done.stdout.splitlines()
     )
     assert remedies == {
         "vtu": "io", "cgns": "io", "meshio": "io", "pyvista": "plot", "plot": "plot",

@@ -17,7 +17,9 @@ def uneven(dimension, count=600):
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("reduction", [jm.FarthestPoints(25, separation=0.0), jm.Greedy(25, separation=0.0)])
+@pytest.mark.parametrize(
+    "reduction", [jm.FarthestPoints(25, separation=0.0), jm.Greedy(25, separation=0.0)]
+)
 def test_reach_is_within_twice_the_best(dimension, reduction):
     """k sources and the point farthest from them are k + 1 points that no k discs of half their distance can cover."""
     points = uneven(dimension)

@@ -146,7 +146,10 @@ def test_an_error_of_the_system_names_the_output(tmp_path):
         (partial / "below").write_text("")
     with pytest.raises(FileNotFoundError, match=r"missing'$"), complete(target):
         (tmp_path / "missing").read_text()
-    with pytest.raises(OSError, match=rf"{target}: not written \(9 requested and 3 written\)"), complete(target):
+    with (
+        pytest.raises(OSError, match=rf"{target}: not written \(9 requested and 3 written\)"),
+        complete(target),
+    ):
         raise OSError("9 requested and 3 written")
     assert names(tmp_path) == []
 

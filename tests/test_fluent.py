@@ -28,7 +28,11 @@ def square() -> jm.Mesh:
     return jm.Mesh(points, {"quad": [[1, 5, 6, 2]], "triangle": [[2, 6, 3]]}, {"low": [1, 5]})
 
 
-MESHES = {"bricks": bricks(2), "solids": jm.Mesh(mixed()[0], CELLS, {"low": [0, 1, 2, 3]}), "square": square()}
+MESHES = {
+    "bricks": bricks(2),
+    "solids": jm.Mesh(mixed()[0], CELLS, {"low": [0, 1, 2, 3]}),
+    "square": square(),
+}
 
 
 @pytest.mark.parametrize("mesh", MESHES)
@@ -41,7 +45,8 @@ def test_cells_zones_and_points_come_back(tmp_path, form, mesh):
     fluent.write(path, np.asarray(mesh.points), cells, patches, **how)
     read = io.read(path)
     np.testing.assert_array_equal(
-        read.points, np.asarray(mesh.points).astype("f4" if "float" in form or "single" in form else "f8")
+        read.points,
+        np.asarray(mesh.points).astype("f4" if "float" in form or "single" in form else "f8"),
     )
     for kind, ids in cells.items():
         assert sorted(map(sorted, read.cells[kind].tolist())) == sorted(map(sorted, ids.tolist()))
@@ -62,7 +67,9 @@ def test_a_polygon_is_told(tmp_path):
     sections = [f"(10 (1 1 5 1 2)({' '.join(map(str, points.ravel()))}))", "(12 (1 1 1 1 0)(7))"]
     edges = " ".join(f"2 {a} {a % 5 + 1} 1 0" for a in range(1, 6))
     (tmp_path / "a.msh").write_text("\n".join([*sections, f"(13 (3 1 5 3 5)({edges}))"]))
-    with pytest.raises(ValueError, match=r"a\.msh: 1 cells of 5 edges \(first cell 0\) are not read"):
+    with pytest.raises(
+        ValueError, match=r"a\.msh: 1 cells of 5 edges \(first cell 0\) are not read"
+    ):
         io.read(tmp_path / "a.msh")
 
 
@@ -73,7 +80,13 @@ def test_vtk_finds_the_moved_cells(tmp_path, form):
     from vtkmodules.vtkIOGeometry import vtkFLUENTReader
 
     name, how = FORMS[form]
-    fluent.write(tmp_path / name, np.asarray(MESHES["solids"].points), dict(MESHES["solids"].cells), {}, **how)
+    fluent.write(
+        tmp_path / name,
+        np.asarray(MESHES["solids"].points),
+        dict(MESHES["solids"].cells),
+        {},
+        **how,
+    )
     mesh = io.read(tmp_path / name)
     out = tmp_path / f"b.{name.split('.', 1)[1]}"
     io.write(out, mesh.moved(np.asarray(mesh.points) * 1.25 + 0.123456789))
@@ -83,7 +96,9 @@ def test_vtk_finds_the_moved_cells(tmp_path, form):
     blocks = [reader.GetOutput().GetBlock(k) for k in range(reader.GetOutput().GetNumberOfBlocks())]
     grid = next(block for block in blocks if block.GetNumberOfCells() == 4)
     expected = np.asarray(mesh.points) * 1.25 + 0.123456789
-    np.testing.assert_array_equal(vtk_to_numpy(grid.GetPoints().GetData()), expected.astype("f4"))  # VTK's are single
+    np.testing.assert_array_equal(
+        vtk_to_numpy(grid.GetPoints().GetData()), expected.astype("f4")
+    )  # VTK's are single
     kinds = np.unique(vtk_to_numpy(grid.GetCellTypes()), return_counts=True)
     assert dict(zip(*map(np.ndarray.tolist, kinds), strict=True)) == {10: 1, 12: 1, 13: 1, 14: 1}
 
@@ -93,11 +108,23 @@ def test_damage_is_told(tmp_path, name):
     path = tmp_path / name
     form = "text" if name == "a.msh" else "double"
     fluent.write(
-        path, np.asarray(bricks(1).points), {"hexahedron": np.asarray(bricks(1).cells["hexahedron"])}, {}, form
+        path,
+        np.asarray(bricks(1).points),
+        {"hexahedron": np.asarray(bricks(1).cells["hexahedron"])},
+        {},
+        form,
     )
     good = path.read_bytes()
-    lost = good.replace(b"\n4 1 ", b"\n4 9 ") if form == "text" else good.replace(b"(13 (0 1 6 0))", b"(13 (0 1 7 0))")
-    for damaged in (good[: len(good) // 2], good.replace(b"(12 (0 1 1 0))", b"(12 (0 1 2 0))"), lost):
+    lost = (
+        good.replace(b"\n4 1 ", b"\n4 9 ")
+        if form == "text"
+        else good.replace(b"(13 (0 1 6 0))", b"(13 (0 1 7 0))")
+    )
+    for damaged in (
+        good[: len(good) // 2],
+        good.replace(b"(12 (0 1 1 0))", b"(12 (0 1 2 0))"),
+        lost,
+    ):
         path.write_bytes(damaged)
         with pytest.raises(ValueError, match=name):
             io.read(path)

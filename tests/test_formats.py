@@ -19,16 +19,32 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
 
-APART = (".vtu", ".vtk", ".meshb", ".xdmf", ".unv", ".inp", ".ugrid")  # read in a process of its own
+APART = (
+    ".vtu",
+    ".vtk",
+    ".meshb",
+    ".xdmf",
+    ".unv",
+    ".inp",
+    ".ugrid",
+)  # read in a process of its own
 
 
-@over("source", fast=[each for each in ENDINGS if each not in APART], slow=[each for each in ENDINGS if each in APART])
+@over(
+    "source",
+    fast=[each for each in ENDINGS if each not in APART],
+    slow=[each for each in ENDINGS if each in APART],
+)
 def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source):
     mesh = io.read(written(tmp_path, source))
     moved = mesh.moved(np.asarray(mesh.points) + 1)
     for to in ENDINGS:
         decide(tmp_path, capsys, mesh, moved, source, to)
-    assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", "in.h5", *(f"out{to}" for to in ENDINGS)}
+    assert {path.name for path in tmp_path.iterdir()} <= {
+        f"in{source}",
+        "in.h5",
+        *(f"out{to}" for to in ENDINGS),
+    }
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -55,9 +71,15 @@ def of_two_columns(path):
 
 
 HELD = {f"double{ending}": (ending, lambda path: write(path, bricks(2))) for ending in ENDINGS}
-HELD |= {f"single{ending}": (ending, lambda path: write(path, bricks(2), is_single=True)) for ending in SINGLE}
 HELD |= {
-    f"gmsh 4.0 {k}": (".msh", lambda path, k=k: meshio.gmsh.write(str(path), SQUARE, "4.0", binary=k > 0))
+    f"single{ending}": (ending, lambda path: write(path, bricks(2), is_single=True))
+    for ending in SINGLE
+}
+HELD |= {
+    f"gmsh 4.0 {k}": (
+        ".msh",
+        lambda path, k=k: meshio.gmsh.write(str(path), SQUARE, "4.0", binary=k > 0),
+    )
     for k in (0, 1)
 }
 HALF = foam.FORMS["binary-32-scalars"]
@@ -84,15 +106,23 @@ def test_points_as_written_are_the_points_of_the_written_file(tmp_path, name):
     if ending not in (".vtk", ".vtu", ".xdmf"):  # written anew
         io.write(tmp_path / f"same{ending}", mesh)
         same, old = tmp_path / f"same{ending}", tmp_path / f"in{ending}"
-        assert foam.tree(same) == foam.tree(old) if old.is_dir() else same.read_bytes() == old.read_bytes()
+        assert (
+            foam.tree(same) == foam.tree(old)
+            if old.is_dir()
+            else same.read_bytes() == old.read_bytes()
+        )
     points = np.array(mesh.points)
-    some = np.flatnonzero(np.abs(points[:, -1]) > 1e-3)[1:]  # a wedge's axis stays, and one node more
+    some = np.flatnonzero(np.abs(points[:, -1]) > 1e-3)[
+        1:
+    ]  # a wedge's axis stays, and one node more
     points[some] += 0.01 * np.sin(points[some] * 7 + 1)
     out, moved = tmp_path / f"out{ending}", mesh.moved(points)
     expected = io.as_written(out, moved)
     np.testing.assert_allclose(expected, points, atol=3e-7)
     np.testing.assert_array_equal(rewritten(out, moved).points, expected)
-    np.testing.assert_array_equal(io.as_written(tmp_path / "other.su2", moved), points)  # all digits
+    np.testing.assert_array_equal(
+        io.as_written(tmp_path / "other.su2", moved), points
+    )  # all digits
 
 
 @pytest.mark.parametrize("ending", ["", ".cgns", ".e", ".med", ".xyz"])
@@ -116,11 +146,24 @@ def test_rounding_that_takes_the_motion_or_small_cells_is_told(tmp_path, ending)
 def test_a_command_judges_the_rounded_mesh(tmp_path, capsys, command):
     """First cells of 1e-7, moved by 0.4 in single precision, have no height in the file."""
     heights = 1e-7 * 1.9 ** np.arange(25)
-    block = np.stack(np.meshgrid(np.linspace(0, 1, 4), np.r_[0, heights[heights < 1]], indexing="ij"))
+    block = np.stack(
+        np.meshgrid(np.linspace(0, 1, 4), np.r_[0, heights[heights < 1]], indexing="ij")
+    )
     write_plot3d(tmp_path / "layer.xyz", [block], "plain", width=4, is_multiple=False)
     np.savez(tmp_path / "up.npz", displacement=np.tile([0, 0.4], (4, 1)), nodes=np.arange(4))
-    words = [command, str(tmp_path / "layer.xyz"), str(tmp_path / "out.xyz"), "--moving", "jmin", "--fixed", "jmax"]
-    motion = {"deform": ["--translate", "0", "0.4", "--no-dry-run"], "modes": ["--mode", str(tmp_path / "up.npz")]}
+    words = [
+        command,
+        str(tmp_path / "layer.xyz"),
+        str(tmp_path / "out.xyz"),
+        "--moving",
+        "jmin",
+        "--fixed",
+        "jmax",
+    ]
+    motion = {
+        "deform": ["--translate", "0", "0.4", "--no-dry-run"],
+        "modes": ["--mode", str(tmp_path / "up.npz")],
+    }
     words += motion[command]
     assert main([*words, "--free", "imin", "imax"]) == 1
     told = capsys.readouterr()
@@ -152,14 +195,26 @@ def test_other_cells_than_the_file_had_are_written(tmp_path, ending):
     fewer = {kind: corners[1:] for kind, corners in mesh.linear.cells.items()}
     for other in (mesh.linear, jm.Mesh(mesh.points, fewer, None, mesh.source)):
         back = rewritten(tmp_path / f"out{ending}", other).cells
-        assert {kind: len(corners) for kind, corners in back.items()} == {k: len(c) for k, c in other.cells.items()}
+        assert {kind: len(corners) for kind, corners in back.items()} == {
+            k: len(c) for k, c in other.cells.items()
+        }
     io.write(tmp_path / f"same{ending}", mesh)
     assert (tmp_path / f"same{ending}").read_bytes() == (tmp_path / f"in{ending}").read_bytes()
 
 
 def decide(tmp_path, capsys, mesh, moved, source, to):
     out, patch = tmp_path / f"out{to}", next(iter(mesh.patches))
-    words = ["deform", str(tmp_path / f"in{source}"), str(out), "--moving", patch, "--translate", "0", "0", "1e-3"]
+    words = [
+        "deform",
+        str(tmp_path / f"in{source}"),
+        str(out),
+        "--moving",
+        patch,
+        "--translate",
+        "0",
+        "0",
+        "1e-3",
+    ]
     refusal = ""
     try:
         io.check_output(out, mesh)
@@ -177,13 +232,20 @@ def decide(tmp_path, capsys, mesh, moved, source, to):
         back = rewritten(out, moved)
         np.testing.assert_array_equal(back.points, moved.points)
         for those, these in ((back.cells, mesh.cells), (back.patches, mesh.patches)):
-            lists = ({name: ids.tolist() for name, ids in each.items() if len(ids)} for each in (those, these))
+            lists = (
+                {name: ids.tolist() for name, ids in each.items() if len(ids)}
+                for each in (those, these)
+            )
             assert next(lists) == next(lists)
     one_way = (".cgns", ".cas", ".h5", "", ".med", ".e", ".xyz", ".mesh", *OTHERS)
-    assert bool(refusal) == (to in one_way and source != to and (source, to) != (".meshb", ".mesh"))  # of Medit both
+    assert bool(refusal) == (
+        to in one_way and source != to and (source, to) != (".meshb", ".mesh")
+    )  # of Medit both
 
 
-@pytest.mark.parametrize(("ending", "what"), [(".e", "an Exodus"), (".med", "a MED"), (".cgns", "a CGNS")])
+@pytest.mark.parametrize(
+    ("ending", "what"), [(".e", "an Exodus"), (".med", "a MED"), (".cgns", "a CGNS")]
+)
 def test_a_format_of_copies_takes_its_own_whole_files(tmp_path, ending, what):
     path = tmp_path / f"a{ending}"
     with pytest.raises(ValueError, match=rf"only a mesh that was read from {what} file"):

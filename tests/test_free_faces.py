@@ -69,7 +69,12 @@ def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
     assert deform("channel.su2", *flags, "--free", "inlet") == 2
     said = "8 of 40 boundary faces are neither moving, fixed nor on a symmetry plane, in patch 'outlet' (8)"
     assert said in capsys.readouterr().err
-    assert deform("channel.su2", *flags, "--free", "inlet", "--free", "out.*", "--save-job", "job.toml") == 0
+    assert (
+        deform(
+            "channel.su2", *flags, "--free", "inlet", "--free", "out.*", "--save-job", "job.toml"
+        )
+        == 0
+    )
     assert capsys.readouterr().err == ""
     mesh, first = io.read("channel.su2"), np.asarray(io.read("out.su2").points)
     plan = jm.prepare(mesh, "inner", "outer", free=["inlet", "outlet"], method=jm.InverseDistance())
@@ -77,7 +82,9 @@ def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
     assert 'free = ["inlet", "out.*"]' in (here / "job.toml").read_text()
     assert main(["deform", "--job", "job.toml"]) == 0
     np.testing.assert_array_equal(io.read("out.su2").points, first)
-    assert deform("channel.su2", *flags, "--fixed", "inlet", "--free", "outlet") == 0  # beside the first --fixed
+    assert (
+        deform("channel.su2", *flags, "--fixed", "inlet", "--free", "outlet") == 0
+    )  # beside the first --fixed
     assert deform("channel.su2", *flags, "--free", "side") == 2
     assert "no patch is called 'side'" in capsys.readouterr().err
 
@@ -90,7 +97,10 @@ def test_modes_and_sensitivity_refuse_it_too(here, capsys):
     np.savez("slope.npz", ids=np.arange(len(mesh.points)), sensitivity=np.ones_like(mesh.points))
     assert main(["sensitivity", "channel.su2", "slope.npz", "wall.csv", *flags]) == 2
     assert capsys.readouterr().err.count("in patch 'outlet' (8)") == 2
-    assert main(["sensitivity", "channel.su2", "slope.npz", "wall.csv", *flags, "--free", "outlet"]) == 0
+    assert (
+        main(["sensitivity", "channel.su2", "slope.npz", "wall.csv", *flags, "--free", "outlet"])
+        == 0
+    )
 
 
 @pytest.mark.filterwarnings("default:.*boundary faces")
@@ -108,7 +118,10 @@ def test_free_patches_are_not_warned_of_in_python():
     names = [name for name in mesh.patches if name not in ("z0", "z1")]
     with pytest.warns(UserWarning, match=r"36 of 54 boundary faces .* 'x0' \(9\)") as caught:
         plan = jm.prepare(mesh, "z1", "z0")
-    with pytest.raises(ValueError, match="`motions`"), pytest.warns(UserWarning, match="boundary faces") as chosen:
+    with (
+        pytest.raises(ValueError, match="`motions`"),
+        pytest.warns(UserWarning, match="boundary faces") as chosen,
+    ):
         jm.compare(jm.Boundary(mesh, "z1", "z0"), np.ones((1, 3)))
     assert {each.filename for each in (*caught, *chosen)} == {__file__}  # the caller's line
     with warnings.catch_warnings():
@@ -143,7 +156,9 @@ def test_faces_of_polyhedra_are_those_of_the_file(tmp_path, shape):
 def test_front_and_back_of_a_2d_case_are_no_boundary(tmp_path):
     points = np.array([[x, y, z] for z in (0, 1) for y in (0, 1, 2) for x in (0, 1, 2)], float)
     corners = np.array([0, 1, 4, 3, 9, 10, 13, 12])
-    cells = [[(corners + first)[list(face)].tolist() for face in HEXAHEDRON] for first in (0, 1, 3, 4)]
+    cells = [
+        [(corners + first)[list(face)].tolist() for face in HEXAHEDRON] for first in (0, 1, 3, 4)
+    ]
     sides = [
         ("planes", "empty", lambda face: np.ptp(points[face, 2]) == 0),
         ("floor", "wall", lambda face: not points[face, 1].any()),

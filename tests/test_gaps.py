@@ -18,7 +18,9 @@ def closing(base, left, lift=0.1):
 
 def on_its_seat(method=None):
     mesh = faults.valve()
-    plan = jm.prepare(mesh, "valve", ("seat", "inlet", "outlet", "top"), symmetry="middle", method=method)
+    plan = jm.prepare(
+        mesh, "valve", ("seat", "inlet", "outlet", "top"), symmetry="middle", method=method
+    )
     return mesh, plan, mesh.points[mesh.patch("valve")]
 
 
@@ -27,7 +29,9 @@ def test_a_valve_stands_above_its_seat():
     assert int(jm.quality(mesh).inverted) == 0
     valve, seat = (mesh.points[mesh.patch(name)] for name in ("valve", "seat"))
     assert valve[:, 1].min() - seat[:, 1].max() == pytest.approx(0.05)
-    inside = mesh.points[(mesh.points[:, 0] == 0.6) & (mesh.points[:, 1] >= 0) & (mesh.points[:, 1] <= 0.05)]
+    inside = mesh.points[
+        (mesh.points[:, 0] == 0.6) & (mesh.points[:, 1] >= 0) & (mesh.points[:, 1] <= 0.05)
+    ]
     assert len(inside) == 4
     areas = 1.5 * 1 + 0.5 * 0.6 - 0.7 * 0.15
     assert float(np.sum(jm.quality(mesh).volume)) == pytest.approx(areas)
@@ -53,11 +57,15 @@ def test_gaps_are_distances_to_faces():
     """Two triangles above a third: over its middle, its edge and its corner; in 2-D a node beside a segment and beyond it."""
     floor = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
     nodes = np.array([[0.5, 0.5, 0.3], [1, -0.4, 0.3], [-0.3, -0.4, 1.2]])
-    found = gaps(np.concatenate([floor, nodes]), np.array([0, 0, 0, 1, 1, 1]), np.array([[0, 1, 2]]))
+    found = gaps(
+        np.concatenate([floor, nodes]), np.array([0, 0, 0, 1, 1, 1]), np.array([[0, 1, 2]])
+    )
     np.testing.assert_allclose(found[0][3:], [0.3, 0.5, 1.3])
     assert np.isinf(found[0][:3]).all()
     flat = np.array([[0.0, 0], [1, 0], [0.5, 0.2], [4, 4]])
-    np.testing.assert_allclose(gaps(flat, np.array([0, 0, 1, 1]), np.array([[0, 1]]))[0][2:], [0.2, 5])
+    np.testing.assert_allclose(
+        gaps(flat, np.array([0, 0, 1, 1]), np.array([[0, 1]]))[0][2:], [0.2, 5]
+    )
 
 
 def test_walls_that_slide_keep_their_gap():
@@ -67,7 +75,9 @@ def test_walls_that_slide_keep_their_gap():
     faces = np.stack([np.arange(13), np.arange(1, 14)], axis=1)
     wall = np.repeat([0, 1], [11, 3])
     for vector, expected in (([3, 0], 1), ([0, -0.75], 0.25)):
-        left = share_left(points, points + np.where(wall[:, None] == 1, vector, 0.0), wall, faces, 0.0)
+        left = share_left(
+            points, points + np.where(wall[:, None] == 1, vector, 0.0), wall, faces, 0.0
+        )
         assert left.min() == pytest.approx(expected)
 
 

@@ -48,7 +48,11 @@ def test_o_grid(first_cell):
     angles = np.degrees(np.arctan2(*np.stack([before, after]).T[::-1]))
     assert abs(np.diff(angles)[0]) % 180 == pytest.approx(168, abs=4)  # an edge of 12 degrees
     along, ray = (layers[0, 2:] - layers[0, :-2]), (layers[1] - layers[0])[1:-1]
-    cosine = np.einsum("kd,kd->k", along, ray) / np.linalg.norm(along, axis=1) / np.linalg.norm(ray, axis=1)
+    cosine = (
+        np.einsum("kd,kd->k", along, ray)
+        / np.linalg.norm(along, axis=1)
+        / np.linalg.norm(ray, axis=1)
+    )
     assert np.abs(cosine[5:-5]).max() < 0.1
     np.testing.assert_allclose(np.linalg.norm(layers[-1] - [0.5, 0], axis=1), 20, rtol=0.01)
 
@@ -69,14 +73,21 @@ def test_a_channel_shares_its_corners():
     assert sizes == [11, 11, 13, 13]
     assert len(mesh.patch(*mesh.patches)) == sum(sizes) - 4
     heights = np.unique(mesh.points[:, 1])
-    np.testing.assert_allclose([heights[1], 0.3 - heights[-2], heights[-1]], [1e-4, 1e-4, 0.3], rtol=1e-2)
+    np.testing.assert_allclose(
+        [heights[1], 0.3 - heights[-2], heights[-1]], [1e-4, 1e-4, 0.3], rtol=1e-2
+    )
 
 
 def test_a_blade_has_a_passage_around_it():
     mesh = faults.cascade(around=120, layers=30)
     rim = mesh.points[mesh.patch("inlet", "outlet", "upper", "lower")]
     np.testing.assert_allclose(np.ptp(rim, axis=0), [1.7, 1.0])
-    for first, second in (("inlet", "lower"), ("inlet", "upper"), ("outlet", "lower"), ("outlet", "upper")):
+    for first, second in (
+        ("inlet", "lower"),
+        ("inlet", "upper"),
+        ("outlet", "lower"),
+        ("outlet", "upper"),
+    ):
         assert len(np.intersect1d(mesh.patch(first), mesh.patch(second))) == 1
     blade = mesh.points[mesh.patch("blade")]
     assert np.ptp(blade[:, 0]) == pytest.approx(1, abs=2e-3)

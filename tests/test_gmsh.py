@@ -12,8 +12,21 @@ from jaxmorph import io
 
 gmsh = pytest.importorskip("gmsh")
 FORMS = [(1.0, 0), (2.2, 0), (2.2, 1), (4.0, 0), (4.1, 0), (4.1, 1)]
-VARIANTS = ("plain", "all", "two groups", "parametric", "partitioned", "ghosts", "periodic", "nameless", "corners")
-READ = [*((3, form, "plain") for form in FORMS), *((3, (4.1, 1), variant) for variant in VARIANTS[1:])]
+VARIANTS = (
+    "plain",
+    "all",
+    "two groups",
+    "parametric",
+    "partitioned",
+    "ghosts",
+    "periodic",
+    "nameless",
+    "corners",
+)
+READ = [
+    *((3, form, "plain") for form in FORMS),
+    *((3, (4.1, 1), variant) for variant in VARIANTS[1:]),
+]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -30,7 +43,9 @@ def write(path, dimension: int, version: float, binary: int, variant: str) -> No
     gmsh.model.occ.synchronize()
     sides = [tag for _, tag in gmsh.model.getBoundary([(dimension, box)], oriented=False)]
     gmsh.model.addPhysicalGroup(dimension, [box], name="" if variant == "nameless" else "the fluid")
-    gmsh.model.addPhysicalGroup(dimension - 1, sides[:2], name="" if variant == "nameless" else "two sides")
+    gmsh.model.addPhysicalGroup(
+        dimension - 1, sides[:2], name="" if variant == "nameless" else "two sides"
+    )
     if variant == "two groups":
         gmsh.model.addPhysicalGroup(dimension - 1, sides[:1], name="a side")
         gmsh.model.addPhysicalGroup(dimension, [box], name="all")
@@ -39,7 +54,9 @@ def write(path, dimension: int, version: float, binary: int, variant: str) -> No
     if variant == "periodic":
         x = [1 if k in (0, 5, 10, 15) else 0 for k in range(16)]
         x[3] = 1  # moved by 1 along x
-        at = {round(gmsh.model.occ.getCenterOfMass(dimension - 1, side)[0], 6): side for side in sides}
+        at = {
+            round(gmsh.model.occ.getCenterOfMass(dimension - 1, side)[0], 6): side for side in sides
+        }
         gmsh.model.mesh.setPeriodic(dimension - 1, [at[1.0]], [at[0.0]], x)
     gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6)
     gmsh.model.mesh.generate(dimension)
@@ -48,7 +65,9 @@ def write(path, dimension: int, version: float, binary: int, variant: str) -> No
         gmsh.model.mesh.partition(3)
     options = {"MshFileVersion": version, "Binary": binary, "SaveAll": variant == "all"}
     # gmsh itself cannot open a file of version 1 with parameters
-    for name, value in (options | {"SaveParametric": variant == "parametric" and version > 1}).items():
+    for name, value in (
+        options | {"SaveParametric": variant == "parametric" and version > 1}
+    ).items():
         gmsh.option.setNumber(f"Mesh.{name}", value)
     gmsh.write(str(path))
 
@@ -70,7 +89,9 @@ def oracle(path, dimension: int):
     corners = np.array([at[tag] for tag in cells.tolist()]).reshape(-1, dimension + 1, dimension)
     groups = {}
     for level, tag in gmsh.model.getPhysicalGroups():
-        found = gmsh.model.mesh.getNodesForPhysicalGroup(level, tag)[1].reshape(-1, 3)[:, :dimension]
+        found = gmsh.model.mesh.getNodesForPhysicalGroup(level, tag)[1].reshape(-1, 3)[
+            :, :dimension
+        ]
         if level < dimension and len(found):
             groups[gmsh.model.getPhysicalName(level, tag) or f"physical_{tag}"] = rows(found)
     return places, corners, groups
@@ -104,10 +125,14 @@ def test_what_gmsh_writes_is_read_as_gmsh_reads_it(tmp_path, dimension, form, va
     io.write(tmp_path / "same.msh", mesh)
     assert (tmp_path / "same.msh").read_bytes() == path.read_bytes()
     # gmsh places nodes of a periodic side by those of the other one: these must go the same way
-    moved = mesh.moved(np.asarray(mesh.points) * np.pi if variant != "periodic" else np.asarray(mesh.points) + 8)
+    moved = mesh.moved(
+        np.asarray(mesh.points) * np.pi if variant != "periodic" else np.asarray(mesh.points) + 8
+    )
     io.write(tmp_path / "b.msh", moved)
     assert_as_gmsh_reads(tmp_path / "b.msh", moved, dimension)
-    assert outside_of_nodes((tmp_path / "b.msh").read_bytes()) == outside_of_nodes(path.read_bytes())
+    assert outside_of_nodes((tmp_path / "b.msh").read_bytes()) == outside_of_nodes(
+        path.read_bytes()
+    )
     np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, moved.points)
 
 
@@ -128,7 +153,9 @@ def test_a_second_mesh_in_the_file_is_told(tmp_path):
     write(tmp_path / "a.msh", 2, 4.1, 0, "plain")
     data = (tmp_path / "a.msh").read_bytes()
     (tmp_path / "a.msh").write_bytes(data + data[data.index(b"$Nodes") :])
-    with pytest.raises(ValueError, match=r"in \$Nodes \(a second one; gmsh adds a view without the mesh"):
+    with pytest.raises(
+        ValueError, match=r"in \$Nodes \(a second one; gmsh adds a view without the mesh"
+    ):
         io.read(tmp_path / "a.msh")
 
 
@@ -140,20 +167,34 @@ def test_parameters_of_nodes_stay(tmp_path):
         mesh = io.read(path)
         io.write(tmp_path / "b.msh", mesh.moved(np.asarray(mesh.points) + 10.0))
         column = {2.2: slice(4, None), 4.0: slice(4, None), 4.1: slice(3, None)}[version]
-        kept = [[line.split()[column] for line in file.read_text().splitlines()] for file in (path, tmp_path / "b.msh")]
+        kept = [
+            [line.split()[column] for line in file.read_text().splitlines()]
+            for file in (path, tmp_path / "b.msh")
+        ]
         assert kept[0] == kept[1]
 
 
 def test_a_file_of_the_other_byte_order_is_read_as_gmsh_reads_it(tmp_path):
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1.5, 0]])
-    nodes = b"".join(np.array([k + 5], ">i4").tobytes() + x.astype(">f8").tobytes() for k, x in enumerate(points))
+    nodes = b"".join(
+        np.array([k + 5], ">i4").tobytes() + x.astype(">f8").tobytes() for k, x in enumerate(points)
+    )
     cells = np.array([2, 2, 2, 1, 7, 1, 5, 6, 7, 2, 7, 1, 6, 8, 7], ">i4").tobytes()
-    data = b"$MeshFormat\n2.2 1 8\n" + np.array([1], ">i4").tobytes() + b"\n$EndMeshFormat\n$Nodes\n4\n" + nodes
-    (tmp_path / "a.msh").write_bytes(data + b"\n$EndNodes\n$Elements\n2\n" + cells + b"\n$EndElements\n")
+    data = (
+        b"$MeshFormat\n2.2 1 8\n"
+        + np.array([1], ">i4").tobytes()
+        + b"\n$EndMeshFormat\n$Nodes\n4\n"
+        + nodes
+    )
+    (tmp_path / "a.msh").write_bytes(
+        data + b"\n$EndNodes\n$Elements\n2\n" + cells + b"\n$EndElements\n"
+    )
     mesh = io.read(tmp_path / "a.msh")
     assert_as_gmsh_reads(tmp_path / "a.msh", mesh, 2)
     io.write(tmp_path / "b.msh", mesh.moved(np.asarray(mesh.points) * np.pi))
-    np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, np.asarray(mesh.points) * np.pi)
+    np.testing.assert_array_equal(
+        io.read(tmp_path / "b.msh").points, np.asarray(mesh.points) * np.pi
+    )
 
 
 @pytest.mark.parametrize(("version", "binary"), FORMS)
@@ -163,7 +204,12 @@ def test_tags_far_apart_take_no_memory(tmp_path, version, binary):
     gmsh.model.addDiscreteEntity(2, 1)
     gmsh.model.mesh.addNodes(2, 1, [7, 10**9, 3], [0, 0, 0, 1, 0, 0, 0, 1, 0])
     gmsh.model.mesh.addElementsByType(1, 2, [10**9], [3, 7, 10**9])
-    for name, value in (("MshFileVersion", version), ("Binary", binary), ("SaveAll", 1), ("SaveParametric", 0)):
+    for name, value in (
+        ("MshFileVersion", version),
+        ("Binary", binary),
+        ("SaveAll", 1),
+        ("SaveParametric", 0),
+    ):
         gmsh.option.setNumber(f"Mesh.{name}", value)
     gmsh.write(str(tmp_path / "a.msh"))
     assert_as_gmsh_reads(tmp_path / "a.msh", io.read(tmp_path / "a.msh"), 2)

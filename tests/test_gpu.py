@@ -40,13 +40,19 @@ def test_ten_million_points_take_blocks_that_fit_the_platform():
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("method", [None, jm.SurfaceReconstruction.published(4, 4)], ids=["default", "published"])
+@pytest.mark.parametrize(
+    "method", [None, jm.SurfaceReconstruction.published(4, 4)], ids=["default", "published"]
+)
 def test_other_methods(method):
     mesh = body(3)
     u = motion(mesh.points[mesh.moving])
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method)
     plan, points = gpu.grown((plan, plan.points), len(mesh.points), N)
-    for function, arguments in ((jm.deform, (plan, u)), (jm.pullback, (plan, u, points)), (jm.refit, (plan, points))):
+    for function, arguments in (
+        (jm.deform, (plan, u)),
+        (jm.pullback, (plan, u, points)),
+        (jm.refit, (plan, points)),
+    ):
         assert gpu.steps(function, arguments) <= 512
 
 
@@ -73,7 +79,9 @@ def test_a_product_in_one_loop(axis):
     block = rng.normal(size=(5, 7))
     rows = rng.normal(size=(3, block.shape[axis]))
     found = few_rows_in_one_loop(jnp.asarray(rows.T), jnp.asarray(block), axis)
-    np.testing.assert_allclose(found.T, rows @ (block if axis == 0 else block.T), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        found.T, rows @ (block if axis == 0 else block.T), rtol=0, atol=1e-14
+    )
 
 
 def test_a_direct_call_on_a_cpu_is_traced_for_it_alone():

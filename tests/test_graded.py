@@ -42,7 +42,10 @@ def test_limits_order_and_hardly_any_points():
     others = 0.5 * circle(400)[::20]
     points = np.random.default_rng(0).normal(size=(300, 2))
     order = np.random.default_rng(1).permutation(300)
-    first, shuffled = jm.Graded().beside(points, others), jm.Graded().beside(points[order], others[::-1])
+    first, shuffled = (
+        jm.Graded().beside(points, others),
+        jm.Graded().beside(points[order], others[::-1]),
+    )
     assert set(first) == set(order[shuffled])
     assert len(jm.Graded(most=7).beside(points, others)) == 7
     wide = points[jm.Graded(separation=0.1).beside(points, others)]
@@ -69,7 +72,9 @@ def turned_in_steps(mesh, fixed_reduction, degrees):
 @pytest.mark.nightly
 def test_a_cascade_turns_as_far_as_with_every_source():
     mesh = faults.cascade()
-    few, graded, classic = (turned_in_steps(mesh, each, -44) for each in (jm.KDTree(16), jm.Graded(), None))
+    few, graded, classic = (
+        turned_in_steps(mesh, each, -44) for each in (jm.KDTree(16), jm.Graded(), None)
+    )
     assert int(few.inverted) > 0
     assert int(classic.inverted) == int(graded.inverted) == 0
     assert float(graded.min_jacobian_ratio) > 0.9 * float(classic.min_jacobian_ratio)
@@ -83,17 +88,25 @@ def test_more_leaves_where_another_boundary_is_near():
     assert tree(wall).tolist() == jm.KDTree(2)(wall).tolist()
 
 
-@over("reduction", [jm.FarthestPoints(24)], nightly=[jm.KDTree(24, extremes=True), jm.KDTree(24, separation=0.02)])
+@over(
+    "reduction",
+    [jm.FarthestPoints(24)],
+    nightly=[jm.KDTree(24, extremes=True), jm.KDTree(24, separation=0.02)],
+)
 def test_a_source_and_its_mirror_image_keep_their_distance(reduction):
     """Half a body, with nodes on the plane and others just above it; all points and images, distances by brute force."""
-    angle = np.concatenate([[0, 2e-4, 5e-4, np.pi - 3e-4, np.pi], np.linspace(0.01, np.pi - 0.01, 60)])
+    angle = np.concatenate(
+        [[0, 2e-4, 5e-4, np.pi - 3e-4, np.pi], np.linspace(0.01, np.pi - 0.01, 60)]
+    )
     half = on_circle(angle) * [1, 0.4]
     half[np.isin(angle, [0, np.pi]), 1] = 0
     points = np.concatenate([half, 10 * half, [[3.0, 0.0], [2.0, 1.0]]])
     count = len(half)
     method = jm.RBF(reduction=reduction, fixed_reduction=reduction)
     plane = jm.Plane(normal=(0, 1), origin=(0, 0))
-    plan = jm.prepare(points, np.arange(count), np.arange(count, 2 * count), method=method, symmetry=plane)
+    plan = jm.prepare(
+        points, np.arange(count), np.arange(count, 2 * count), method=method, symmetry=plane
+    )
     sources = np.asarray(plan.surface.points)[np.asarray(plan.surface.ids)]
     assert pdist(sources).min() > min(reduction.closest(half), reduction.closest(10 * half))
     inner = sources[np.linalg.norm(sources, axis=1) < 2]

@@ -35,7 +35,9 @@ def test_motions_are_met_better_than_by_boxes(sphere, motions):
 
 
 def test_one_by_one_each_source_is_where_those_before_miss_most(sphere, motions):
-    before, after = (set(jm.Greedy(count, motions, group=0.0, separation=0.0)(sphere)) for count in (20, 21))
+    before, after = (
+        set(jm.Greedy(count, motions, group=0.0, separation=0.0)(sphere)) for count in (20, 21)
+    )
     assert before < after
     values, sources = np.concatenate(list(motions), axis=1), sorted(before)
     spline = RBFInterpolator(sphere[sources], values[sources], kernel="thin_plate_spline", degree=1)
@@ -75,7 +77,9 @@ def test_a_plan_chooses_by_the_motions_of_its_own_nodes(sphere, motions):
     order = np.random.default_rng(1).permutation(400)
     reduction = jm.Greedy(40, motions[:, order])
     points = np.concatenate([sphere[order], 4 * sphere[::10]])
-    plan = jm.prepare(points, np.arange(400), np.arange(400, 440), method=jm.RBF(reduction=reduction))
+    plan = jm.prepare(
+        points, np.arange(400), np.arange(400, 440), method=jm.RBF(reduction=reduction)
+    )
     chosen = plan.sources[plan.sources < 400]
     np.testing.assert_array_equal(np.sort(chosen), reduction(sphere[order]))
 

@@ -24,7 +24,9 @@ def airfoil():
     wall = np.asarray(mesh.points)[plan.moving]
     upper = shapes.wall_normals(mesh, "airfoil")[:, 1] > 0
     bump = shapes.HicksHenne(np.linspace(0.05, 0.95, 10))
-    sides = [jax.jacfwd(shapes.Part(bump, kept).at(wall))(jnp.zeros(10)) for kept in (upper, ~upper)]
+    sides = [
+        jax.jacfwd(shapes.Part(bump, kept).at(wall))(jnp.zeros(10)) for kept in (upper, ~upper)
+    ]
     weights = jnp.concatenate(sides, axis=2)
     ring = np.searchsorted(plan.moving, shapes.wall_loop(mesh, "airfoil"))
     motion = lambda p: weights @ p  # noqa: E731
@@ -64,7 +66,9 @@ def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
     for k in (0, 7, 19):
         step = h * np.eye(20)[k]
         first, other = (guard.quality_rows(p + s * step, count) for s in (1, -1))
-        np.testing.assert_allclose((first.values - other.values) / (2 * h), rows.matrix[:, k], rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(
+            (first.values - other.values) / (2 * h), rows.matrix[:, k], rtol=1e-3, atol=1e-3
+        )
 
 
 @pytest.mark.nightly
@@ -72,11 +76,17 @@ def test_cells_in_3d_count_by_their_corners():
     mesh = bricks(2)
     far = np.flatnonzero(np.asarray(mesh.points)[:, 2] == 1)
     plan = jm.prepare(mesh.points, mesh.patch("floor"), far, method=jm.RBF.classic())
-    guard = shapes.MeshGuard(plan, mesh, lambda p: jnp.zeros((len(plan.moving), 3)).at[:, 2].set(p[0]))
+    guard = shapes.MeshGuard(
+        plan, mesh, lambda p: jnp.zeros((len(plan.moving), 3)).at[:, 2].set(p[0])
+    )
     moved = jm.deform(plan, np.tile([0, 0, 0.3], (9, 1)))
-    np.testing.assert_allclose(guard.smallest([0.3]), jm.quality(mesh, moved).jacobian_ratio.min(), rtol=1e-9)
+    np.testing.assert_allclose(
+        guard.smallest([0.3]), jm.quality(mesh, moved).jacobian_ratio.min(), rtol=1e-9
+    )
     assert guard.smallest([1.5]) < 0
-    assert guard.quality_rows([0.3], 72).values.shape == (72,)  # eight corners and the centre of eight cells
+    assert guard.quality_rows([0.3], 72).values.shape == (
+        72,
+    )  # eight corners and the centre of eight cells
     with pytest.raises(ValueError, match="72 Jacobians"):
         guard.quality_rows([0.3], 73)
 
@@ -91,7 +101,12 @@ def test_an_optimiser_thins_an_airfoil_and_no_flow_sees_a_broken_mesh(airfoil, c
         value, slope = area(p)
         return float(value), np.asarray(slope)
 
-    settings = {"jac": True, "method": "SLSQP", "bounds": [(-0.04, 0.04)] * 20, "options": {"maxiter": 12}}
+    settings = {
+        "jac": True,
+        "method": "SLSQP",
+        "bounds": [(-0.04, 0.04)] * 20,
+        "options": {"maxiter": 12},
+    }
     scipy.optimize.minimize(objective, np.zeros(20), **settings)
     assert min(guard.smallest(p) for p in designs) < 0  # without a guard cells invert at once
     designs.clear()
@@ -115,8 +130,12 @@ def test_a_history_goes_on_after_a_kill(tmp_path):
     file = tmp_path / "wing.jsonl"
     history = shapes.History(file)
     assert len(history) == 0
-    history.add([0.0, 1.0], 2.0, constraints={"lift": 0.5, "thickness": [0.1, 0.2]}, measures={"ratio": 0.9})
-    history.add(np.array([0.5, 1.5]), np.float64(1.5), constraints={"lift": 0.4}, measures={"ratio": np.nan})
+    history.add(
+        [0.0, 1.0], 2.0, constraints={"lift": 0.5, "thickness": [0.1, 0.2]}, measures={"ratio": 0.9}
+    )
+    history.add(
+        np.array([0.5, 1.5]), np.float64(1.5), constraints={"lift": 0.4}, measures={"ratio": np.nan}
+    )
     with file.open("a") as stream:
         stream.write('{"design": [0.1, 0')  # what a kill leaves
     again = shapes.History(file)
@@ -132,11 +151,14 @@ def test_a_history_goes_on_after_a_kill(tmp_path):
 
 def test_each_iteration_is_a_line_and_the_first_compiles(tmp_path, capsys):
     history = shapes.History(tmp_path / "wing.jsonl")
-    history.add([0.0], 0.25, constraints={"lift": 0.5, "thickness": [0.3, 0.1]}, measures={"ratio": np.nan})
+    history.add(
+        [0.0], 0.25, constraints={"lift": 0.5, "thickness": [0.3, 0.1]}, measures={"ratio": np.nan}
+    )
     history.add([0.5], np.inf)
     first, second = capsys.readouterr().err.splitlines()
     assert re.fullmatch(
-        r"iteration 0: 0\.25, lift 0\.5, thickness 0\.1 to 0\.3, ratio nan \([\d.e-]+ s, with compiling\)", first
+        r"iteration 0: 0\.25, lift 0\.5, thickness 0\.1 to 0\.3, ratio nan \([\d.e-]+ s, with compiling\)",
+        first,
     )
     assert re.fullmatch(r"iteration 1: nan \([\d.e-]+ s\)", second)
 
@@ -145,7 +167,9 @@ def test_each_iteration_is_a_line_and_the_first_compiles(tmp_path, capsys):
 def test_what_an_optimisation_did_has_a_panel_and_a_scale_for_each(tmp_path, is_given):
     history = shapes.History(tmp_path / "wing.jsonl")
     for k in range(4):
-        history.add([k], 1e-3 * k, constraints={"lift": 0.5 + 1e-3 * k, "thickness": [0.1, 0.2 * k]})
+        history.add(
+            [k], 1e-3 * k, constraints={"lift": 0.5 + 1e-3 * k, "thickness": [0.1, 0.2 * k]}
+        )
     given = plt.subplots(1, 2)[1][1] if is_given else None
     first = plot.convergence(history, bounds={"lift": (0.45, np.inf)}, ax=given)
     assert given in (None, first)
@@ -158,7 +182,9 @@ def test_what_an_optimisation_did_has_a_panel_and_a_scale_for_each(tmp_path, is_
     np.testing.assert_array_equal(lines[2], history.column("thickness").T)
     assert panels[0].get_ylim()[1] < 0.01 < panels[1].get_ylim()[0] < 0.45  # the bound is in view
     assert panels[1].get_position().y1 < panels[0].get_position().y0
-    with pytest.raises(ValueError, match="no iteration has `name` 'drag'; there are: lift, thickness"):
+    with pytest.raises(
+        ValueError, match="no iteration has `name` 'drag'; there are: lift, thickness"
+    ):
         plot.convergence(history, bounds={"drag": (0.0, 1.0)})
     with pytest.raises(ValueError, match="in no grid"):
         plot.convergence(history, ax=plt.figure().add_axes((0, 0, 1, 1)))

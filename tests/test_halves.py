@@ -62,8 +62,12 @@ CASES = {
     "default": lambda mesh: airfoil(None, mesh),
     "multiscale": lambda mesh: airfoil(jm.SurfaceReconstruction(correction=jm.Multiscale()), mesh),
     "rbf": lambda mesh: airfoil(jm.RBF(reduction=jm.KDTree(4)), mesh),
-    "symmetry": lambda mesh: square(mesh, symmetry=[jm.Plane((1, 0), (0, 0)), jm.Plane((1, 0), (1, 0))]),
-    "sliding": lambda mesh: square(mesh, sliding=jm.Slide(np.arange(6, 30, 6), jm.Plane((1, 0), (0, 0)))),
+    "symmetry": lambda mesh: square(
+        mesh, symmetry=[jm.Plane((1, 0), (0, 0)), jm.Plane((1, 0), (1, 0))]
+    ),
+    "sliding": lambda mesh: square(
+        mesh, sliding=jm.Slide(np.arange(6, 30, 6), jm.Plane((1, 0), (0, 0)))
+    ),
 }
 """A mesh, its lists, the rest of `prepare`'s arguments, the nodes of each piece, and a displacement."""
 
@@ -79,7 +83,10 @@ def test_pieces_move_as_the_whole(mesh, tmp_path, name):
     np.testing.assert_array_equal(half.moving, plan.moving)
     np.testing.assert_array_equal(half.surface_nodes, plan.surface_nodes)
     points = np.asarray(plan.points)
-    whole, cotangent = np.asarray(jm.deform(plan, u)), np.random.default_rng(2).normal(size=points.shape)
+    whole, cotangent = (
+        np.asarray(jm.deform(plan, u)),
+        np.random.default_rng(2).normal(size=points.shape),
+    )
     seen, total = {}, 0.0
     for nodes in pieces:
         piece = half.attach(points[nodes], nodes)
@@ -90,10 +97,14 @@ def test_pieces_move_as_the_whole(mesh, tmp_path, name):
         if plan.method.exact:
             rows = [np.flatnonzero(half.moving == node)[0] for node in nodes[on_wall]]
             np.testing.assert_array_equal(moved[on_wall], points[nodes[on_wall]] + u[rows])
-        first = np.array([node not in seen for node in nodes])  # a node counts in the first piece that has it
+        first = np.array(
+            [node not in seen for node in nodes]
+        )  # a node counts in the first piece that has it
         for node, place in zip(nodes, moved, strict=True):
             np.testing.assert_allclose(seen.setdefault(node, place), place, rtol=0, atol=1e-13)
-        total = total + np.asarray(jm.pullback(piece, u, np.where(first[:, None], cotangent[nodes], 0)))
+        total = total + np.asarray(
+            jm.pullback(piece, u, np.where(first[:, None], cotangent[nodes], 0))
+        )
     assert len(seen) == len(points)
     expected = np.asarray(jm.pullback(plan, u, cotangent))
     np.testing.assert_allclose(total, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
@@ -101,12 +112,17 @@ def test_pieces_move_as_the_whole(mesh, tmp_path, name):
 
 @pytest.mark.nightly
 def test_pieces_march_and_replay(mesh):
-    plan, half = jm.prepare(mesh, "airfoil", "farfield"), jm.prepare_surface(jm.Boundary(mesh, "airfoil", "farfield"))
+    plan, half = (
+        jm.prepare(mesh, "airfoil", "farfield"),
+        jm.prepare_surface(jm.Boundary(mesh, "airfoil", "farfield")),
+    )
     u, points, nodes = displacement(half, mesh), np.asarray(mesh.points), pieces_of(mesh)[2]
     path = np.stack([u, 2 * u, 4 * u])
     piece = half.attach(points[nodes], nodes)
     steps, moved = jm.march(piece, path)
-    np.testing.assert_allclose(moved, np.asarray(jm.march(plan, path)[1])[nodes], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        moved, np.asarray(jm.march(plan, path)[1])[nodes], rtol=0, atol=1e-11
+    )
     np.testing.assert_array_equal(jm.replay(steps, path), moved)
     with pytest.raises(ValueError, match="march of a piece needs rebuild=False"):
         jm.march(piece, path, rebuild=True)
@@ -119,7 +135,9 @@ def test_a_surface_gathered_from_elsewhere(mesh):
     some = np.concatenate([far, wall])
     rows = np.arange(len(some))
     graph = jm.DelaunayGraph()
-    half = jm.prepare_surface(jm.Boundary(points[some], rows[len(far) :], rows[: len(far)]), nodes=some, method=graph)
+    half = jm.prepare_surface(
+        jm.Boundary(points[some], rows[len(far) :], rows[: len(far)]), nodes=some, method=graph
+    )
     plan = jm.prepare(points, wall, far, method=graph)
     u = displacement(half, mesh)
     nodes = np.arange(100, 200)
@@ -130,7 +148,9 @@ def test_a_surface_gathered_from_elsewhere(mesh):
 def test_the_graph_is_built_once_and_is_not_in_the_file(mesh, monkeypatch):
     half = jm.prepare_surface(jm.Boundary(mesh, "airfoil", "farfield"), method=jm.DelaunayGraph())
     bytes_before, built = len(pickle.dumps(half)), []
-    monkeypatch.setattr(corrections, "graph_of", lambda surface: built.append(surface) or graph_of(surface))
+    monkeypatch.setattr(
+        corrections, "graph_of", lambda surface: built.append(surface) or graph_of(surface)
+    )
     for nodes in pieces_of(mesh):
         half.attach(np.asarray(mesh.points)[nodes], nodes)
     assert len(built) == 1
@@ -142,19 +162,35 @@ def test_what_a_half_refuses(mesh):
     half = jm.prepare_surface(jm.Boundary(mesh, "airfoil", "farfield"), method=jm.DelaunayGraph())
     u, wall = displacement(half, mesh), half.moving[:4]
     boundary = jm.Boundary(mesh, "airfoil", "farfield")
-    piece, at, of_other = half.attach(points[wall], wall), points[wall], "call {} with the plan of the surface"
+    piece, at, of_other = (
+        half.attach(points[wall], wall),
+        points[wall],
+        "call {} with the plan of the surface",
+    )
     lifted = at + 0.1 * np.eye(4)[:, [0, 2]] * [0, 1]
     refused = {
-        r"1 nodes are named more than once in `nodes`, first \d+": lambda: half.attach(at[[0, 0]], wall[[0, 0]]),
-        r"1 surface nodes lie elsewhere than in the half: id \d+, point 2, by 0.1": lambda: half.attach(lifted, wall),
+        r"1 nodes are named more than once in `nodes`, first \d+": lambda: half.attach(
+            at[[0, 0]], wall[[0, 0]]
+        ),
+        r"1 surface nodes lie elsewhere than in the half: id \d+, point 2, by 0.1": lambda: (
+            half.attach(lifted, wall)
+        ),
         "expected an id for each of 4 points": lambda: half.attach(at, wall[:2]),
         "the piece has no points": lambda: half.attach(at[:0], wall[:0]),
-        "only -1 may come twice": lambda: jm.prepare_surface(boundary, nodes=np.zeros(len(points), int)),
-        "LinearElasticity needs the cells": lambda: jm.prepare_surface(boundary, method=jm.LinearElasticity()),
+        "only -1 may come twice": lambda: jm.prepare_surface(
+            boundary, nodes=np.zeros(len(points), int)
+        ),
+        "LinearElasticity needs the cells": lambda: jm.prepare_surface(
+            boundary, method=jm.LinearElasticity()
+        ),
         rf"\d+ surface nodes are in .*{of_other.format('inspect')}": lambda: jm.inspect(piece, u),
-        rf"\d+ surface nodes are in .*{of_other.format('boundary_quality')}": lambda: jm.boundary_quality(piece, at),
+        rf"\d+ surface nodes are in .*{of_other.format('boundary_quality')}": lambda: (
+            jm.boundary_quality(piece, at)
+        ),
         "this plan is of a piece: call prepare_surface": lambda: jm.refit(piece, at),
-        "`method` is the class DelaunayGraph: call it": lambda: jm.prepare_surface(boundary, method=jm.DelaunayGraph),
+        "`method` is the class DelaunayGraph: call it": lambda: jm.prepare_surface(
+            boundary, method=jm.DelaunayGraph
+        ),
     }
     for message, call in refused.items():
         with pytest.raises(ValueError, match=message):
@@ -175,12 +211,18 @@ def test_a_free_side_that_only_pieces_show():
     some = np.concatenate([moving, fixed])
     rows = np.arange(12)
     half = jm.prepare_surface(jm.Boundary(points[some], rows[:6], rows[6:]), nodes=some)
-    with pytest.raises(ValueError, match="flat side of the mesh that is neither moving, fixed nor a symmetry plane"):
+    with pytest.raises(
+        ValueError, match="flat side of the mesh that is neither moving, fixed nor a symmetry plane"
+    ):
         half.attach(points, np.arange(36))
-    told = jm.prepare_surface(jm.Boundary(points[some], rows[:6], rows[6:]), nodes=some, is_open=True)
+    told = jm.prepare_surface(
+        jm.Boundary(points[some], rows[:6], rows[6:]), nodes=some, is_open=True
+    )
     u = 0.1 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
     expected = jm.deform(jm.prepare(points, moving, fixed), u)
-    np.testing.assert_allclose(jm.deform(told.attach(points, np.arange(36)), u), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        jm.deform(told.attach(points, np.arange(36)), u), expected, rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -199,7 +241,9 @@ def test_parts_march_by_a_method_that_is_not_exact():
 def test_rows_name_the_displacement_of_each_node():
     points, moving, fixed = brick()
     numbers = np.random.default_rng(0).permutation(100)[: len(points)]
-    half = jm.prepare_surface(jm.Boundary(points, moving, fixed), nodes=numbers, method=jm.InverseDistance())
+    half = jm.prepare_surface(
+        jm.Boundary(points, moving, fixed), nodes=numbers, method=jm.InverseDistance()
+    )
     some = half.moving[[4, 0, 2]]
     np.testing.assert_array_equal(half.rows(some), [4, 0, 2])
     np.testing.assert_array_equal(half.moving[half.rows(numbers[moving])], numbers[moving])
@@ -254,7 +298,13 @@ def test_equal_to_the_whole_with_one_all_reduce_outside_of_loops():
     """Points bit for bit but for the order of sums, gradients as far as the solve lets them: one process compiles it all."""
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=3"
     environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run([sys.executable, "-c", SHARDED], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", SHARDED],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     found = json.loads(done.stdout)
     for method, least in (("default", 1e-8), ("graph", 1e-12), ("compact", 1e-11)):
@@ -266,7 +316,9 @@ def test_equal_to_the_whole_with_one_all_reduce_outside_of_loops():
             assert max(pulled, base) < least
             reduces, in_loops = found[f"{method} {count} text"]
             assert in_loops == 0
-            if method == "compact":  # `deform` and `pullback` solve on the host once each, not once a device
+            if (
+                method == "compact"
+            ):  # `deform` and `pullback` solve on the host once each, not once a device
                 assert found[f"{method} {count} solves"] == [True, 2]
             else:
                 assert reduces == 1

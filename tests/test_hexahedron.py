@@ -11,7 +11,9 @@ from runs import over, refusals
 
 from jaxmorph import cases, shapes
 
-CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1.0]])
+CUBE = np.array(
+    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1.0]]
+)
 BENT = CUBE * [2, 3, 4] + 0.3 * np.random.default_rng(0).normal(size=(8, 3))
 LEANING = np.array([[0, 0], [2, 0.1], [1.8, 1], [0.1, 1.2]])
 
@@ -20,7 +22,10 @@ def inside(corners, t):
     """Places in a box of known coordinates: corners weighted by the lengths to the opposite sides."""
     d = corners.shape[1]
     near = {2: [(0, 0), (1, 0), (1, 1), (0, 1)], 3: [tuple(map(int, corner)) for corner in CUBE]}[d]
-    shares = [np.prod([t[:, a] if bit else 1 - t[:, a] for a, bit in enumerate(bits)], axis=0) for bits in near]
+    shares = [
+        np.prod([t[:, a] if bit else 1 - t[:, a] for a, bit in enumerate(bits)], axis=0)
+        for bits in near
+    ]
     return sum(share[:, None] * corner for share, corner in zip(shares, corners, strict=True))
 
 

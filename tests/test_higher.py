@@ -32,11 +32,15 @@ def test_hessian_vector_products_of_quality(mesh, plan):
     """Forward over reverse, the cheap way: costs a few gradients, whatever the number of displacements."""
 
     def objective(u):
-        return jnp.mean((jm.quality(mesh, jm.deform(plan, u)).volume_ratio - 1) ** 2)  # skewness has kinks
+        return jnp.mean(
+            (jm.quality(mesh, jm.deform(plan, u)).volume_ratio - 1) ** 2
+        )  # skewness has kinks
 
     x = mesh.points[mesh.patch("airfoil")][:, :1]
     u = bump(mesh, 0.05)
-    direction = 1e-3 * np.sin(2 * np.pi * x) * [0.3, 1]  # smooth: rounding is then small in the difference
+    direction = (
+        1e-3 * np.sin(2 * np.pi * x) * [0.3, 1]
+    )  # smooth: rounding is then small in the difference
     gradient = jax.jit(jax.grad(objective))
     product = jax.jit(lambda u, v: jax.jvp(gradient, (u,), (v,))[1])(u, direction)
     difference = (gradient(u + direction) - gradient(u - direction)) / 2
@@ -54,12 +58,16 @@ def test_a_hundred_steps_of_an_optimisation_in_one_program(mesh, plan):
     curvature = 2 * jnp.sum((jm.deform(plan, bump(mesh, 1.0)) - plan.points) ** 2)
 
     def descend(target):
-        step = jax.checkpoint(lambda a, _: (a - 0.2 / curvature * jax.grad(misfit)(a, target), None))
+        step = jax.checkpoint(
+            lambda a, _: (a - 0.2 / curvature * jax.grad(misfit)(a, target), None)
+        )
         return jax.lax.scan(step, jnp.zeros(()), length=100)[0]
 
     np.testing.assert_allclose(jax.jit(descend)(target), 0.08, rtol=1e-8)
     direction = jm.deform(plan, bump(mesh, 1.0)) - plan.points
-    slope = jnp.vdot(jax.jit(jax.grad(descend))(target), direction)  # the bump found grows as the one given
+    slope = jnp.vdot(
+        jax.jit(jax.grad(descend))(target), direction
+    )  # the bump found grows as the one given
     np.testing.assert_allclose(slope, 1.0, rtol=1e-8)
 
 
@@ -69,4 +77,6 @@ def test_plans_of_one_shape_in_one_call(mesh, plan):
     plans = [jm.refit(plan, plan.points * stretch) for stretch in (0.9, 1.0, 1.2)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *plans)
     together = eqx.filter_vmap(jm.deform, in_axes=(eqx.if_array(0), None))(stacked, u)
-    np.testing.assert_allclose(together, jnp.stack([jm.deform(one, u) for one in plans]), atol=1e-12)
+    np.testing.assert_allclose(
+        together, jnp.stack([jm.deform(one, u) for one in plans]), atol=1e-12
+    )

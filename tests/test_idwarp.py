@@ -31,13 +31,20 @@ PLANES = {1: [[[0, 0, 0], [1, 0, 0]]], 2: [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [
 def grids(tmp_path_factory):
     """The file of each kind, and its nodes in the order of the file."""
     folder = tmp_path_factory.mktemp("grids")
-    return {kind: (folder / name, write(folder / name)) for kind, (name, _, write) in meshes.FILES.items()}
+    return {
+        kind: (folder / name, write(folder / name))
+        for kind, (name, _, write) in meshes.FILES.items()
+    }
 
 
 def opened(grids, kind, **options):
     """The mesh of a file; exact weights by distance, which compile fast, unless `useRotations=None` asks for the default."""
     walls = {"specifiedSurfaces": ["kmin" if kind == "plot3d" else "Floor"]}
-    settled = {"gridFile": str(grids[kind][0]), "fileType": meshes.FILES[kind][1], "useRotations": False}
+    settled = {
+        "gridFile": str(grids[kind][0]),
+        "fileType": meshes.FILES[kind][1],
+        "useRotations": False,
+    }
     return USMesh(options=settled | walls | options, comm=MPI.COMM_SELF)
 
 
@@ -64,7 +71,8 @@ def dot_is_equal(mesh, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), runs([("structured", 1)], nightly=[("unstructured", 2), ("plot3d", 1), ("openfoam", 1)])
+    ("kind", "count"),
+    runs([("structured", 1)], nightly=[("unstructured", 2), ("plot3d", 1), ("openfoam", 1)]),
 )
 def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     nodes = grids[kind][1]
@@ -80,10 +88,14 @@ def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     moved = warped(mesh)
     wall = meshes.on(nodes, "floor")
     np.testing.assert_allclose(moved[wall], meshes.bump(nodes[wall]), atol=1e-15)
-    held = np.setdiff1d(np.concatenate([meshes.on(nodes, name) for name in ("lid", "xmax", "ymax")]), wall)
+    held = np.setdiff1d(
+        np.concatenate([meshes.on(nodes, name) for name in ("lid", "xmax", "ymax")]), wall
+    )
     assert np.array_equal(moved[held], nodes[held])
     for name, axis in (("sym0", 0), ("sym1", 1))[:count]:
-        assert np.array_equal(moved[meshes.on(nodes, name), axis], nodes[meshes.on(nodes, name), axis])
+        assert np.array_equal(
+            moved[meshes.on(nodes, name), axis], nodes[meshes.on(nodes, name), axis]
+        )
     if count == 1:  # the other side is no plane of symmetry then: it is fixed
         side = np.setdiff1d(meshes.on(nodes, "sym1"), wall)
         assert np.array_equal(moved[side], nodes[side])
@@ -94,14 +106,23 @@ def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     assert np.array_equal(moved, moved[first][copies.ravel()])
 
     dot_is_equal(mesh)
-    assert mesh.verifyWarpDeriv(np.linspace(0, 1, nodes.size), solverVec=False, dofStart=0, dofEnd=5) < 1e-7
+    assert (
+        mesh.verifyWarpDeriv(np.linspace(0, 1, nodes.size), solverVec=False, dofStart=0, dofEnd=5)
+        < 1e-7
+    )
     assert capsys.readouterr().out.count("surface coordinate") == 5
 
 
 @pytest.mark.slow
 def test_a_cube_inflates(grids):
     """IDWarp's case: each coordinate of a closed surface times a number of its own."""
-    mesh = opened(grids, "structured", specifiedSurfaces=list(meshes.SIDES), symmetryPlanes=[], useRotations=None)
+    mesh = opened(
+        grids,
+        "structured",
+        specifiedSurfaces=list(meshes.SIDES),
+        symmetryPlanes=[],
+        useRotations=None,
+    )
     moved = warped(mesh, lambda x: x * [1.1, 1.2, 1.3])
     np.testing.assert_allclose(moved, grids["structured"][1] * [1.1, 1.2, 1.3], atol=1e-9)
 
@@ -109,8 +130,21 @@ def test_a_cube_inflates(grids):
 @pytest.mark.parametrize("kind", runs(["structured"], nightly=["plot3d", "openfoam"]))
 def test_the_calls_of_idwarps_own_test(grids, kind, capsys):
     """Its options, in the spelling of its versions, then a shear along the span: to the letter what its test calls."""
-    options = {"gridFile": None, "aExp": 3.0, "bExp": 5.0, "LdefFact": 1.0, "alpha": 0.25, "errTol": 0.0005}
-    options |= {"evalMode": "fast", "symmTol": 1e-6, "useRotations": True, "bucketSize": 8, "fileType": None}
+    options = {
+        "gridFile": None,
+        "aExp": 3.0,
+        "bExp": 5.0,
+        "LdefFact": 1.0,
+        "alpha": 0.25,
+        "errTol": 0.0005,
+    }
+    options |= {
+        "evalMode": "fast",
+        "symmTol": 1e-6,
+        "useRotations": True,
+        "bucketSize": 8,
+        "fileType": None,
+    }
     options |= {"specifiedSurfaces": ["kmin"]} if kind == "plot3d" else {}
     options.update({"gridFile": str(grids[kind][0]), "fileType": meshes.FILES[kind][1].lower()})
     options.update({"symmetryPlanes": PLANES[1]})
@@ -199,7 +233,9 @@ def test_a_solvers_own_points_move_the_wall(grids):
     seed = np.random.default_rng(1).normal(size=nodes.size)
     for each in (mesh, own):
         each.warpDeriv(seed, solverVec=False)
-    place = {tuple(point): row for row, point in enumerate(nodes[meshes.on(nodes, "floor")].tolist())}
+    place = {
+        tuple(point): row for row, point in enumerate(nodes[meshes.on(nodes, "floor")].tolist())
+    }
     total = np.zeros((len(place), 3))
     np.add.at(total, [place[tuple(point)] for point in definition[0].tolist()], mesh.getdXs())
     np.testing.assert_allclose(total, own.getdXs(), atol=1e-12)
@@ -213,7 +249,9 @@ def test_points_that_are_no_nodes_move_the_wall_by_a_linear_map(grids, count, ha
     x = np.linspace(0, 1, count)
     points = np.array([(a, b, 0.0) for a in x for b in x])
     ids = np.arange(count * count).reshape(count, count)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(
+        -1, 4
+    )
     quads = quads if has_faces else quads[:0]
     mesh.setSurfaceDefinition(points, quads.ravel(), np.full(len(quads), 4))
     matrix = np.array([[0.1, 0.2, 0], [-0.1, 0.05, 0], [0.3, -0.2, 0]]) * has_faces
@@ -231,7 +269,9 @@ def test_a_definition_from_a_file_of_blocks(grids, tmp_path):
     mesh = opened(grids, "plot3d", symmetryPlanes=[], specifiedSurfaces=None)
     mesh.setSurfaceDefinitionFromFile(str(tmp_path / "surface.xyz"))
     surface = mesh.getSurfaceCoordinates()
-    assert np.array_equal(surface, np.concatenate([block.reshape(3, -1, order="F").T for block in blocks]))
+    assert np.array_equal(
+        surface, np.concatenate([block.reshape(3, -1, order="F").T for block in blocks])
+    )
     nodes, moved = grids["plot3d"][1], warped(mesh, lambda x: x + np.array([0, 0, 0.1]))
     wall = meshes.on(nodes, "floor")
     np.testing.assert_allclose(moved[wall], nodes[wall] + [0, 0, 0.1], atol=1e-8)
@@ -242,15 +282,23 @@ def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     """Oracle: each grid alone in a file. The third has no options and stays; its faces on the surface move nothing."""
     path = tmp_path / "overset.cgns"
     nodes, (points, zones) = meshes.write_overset(path), meshes.overset_floors()
-    options = {"tip": {"useRotations": False, "gridFile": "elsewhere"}, "wing": {"useRotations": True}}
+    options = {
+        "tip": {"useRotations": False, "gridFile": "elsewhere"},
+        "wing": {"useRotations": True},
+    }
     mesh = MultiUSMesh(str(path), options, comm=MPI.COMM_SELF)
     assert len(mesh.meshes) == 2
     indices = np.random.default_rng(3).permutation(nodes.size)
     mesh.setExternalMeshIndices(indices)
     assert np.array_equal(mesh.getSolverGrid(), nodes.ravel()[indices])
-    mesh.setSurfaceDefinition(points, np.arange(len(points)).reshape(-1, 4), np.full(len(zones), 4), zones)
+    mesh.setSurfaceDefinition(
+        points, np.arange(len(points)).reshape(-1, 4), np.full(len(zones), 4), zones
+    )
     assert np.array_equal(mesh.getSurfaceCoordinates(), points)
-    motion = lambda x: x + 0.1 * np.sin(2 * x[:, :1]) * [0, 0, 1] + 0.05 * x[:, 1:2] * [1, 0, 0] * x[:, :1]  # noqa: E731
+
+    def motion(x):
+        return x + 0.1 * np.sin(2 * x[:, :1]) * [0, 0, 1] + 0.05 * x[:, 1:2] * [1, 0, 0] * x[:, :1]
+
     mesh.setSurfaceCoordinates(motion(points))
     mesh.warpMesh()
     moved = np.empty(nodes.size)
@@ -269,7 +317,9 @@ def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     tangent, seed = random.normal(size=points.shape), random.normal(size=nodes.size)
     change, back = mesh.warpDerivFwd(tangent), mesh.warpDeriv(seed)
     assert np.array_equal(back, mesh.getdXs())
-    assert abs(change @ seed - np.vdot(tangent, back)) < 1e-12 * np.linalg.norm(change) * np.linalg.norm(seed)
+    assert abs(change @ seed - np.vdot(tangent, back)) < 1e-12 * np.linalg.norm(
+        change
+    ) * np.linalg.norm(seed)
     mesh.writeGrid(str(tmp_path / "moved"))
     written = io.read(tmp_path / "moved.cgns")
     assert np.array_equal(written.in_file_order(written.points).ravel(), moved)
@@ -281,7 +331,11 @@ def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
 @pytest.mark.parametrize("step", runs([1e-200], nightly=[1e-40]))
 def test_complex_steps_are_the_forward_product(grids, step, tmp_path):
     """As IDWarp's own tests take them: a step of all coordinates at once, and the derivative as the imaginary part over it."""
-    settled = {"gridFile": str(grids["structured"][0]), "specifiedSurfaces": ["Floor"], "useRotations": False}
+    settled = {
+        "gridFile": str(grids["structured"][0]),
+        "specifiedSurfaces": ["Floor"],
+        "useRotations": False,
+    }
     mesh, real = (kind(options=settled, comm=MPI.COMM_SELF) for kind in (idwarp.USMesh_C, USMesh))
     points, random = real.getSurfaceCoordinates(), np.random.default_rng(0)
     assert np.array_equal(mesh.getSurfaceCoordinates(), points.astype(complex))
@@ -308,10 +362,14 @@ def test_several_grids_take_complex_steps(tmp_path):
     path, step = str(tmp_path / "overset.cgns"), 1e-200
     nodes, (points, zones) = meshes.write_overset(path), meshes.overset_floors()
     options = {"wing": {"useRotations": False}, "tip": {"useRotations": False}}
-    mesh, real = (kind(path, options, MPI.COMM_SELF) for kind in (idwarp.MultiUSMesh_C, MultiUSMesh))
+    mesh, real = (
+        kind(path, options, MPI.COMM_SELF) for kind in (idwarp.MultiUSMesh_C, MultiUSMesh)
+    )
     for each in (mesh, real):
         each.setExternalMeshIndices(np.arange(nodes.size).tolist())
-        each.setSurfaceDefinition(points.tolist(), np.arange(len(points)).tolist(), [4] * len(zones), zones.tolist())
+        each.setSurfaceDefinition(
+            points.tolist(), np.arange(len(points)).tolist(), [4] * len(zones), zones.tolist()
+        )
     tangent = np.random.default_rng(0).normal(size=points.shape)
     mesh.setSurfaceCoordinates(meshes.bump(points) + 1j * step * tangent)
     mesh.warpMesh()
@@ -320,7 +378,9 @@ def test_several_grids_take_complex_steps(tmp_path):
     assert np.array_equal(mesh.getSolverGrid().real, real.getSolverGrid())
     np.testing.assert_allclose(mesh.getSolverGrid().imag / step, change, atol=1e-13)
     faces = np.repeat(np.isin(zones, [0, 1, 2]), 4)  # the last grid stays
-    np.testing.assert_allclose(mesh.getSurfaceCoordinates().imag / step, tangent * faces[:, None], rtol=1e-15)
+    np.testing.assert_allclose(
+        mesh.getSurfaceCoordinates().imag / step, tangent * faces[:, None], rtol=1e-15
+    )
     assert np.abs(change).max() > 1
     mesh.writeGrid(str(tmp_path / "moved"))
     assert (tmp_path / "moved.cgns").exists()
@@ -329,7 +389,10 @@ def test_several_grids_take_complex_steps(tmp_path):
 def test_several_grids_refuse_nonsense(tmp_path):
     path = str(tmp_path / "overset.cgns")
     meshes.write_overset(path)
-    for grids, message in (({"hull": {}}, "no grid hull; it has wing, tip, far"), ({}, "optionsDict")):
+    for grids, message in (
+        ({"hull": {}}, "no grid hull; it has wing, tip, far"),
+        ({}, "optionsDict"),
+    ):
         with pytest.raises(ValueError, match=message):
             MultiUSMesh(path, grids, MPI.COMM_SELF)
     with pytest.raises(ValueError, match="dtype"):
@@ -361,7 +424,9 @@ def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
 
 @pytest.mark.slow
 def test_nodes_between_overset_grids_are_free(tmp_path):
-    nodes = meshes.write_unstructured(tmp_path / "mesh.cgns", {"xmax": "Overset_outer", "floor": "wing_wall"})
+    nodes = meshes.write_unstructured(
+        tmp_path / "mesh.cgns", {"xmax": "Overset_outer", "floor": "wing_wall"}
+    )
     mesh = USMesh({"gridFile": str(tmp_path / "mesh.cgns"), "useRotations": False}, MPI.COMM_SELF)
     change = warped(mesh, lambda x: x + 0.1 * x[:, 1:2] * np.array([0, 0, 1])) - nodes
     others = np.concatenate([meshes.on(nodes, name) for name in ("lid", "ymax", "floor", "sym1")])
@@ -389,7 +454,9 @@ def test_planes_hold_nodes_within_symmtol(grids):
     assert len(mesh.getSurfaceCoordinates()) == (meshes.CELLS + 1) ** 2
 
 
-@pytest.mark.parametrize("kind", runs(["unstructured", "openfoam"], nightly=["structured", "plot3d"]))
+@pytest.mark.parametrize(
+    "kind", runs(["unstructured", "openfoam"], nightly=["structured", "plot3d"])
+)
 def test_grids_are_written(grids, kind, tmp_path):
     path, nodes = grids[kind]
     mesh = opened(grids, kind, symmetryPlanes=PLANES[2])
@@ -414,13 +481,22 @@ def test_numbers_are_doubles_whatever_the_mode_is(grids):
 
 
 def test_options_without_a_counterpart_are_named_once(grids):
-    options = {"gridFile": str(grids["structured"][0]), "ldefFact": 2.0, "errTol": 1e-3, "aExp": 3.0, "symmTol": 1e-6}
+    options = {
+        "gridFile": str(grids["structured"][0]),
+        "ldefFact": 2.0,
+        "errTol": 1e-3,
+        "aExp": 3.0,
+        "symmTol": 1e-6,
+    }
     with pytest.warns(UserWarning, match="aExp, LdefFact, errTol") as told:
         USMesh(options=options, comm=MPI.COMM_SELF)
     assert len(told) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        USMesh(options={"gridFile": options["gridFile"], "aExp": 3.0, "useRotations": True}, comm=MPI.COMM_SELF)
+        USMesh(
+            options={"gridFile": options["gridFile"], "aExp": 3.0, "useRotations": True},
+            comm=MPI.COMM_SELF,
+        )
 
 
 REFUSED = [
@@ -451,7 +527,10 @@ def test_wrong_numbers_are_refused_by_name(grids, tmp_path):
     all_refused(
         (lambda: USMesh(comm=MPI.COMM_SELF), "options"),
         (lambda: USMesh(options={"gridFile": "a.cgns"}, comm="world"), "comm"),
-        (lambda: USMesh(options={"gridFile": str(tmp_path / "flat.su2")}, comm=MPI.COMM_SELF), "2-D"),
+        (
+            lambda: USMesh(options={"gridFile": str(tmp_path / "flat.su2")}, comm=MPI.COMM_SELF),
+            "2-D",
+        ),
         (lambda: define(points[:, :2], conn, sizes), "pts"),
         (lambda: define(points, conn + 1, sizes), "conn"),
         (lambda: define(points, conn, sizes + 1), "faceSizes"),
@@ -474,7 +553,9 @@ def test_the_extra_says_what_else_it_needs():
     """mpi4py without an MPI library is no ImportError of its own."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPI4PY_LIBMPI": "/nowhere/libmpi.so"}
     code = "import jaxmorph.integrations.idwarp"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False
+    )
     if done.returncode == 0:
         pytest.skip("this mpi4py is built for one MPI library")
     assert "ImportError: pieces over MPI need mpi4py and an MPI library: pip install" in done.stderr
@@ -489,9 +570,15 @@ def test_two_processes_have_what_one_has(grids, tmp_path):
         mpi_run(count, "mpi_idwarp", str(tmp_path))
     for kind in ("structured", "unstructured", "plot3d", "openfoam", "overset"):
         one, two = (np.load(tmp_path / f"{kind}-{count}.npz") for count in (1, 2))
-        assert set(one) == set(two) == {"grid", "dXs", "change", *(["solver"] if kind != "overset" else [])}
+        assert (
+            set(one)
+            == set(two)
+            == {"grid", "dXs", "change", *(["solver"] if kind != "overset" else [])}
+        )
         for name in one:
-            np.testing.assert_allclose(two[name], one[name], rtol=0, atol=1e-10 * np.abs(one[name]).max(), err_msg=name)
+            np.testing.assert_allclose(
+                two[name], one[name], rtol=0, atol=1e-10 * np.abs(one[name]).max(), err_msg=name
+            )
     old, new = io.Decomposed(tmp_path / "case"), io.Decomposed(tmp_path / "moved")
     assert len(old) == len(new) == 2
     assert np.abs(np.asarray(new.read(1).points) - np.asarray(old.read(1).points)).max() > 0.01
@@ -506,7 +593,12 @@ def test_patches_are_sorted_by_kind_then_by_name(name, kind, becomes):
     """What the file says counts; a name counts by the beginnings of its words."""
     points = np.stack(np.meshgrid([0.0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
     source = Source(pathlib.Path("a.cgns"), "CGNS", None, kinds={name: kind} if kind else {})
-    mesh = jm.Mesh(points, {"hexahedron": np.array([[0, 4, 6, 2, 1, 5, 7, 3]])}, {name: np.array([0, 2, 4, 6])}, source)
+    mesh = jm.Mesh(
+        points,
+        {"hexahedron": np.array([[0, 4, 6, 2, 1, 5, 7, 3]])},
+        {name: np.array([0, 2, 4, 6])},
+        source,
+    )
     options = {"specifiedSurfaces": None, "symmetrySurfaces": None, "symmetryPlanes": None}
     found = surface_room.patches_by_kind(mesh, options)
     assert {kind for kind, names in found.items() if name in names} == ({becomes} - {""})

@@ -52,8 +52,12 @@ def test_energy_is_that_of_the_singular_values(kind):
     moved = mesh.points @ linear.T
     inverse_mean_ratio = (sigma**2).sum() / d / det ** (2 / d)
     for weight, expected in ((0.0, inverse_mean_ratio - 1), (1.0, (det + 1 / det) / 2 - 1)):
-        np.testing.assert_allclose(mean_energy(mesh, moved, size_weight=weight), expected, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(mean_energy(mesh, 3 * moved @ linear.T, ideal=True, size_weight=0.0) >= 0, True)
+        np.testing.assert_allclose(
+            mean_energy(mesh, moved, size_weight=weight), expected, rtol=1e-12, atol=1e-13
+        )
+    np.testing.assert_allclose(
+        mean_energy(mesh, 3 * moved @ linear.T, ideal=True, size_weight=0.0) >= 0, True
+    )
     np.testing.assert_allclose(mean_energy(mesh, mesh.points, ideal=True), 0, atol=1e-12)
 
 
@@ -62,7 +66,9 @@ def test_left_handed_cells_are_their_own_target(kind):
     ideal = np.array(IDEAL[kind], dtype=float)
     mirrored = cell(kind, ideal * np.array([-1, 1, 1])[: ideal.shape[1]])
     for is_ideal in (False, True):
-        np.testing.assert_allclose(mean_energy(mirrored, mirrored.points, ideal=is_ideal), 0, atol=1e-12)
+        np.testing.assert_allclose(
+            mean_energy(mirrored, mirrored.points, ideal=is_ideal), 0, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("softness", [0.5, 2.0])
@@ -118,7 +124,11 @@ def test_nodes_slide_in_planes():
     """The lattice is the minimum for ideal squares, and its sides come back to it along themselves, to SciPy's digits."""
     mesh = unit_grid(3)
     regular = np.asarray(mesh.points)
-    sides = {f"{'xy'[axis]}{end}": np.flatnonzero(regular[:, axis] == end) for axis in (0, 1) for end in (0, 1)}
+    sides = {
+        f"{'xy'[axis]}{end}": np.flatnonzero(regular[:, axis] == end)
+        for axis in (0, 1)
+        for end in (0, 1)
+    }
     mesh = jm.Mesh(regular, mesh.cells, sides)
     corners = np.flatnonzero((np.abs(regular - 0.5) > 0.4).all(axis=1))
     points = regular + 0.08 * np.random.default_rng(3).normal(size=regular.shape)
@@ -126,11 +136,15 @@ def test_nodes_slide_in_planes():
     for name, nodes in sides.items():
         points[nodes, "xy".index(name[0])] = float(name[1])
     plane = jm.Plane((1, 0), (0, 0))
-    result = jm.improve(jm.Boundary(mesh, (), symmetry=plane, sliding=("x1", "y0", "y1")), points, tolerance=1e-9)
+    result = jm.improve(
+        jm.Boundary(mesh, (), symmetry=plane, sliding=("x1", "y0", "y1")), points, tolerance=1e-9
+    )
     np.testing.assert_allclose(result.points, regular, rtol=0, atol=1e-7)
     for name, nodes in sides.items():
         assert (np.asarray(result.points)[nodes, "xy".index(name[0])] == float(name[1])).all()
-    held = np.asarray(jm.improve(jm.Boundary(mesh, (), symmetry=plane), points, tolerance=1e-3).points)
+    held = np.asarray(
+        jm.improve(jm.Boundary(mesh, (), symmetry=plane), points, tolerance=1e-3).points
+    )
     assert (held[sides["x1"]] == points[sides["x1"]]).all()
     assert np.abs(held - points)[sides["x0"]].max() > 1e-3
 
@@ -140,7 +154,9 @@ def test_derivatives_with_nodes_that_slide():
     """Against central differences of the whole solve, along a slanted side too; what leads off the side is data."""
     mesh = unit_grid(3)
     base = mesh.points @ np.array([[1.0, 0.3], [0.0, 1.0]])
-    sides = {name: np.flatnonzero(mesh.points[:, axis] == 0) for name, axis in (("left", 0), ("low", 1))}
+    sides = {
+        name: np.flatnonzero(mesh.points[:, axis] == 0) for name, axis in (("left", 0), ("low", 1))
+    }
     mesh = jm.Mesh(base, mesh.cells, sides)
     points = jnp.asarray(base + 0.05 * np.sin(3 * base[:, ::-1]))
     rng = np.random.default_rng(4)
@@ -156,7 +172,9 @@ def test_derivatives_with_nodes_that_slide():
     both = jax.jit(jax.value_and_grad(objective))
     difference = (both(points + step * tangent)[0] - both(points - step * tangent)[0]) / (2 * step)
     np.testing.assert_allclose(np.vdot(both(points)[1], tangent), difference, rtol=1e-6)
-    np.testing.assert_allclose(jax.jvp(objective, (points,), (jnp.asarray(tangent),))[1], difference, rtol=1e-6)
+    np.testing.assert_allclose(
+        jax.jvp(objective, (points,), (jnp.asarray(tangent),))[1], difference, rtol=1e-6
+    )
 
 
 @functools.cache
@@ -167,7 +185,10 @@ def quarter():
     patches = {"hub": ids[0], "shroud": ids[-1], "first": ids[:, 0], "last": ids[:, -1]}
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     mesh = jm.Mesh(points, {"quad": blocks(ids)}, patches)
-    wrapped = {"sliding": jm.Slide("shroud", jm.Revolution()), "periodic": jm.Periodic("first", "last")}
+    wrapped = {
+        "sliding": jm.Slide("shroud", jm.Revolution()),
+        "periodic": jm.Periodic("first", "last"),
+    }
     return mesh, radius, angle, wrapped
 
 
@@ -182,7 +203,9 @@ def test_nodes_slide_on_curved_walls_and_pairs_move_alike():
     assert float(result.residual) < 1e-6
     np.testing.assert_allclose(result.points, mesh.points, rtol=0, atol=1e-6)
     found = np.asarray(result.points)
-    np.testing.assert_allclose(np.linalg.norm(found[mesh.patch("shroud")], axis=1), 2, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        np.linalg.norm(found[mesh.patch("shroud")], axis=1), 2, rtol=0, atol=1e-14
+    )
     first, last = (found[[0, 5, 10, 15]], found[[4, 9, 14, 19]])
     np.testing.assert_allclose(last, first @ turn(np.pi / 2, 2).T, rtol=0, atol=1e-14)
     assert np.array_equal(found[mesh.patch("hub")], points[mesh.patch("hub")])
@@ -194,7 +217,9 @@ def test_a_node_at_a_quarter_turn_from_its_start_is_no_minimum():
     mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
     points = mesh.points.copy()
     points[16:] = points[16:] @ turn(np.deg2rad(100), 2).T
-    boundary = jm.Boundary(mesh, (), fixed=mesh.patch("inner"), sliding=jm.Slide("outer", jm.Revolution()))
+    boundary = jm.Boundary(
+        mesh, (), fixed=mesh.patch("inner"), sliding=jm.Slide("outer", jm.Revolution())
+    )
     result = jm.improve(boundary, points)
     assert float(result.residual) == np.inf
     assert "stopped early" in str(result)
@@ -205,10 +230,16 @@ def test_blocks_add_up_to_the_hessian(case):
     """With the walls' curvature in it, and nothing of what is off a wall or follows a partner; the host solves with it."""
     mesh, _, _, wrapped = quarter() if case == "walls" else (unit_grid(3, case), None, None, {})
     n, d = mesh.points.shape
-    base, rng = jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])), np.random.default_rng(0)
+    base, rng = (
+        jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])),
+        np.random.default_rng(0),
+    )
     distortion, pairs = prepared(jm.Boundary(mesh, (), **wrapped), mesh, jnp.float64, False, 0.5)
     ways = eqx.filter_jit(distortion.ways.at)(base)
-    distortion, y = eqx.tree_at(lambda it: it.ways, distortion, ways), jnp.asarray(0.1 * rng.normal(size=base.shape))
+    distortion, y = (
+        eqx.tree_at(lambda it: it.ways, distortion, ways),
+        jnp.asarray(0.1 * rng.normal(size=base.shape)),
+    )
     dense = np.asarray(jax.jit(jax.hessian(lambda y: distortion(y, base)))(y)).reshape(n * d, -1)
     assert (np.abs(np.asarray(ways.off)).max() > 0.1) == (case == "walls")
     rows = pairs.order[np.repeat(np.arange(n), np.diff(pairs.starts))]
@@ -220,13 +251,17 @@ def test_blocks_add_up_to_the_hessian(case):
         matrix[np.arange(n), :, np.arange(n)] -= ways.off
         return matrix.reshape(n * d, -1)
 
-    exact, convex = (np.asarray(eqx.filter_jit(distortion.blocks)(y, base, floor)) for floor in (-jnp.inf, 0.0))
+    exact, convex = (
+        np.asarray(eqx.filter_jit(distortion.blocks)(y, base, floor)) for floor in (-jnp.inf, 0.0)
+    )
     np.testing.assert_allclose(whole(exact), dense, rtol=0, atol=1e-11)
     if case != "walls":  # nothing but negative curvature of samples is left out
         assert np.linalg.eigvalsh(whole(convex) - dense).min() > -1e-9
         right = rng.normal(size=(n, d))
         found = solve(*pairs, convex, np.ones(n), right)
-        np.testing.assert_allclose((whole(convex) + np.eye(n * d)) @ found.ravel(), right.ravel(), atol=1e-9)
+        np.testing.assert_allclose(
+            (whole(convex) + np.eye(n * d)) @ found.ravel(), right.ravel(), atol=1e-9
+        )
 
 
 @pytest.mark.nightly
@@ -275,17 +310,23 @@ def test_ideal_targets_make_a_lattice_regular_again():
     """Their minimum is known: the regular grid, whatever the inner nodes of the undeformed mesh were."""
     regular = unit_grid(3)
     inner = np.all((regular.points > 0.01) & (regular.points < 0.99), axis=1)
-    points = regular.points + 0.05 * inner[:, None] * np.random.default_rng(3).normal(size=regular.points.shape)
+    points = regular.points + 0.05 * inner[:, None] * np.random.default_rng(3).normal(
+        size=regular.points.shape
+    )
     result = jm.improve(regular.moved(points), points, ideal=True, size_weight=0.0, tolerance=1e-9)
     np.testing.assert_allclose(result.points, regular.points, atol=1e-7)
-    assert not np.allclose(jm.improve(regular.moved(points), points).points, regular.points, atol=1e-3)
+    assert not np.allclose(
+        jm.improve(regular.moved(points), points).points, regular.points, atol=1e-3
+    )
 
 
 @pytest.mark.nightly
 def test_an_airfoil_beyond_what_graph_mapping_bears():
     mesh = cases.naca0015(points=1500)
     base = mesh.points[mesh.patch("airfoil")]
-    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
+    plan = jm.prepare(
+        mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph()
+    )
     points = jm.deform(plan, jm.shapes.rotate(base, -np.pi / 2, [0.25, 0]) - base)
     assert int(jm.quality(mesh, points).inverted) > 100
     result = jm.improve(mesh, points)
@@ -298,8 +339,12 @@ def test_an_airfoil_beyond_what_graph_mapping_bears():
 
 def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
     values = np.array([[0.2, 0.5, 0.1], [0.7, 0.7, 0.7]])
-    np.testing.assert_allclose(jm.soft_maximum(values, 1e4, axis=1), [0.5 - np.log(3) / 1e4, 0.7], rtol=1e-12)
-    np.testing.assert_allclose(jm.soft_maximum(values, 3.0), np.log(np.mean(np.exp(3 * values))) / 3, rtol=1e-12)
+    np.testing.assert_allclose(
+        jm.soft_maximum(values, 1e4, axis=1), [0.5 - np.log(3) / 1e4, 0.7], rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        jm.soft_maximum(values, 3.0), np.log(np.mean(np.exp(3 * values))) / 3, rtol=1e-12
+    )
     np.testing.assert_allclose(jax.grad(jm.soft_maximum)(jnp.ones(4)), 0.25)
 
 
@@ -307,8 +352,12 @@ def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
 def test_the_distortion_of_a_stretched_cell(kind):
     """Of a cell twice as large |T|^2 = 8 and det T = 4: half of 1 and half of 17 / 8, less 1; nothing where none has moved."""
     mesh = cell(kind)
-    np.testing.assert_allclose(jm.distortion(mesh, mesh.points), 0, atol=1e-6)  # the square of the softness
-    np.testing.assert_allclose(jm.distortion(mesh, 2 * mesh.points), 0.5 + 0.5 * 17 / 8 - 1, rtol=1e-6)
+    np.testing.assert_allclose(
+        jm.distortion(mesh, mesh.points), 0, atol=1e-6
+    )  # the square of the softness
+    np.testing.assert_allclose(
+        jm.distortion(mesh, 2 * mesh.points), 0.5 + 0.5 * 17 / 8 - 1, rtol=1e-6
+    )
     with pytest.raises(ValueError, match="not defined"):
         jm.distortion(jm.Mesh(np.zeros((4, 3)), {"triangle": [[0, 1, 2]]}))
 

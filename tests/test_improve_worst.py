@@ -26,9 +26,16 @@ def test_the_stiffened_energy_is_the_papers_but_for_a_constant_and_a_factor(stif
     """f / (1 - t f) with f = e + 1 and t = s / (1 + s): two differences of it are in the ratio of those of e / (1 - s e)."""
     e = np.array([0.0, 0.1, 0.3, 0.9 / stiffness])
     t = stiffness / (1 + stiffness)
-    theirs, ours = (e + 1) / (1 - t * (e + 1)), np.asarray(stiffened(jnp.asarray(e), jnp.ones(4), Bounds(stiffness)))
-    np.testing.assert_allclose(np.diff(theirs) / np.diff(theirs)[0], np.diff(ours) / np.diff(ours)[0], rtol=1e-10)
-    assert np.isinf(stiffened(jnp.asarray([1 / stiffness, 5 / stiffness]), jnp.ones(2), Bounds(stiffness))).all()
+    theirs, ours = (
+        (e + 1) / (1 - t * (e + 1)),
+        np.asarray(stiffened(jnp.asarray(e), jnp.ones(4), Bounds(stiffness))),
+    )
+    np.testing.assert_allclose(
+        np.diff(theirs) / np.diff(theirs)[0], np.diff(ours) / np.diff(ours)[0], rtol=1e-10
+    )
+    assert np.isinf(
+        stiffened(jnp.asarray([1 / stiffness, 5 / stiffness]), jnp.ones(2), Bounds(stiffness))
+    ).all()
     slope = jax.vmap(jax.grad(lambda e: stiffened(e, jnp.asarray(-1.0), Bounds(0.0))))
     np.testing.assert_allclose(slope(jnp.asarray(e)), 1, rtol=0)
 
@@ -51,10 +58,14 @@ def test_a_cell_without_stiffness_and_with_none_is_the_same(kind):
     bent = ideal + 0.05 * np.cos(np.arange(ideal.size)).reshape(ideal.shape)
     x = corners(jnp.asarray(bent), np.arange(len(ideal))[None])
     goal = target(kind, corners(jnp.asarray(ideal), np.arange(len(ideal))[None]), False)
-    plain, none, some = (energy_of_cells(kind, x, goal, 1e-3, 0.5, s) for s in (None, Bounds(0.0), Bounds(3.0)))
+    plain, none, some = (
+        energy_of_cells(kind, x, goal, 1e-3, 0.5, s) for s in (None, Bounds(0.0), Bounds(3.0))
+    )
     np.testing.assert_allclose(none, plain, rtol=1e-14)
     assert (np.asarray(some) > np.asarray(plain)).all()
-    assert float(energy(jnp.asarray(1.0), jnp.asarray(1.0), 1e-9, 0.5, 2)) == pytest.approx(0, abs=1e-12)
+    assert float(energy(jnp.asarray(1.0), jnp.asarray(1.0), 1e-9, 0.5, 2)) == pytest.approx(
+        0, abs=1e-12
+    )
 
 
 @functools.cache
@@ -103,7 +114,9 @@ def mixed_cube():
     cells = np.asarray(mesh.cells["hexahedron"])
     centres = mesh.points[cells].mean(axis=1)
     column, last = (centres[:, :2] < 0.5).all(axis=1), (centres > 0.5).all(axis=1)
-    wedges = np.concatenate([cells[column][:, rows] for rows in ([0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7])])
+    wedges = np.concatenate(
+        [cells[column][:, rows] for rows in ([0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7])]
+    )
     faces = [[0, 1, 2, 3], [7, 6, 5, 4], [0, 4, 5, 1], [1, 5, 6, 2], [2, 6, 7, 3], [3, 7, 4, 0]]
     pyramids = np.column_stack([cells[last][0][faces], np.full(6, len(mesh.points))])
     kinds = {"hexahedron": cells[~column & ~last], "wedge": wedges, "pyramid": pyramids}
@@ -147,7 +160,10 @@ def test_skewness_is_not_the_price_of_nothing():
     points = np.array(mesh.points)
     points[:, 1] = np.append(0, np.geomspace(1e-7, 1, 4))[np.rint(4 * points[:, 1]).astype(int)]
     x, y = points.T
-    mesh, moved = mesh.moved(points), points + np.stack([0 * x, 0.2 * np.sin(np.pi * x) * (1 - y)], axis=1)
+    mesh, moved = (
+        mesh.moved(points),
+        points + np.stack([0 * x, 0.2 * np.sin(np.pi * x) * (1 - y)], axis=1),
+    )
     plain, worst = (jm.improve(mesh, moved, worst=each) for each in (False, True))
     assert smallest_ratio(mesh, plain.points) > 0.7
     np.testing.assert_array_equal(worst.points, plain.points)
@@ -160,7 +176,9 @@ def test_nodes_of_planes_stay_on_them_and_cells_without_free_nodes_do_not_count(
     x, y = mesh.points.T
     points = mesh.points + np.stack([0 * x, 0.4 * np.exp(-((x / 0.3) ** 2)) * (1 - y) ** 4], axis=1)
     left = x == 0
-    result = jm.improve(jm.Boundary(mesh, (), symmetry=jm.Plane((1, 0), (0, 0))), points, worst=True)
+    result = jm.improve(
+        jm.Boundary(mesh, (), symmetry=jm.Plane((1, 0), (0, 0))), points, worst=True
+    )
     assert (np.asarray(result.points)[left, 0] == 0).all()
     assert int(result.after) == 0
     held = jm.improve(jm.Boundary(mesh, (), fixed=np.arange(len(points))), points, worst=True)
@@ -173,7 +191,9 @@ def test_a_cell_that_is_invalid_from_the_start_is_told_and_judged_by_its_own_mar
     """A quad with a corner beyond its diagonal, undeformed: inverted by itself, not proven, and no worse."""
     mesh = unit_grid(3)
     points = np.array(mesh.points)
-    points[0] = 0.8 * points[5] + 0.2 * points[0]  # of the first cell, all other nodes of which stay
+    points[0] = (
+        0.8 * points[5] + 0.2 * points[0]
+    )  # of the first cell, all other nodes of which stay
     mesh = mesh.moved(points)
     result = jm.improve(jm.Boundary(mesh, (), fixed=np.arange(len(points))), points, worst=True)
     assert int(result.before) == int(result.after) == int(result.lost) == 1
@@ -181,14 +201,24 @@ def test_a_cell_that_is_invalid_from_the_start_is_told_and_judged_by_its_own_mar
     assert "but for 1 (1 of them as on the undeformed mesh or better)" in str(result)
 
 
-@over("kind", ["triangle"], slow=["quad", "tetra"], nightly=["pyramid", "wedge", "hexahedron", "triangle6", "quad9"])
+@over(
+    "kind",
+    ["triangle"],
+    slow=["quad", "tetra"],
+    nightly=["pyramid", "wedge", "hexahedron", "triangle6", "quad9"],
+)
 def test_a_mesh_that_arrives_folded_is_unfolded(kind):
     """Nothing but the folded mesh is known; samples of det J of the cells, as they were before some were turned, decide."""
     mesh, cell = filled(kind), lagrange_types()[kind]
-    ids, places = np.asarray(mesh.cells[kind]), samples_inside(cell.shape, 2 if cell.order == 1 else 9)
+    ids, places = (
+        np.asarray(mesh.cells[kind]),
+        samples_inside(cell.shape, 2 if cell.order == 1 else 9),
+    )
 
     def folded(points):
-        values = jacobians_inside(cell.shape, cell.order, cell.lattice, np.asarray(points)[ids], places)
+        values = jacobians_inside(
+            cell.shape, cell.order, cell.lattice, np.asarray(points)[ids], places
+        )
         return int((values.min(axis=1) < 0).sum())
 
     for seed in range(3):
@@ -197,7 +227,9 @@ def test_a_mesh_that_arrives_folded_is_unfolded(kind):
         result = jm.improve(reflected(mesh.moved(start), seed), start)
         assert int(result.before) > 0
         assert int(result.after) == folded(result.points)
-        assert int(result.after) == 0 or cell.order > 1  # pieces of a curved cell are unfolded, its inside may not be
+        assert (
+            int(result.after) == 0 or cell.order > 1
+        )  # pieces of a curved cell are unfolded, its inside may not be
         assert " are now" in str(result)
 
 

@@ -16,8 +16,12 @@ FORMS = {
     "numpy": np.asarray,
     "jax": jnp.asarray,
     "list": lambda values: np.asarray(values).tolist(),
-    "another byte order": lambda values: np.asarray(values).astype(np.asarray(values).dtype.newbyteorder()),
-    "long": lambda values: np.asarray(values).astype(np.longdouble) if np.asarray(values).dtype.kind == "f" else values,
+    "another byte order": lambda values: np.asarray(values).astype(
+        np.asarray(values).dtype.newbyteorder()
+    ),
+    "long": lambda values: (
+        np.asarray(values).astype(np.longdouble) if np.asarray(values).dtype.kind == "f" else values
+    ),
 }
 
 
@@ -51,11 +55,18 @@ reference = functools.cache(lambda: results(np.asarray))
 
 
 @pytest.mark.parametrize(
-    "form", ["list", "another byte order", *(pytest.param(form, marks=pytest.mark.slow) for form in ("jax", "long"))]
+    "form",
+    [
+        "list",
+        "another byte order",
+        *(pytest.param(form, marks=pytest.mark.slow) for form in ("jax", "long")),
+    ],
 )
 def test_every_call_takes_every_form(form):
     for name, values in results(FORMS[form]).items():
-        np.testing.assert_array_equal(np.asarray(values), np.asarray(reference()[name]), err_msg=name)
+        np.testing.assert_array_equal(
+            np.asarray(values), np.asarray(reference()[name]), err_msg=name
+        )
 
 
 @pytest.mark.nightly
@@ -64,7 +75,10 @@ def test_improve_takes_every_form():
     points, quads = np.asarray(mesh.points), mesh.cells["quad"]
     tangled = points.copy()
     tangled[5] += 0.6
-    found = [jm.improve(jm.Mesh(form(points), {"quad": form(quads)}), form(tangled)).points for form in FORMS.values()]
+    found = [
+        jm.improve(jm.Mesh(form(points), {"quad": form(quads)}), form(tangled)).points
+        for form in FORMS.values()
+    ]
     assert np.abs(found[0][5] - points[5]).max() < 0.05
     for other in found[1:]:
         np.testing.assert_array_equal(other, found[0])
@@ -73,7 +87,10 @@ def test_improve_takes_every_form():
 def test_lists_are_arrays_before_they_are_compiled():
     """Other numbers in a list are no other program."""
     one = body(2)
-    plan, traces = jm.prepare(one.points, one.moving, one.fixed, method=CountsTraces()), CountsTraces.traces
+    plan, traces = (
+        jm.prepare(one.points, one.moving, one.fixed, method=CountsTraces()),
+        CountsTraces.traces,
+    )
     for scale in (1.0, 2.0, 3.0):
         jm.deform(plan, (scale * motion(one.points[one.moving])).tolist())
     assert len(traces) == 1
@@ -111,7 +128,9 @@ test_points_whose_volumes_overflow_or_underflow_are_refused = refusals(
 )
 
 
-@pytest.mark.parametrize(("dtype", "size", "within"), [(np.float64, 3e-99, 1e-9), (np.float32, 3e-9, 1e-4)])
+@pytest.mark.parametrize(
+    ("dtype", "size", "within"), [(np.float64, 3e-99, 1e-9), (np.float32, 3e-9, 1e-4)]
+)
 def test_points_just_far_enough_from_each_other_move_as_larger_ones(dtype, size, within):
     points = np.random.default_rng(0).random((60, 3)).astype(dtype)
     corners = lattice([0, 1], [0, 1], [0, 1]).astype(dtype)

@@ -40,12 +40,16 @@ def test_offset_is_what_the_sources_miss(mesh):
     nodes = np.concatenate([moving, fixed])
     target = np.zeros_like(mesh.points)
     target[moving] = u
-    missed = np.linalg.norm((np.asarray(jm.deform(coarse, u)) - mesh.points - target)[nodes], axis=1)
+    missed = np.linalg.norm(
+        (np.asarray(jm.deform(coarse, u)) - mesh.points - target)[nodes], axis=1
+    )
     assert found.offset == pytest.approx(missed.max(), rel=1e-9)
     assert found.offset_node == nodes[missed.argmax()]
     assert found.offset_ratio > 1
     assert not found.warnings
-    graph = jm.prepare(mesh.points, moving, fixed, method=jm.DelaunayGraph())  # without a correction
+    graph = jm.prepare(
+        mesh.points, moving, fixed, method=jm.DelaunayGraph()
+    )  # without a correction
     assert jm.inspect(graph, rotation(mesh, 80)(1)).offset == 0
 
 
@@ -79,7 +83,9 @@ def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one()
     plan = jm.prepare(mesh, "wall", "far")
     for found in (jm.inspect(plan, wavy, mesh=mesh), jm.inspect(plan, wavy)):
         after = np.linalg.norm(np.subtract(*(base + wavy)[found.contradictions.T]), axis=1)
-        assert (after > 2 * np.linalg.norm(np.subtract(*base[found.contradictions.T]), axis=1)).all()
+        assert (
+            after > 2 * np.linalg.norm(np.subtract(*base[found.contradictions.T]), axis=1)
+        ).all()
         (said,) = found.warnings
         assert "sliding" not in said
         assert f"In {len(found.contradictions)} of them both nodes move" in said
@@ -92,7 +98,10 @@ def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one()
 
 
 def test_a_duct_whose_fixed_ends_are_torn_is_told_to_free_them():
-    patches = {"walls": lambda ids: np.r_[ids[:, 0], ids[:, -1]], "ends": lambda ids: np.r_[ids[0], ids[-1]]}
+    patches = {
+        "walls": lambda ids: np.r_[ids[:, 0], ids[:, -1]],
+        "ends": lambda ids: np.r_[ids[0], ids[-1]],
+    }
     mesh = grid(np.linspace(0, 3, 31), np.linspace(0, 1, 11), patches=patches)
     walls = mesh.points[mesh.patches["walls"]]
     u = np.stack([0.35 + 0 * walls[:, 0], 0.3 * (walls[:, 1] - 0.5)], axis=1)
@@ -112,7 +121,9 @@ def test_fewest_steps_are_fewest(mesh):
     steps = jm.fewest_steps(plan, mesh, motion, max_steps=8)
     assert steps.fraction == 1
     assert int(jm.quality(mesh, steps.points).inverted) == 0
-    np.testing.assert_allclose(steps.points[plan.moving], plan.points[plan.moving] + motion(1), atol=1e-13)
+    np.testing.assert_allclose(
+        steps.points[plan.moving], plan.points[plan.moving] + motion(1), atol=1e-13
+    )
     np.testing.assert_allclose(jm.replay(steps.plans, steps.path), steps.points, atol=1e-13)
     for count in range(1, steps.count):
         path = jnp.stack([motion((j + 1) / count) for j in range(count)])
@@ -121,7 +132,9 @@ def test_fewest_steps_are_fewest(mesh):
 
 
 def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
-    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
+    plan = jm.prepare(
+        mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph()
+    )
     motion = lambda t: np.full((len(plan.moving), 2), [0.0, 40.0 * t])  # noqa: E731  # through the far field
     steps = jm.fewest_steps(plan, mesh, motion, max_steps=1)
     assert 0 < steps.fraction < 15 / 40
@@ -133,7 +146,11 @@ def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
 @pytest.mark.nightly
 def test_a_radius_below_the_motion_is_told(mesh):
     base = mesh.points[mesh.patch("airfoil")]
-    for method, reach in ((jm.CompactRBF(0.3), 0.3), (jm.CompactRBF(), None), (jm.DelaunayGraph(), np.inf)):
+    for method, reach in (
+        (jm.CompactRBF(0.3), 0.3),
+        (jm.CompactRBF(), None),
+        (jm.DelaunayGraph(), np.inf),
+    ):
         plan = jm.prepare(mesh, "airfoil", "farfield", method=method)
         assert plan.reach > 0 if reach is None else plan.reach == pytest.approx(reach)
         for share in (0.9, 1.1):
@@ -173,7 +190,9 @@ FOLLOWS = jm.RBF(reduction=jm.KDTree(32))
 """It carries the motion of one side through a thin body to the other."""
 
 
-@pytest.mark.parametrize(("method", "least", "most"), [(FOLLOWS, 0.3, 0.9), (jm.DelaunayGraph(), 0, 1e-6)])
+@pytest.mark.parametrize(
+    ("method", "least", "most"), [(FOLLOWS, 0.3, 0.9), (jm.DelaunayGraph(), 0, 1e-6)]
+)
 def test_overshoot_behind_a_bump(method, least, most):
     """Measured once more in a box below the airfoil; graph mapping leaves the other side alone."""
     mesh, u = bump_on_one_side("upper")
@@ -218,7 +237,11 @@ def square():
     """A unit-spaced square of 8 x 8 quads with its sides, and three nodes in its middle, which a motion turns by 95 degrees."""
     mesh = grid(*[np.arange(9.0)] * 2)
     points = np.asarray(mesh.points)
-    edges = {f"{'xy'[axis]}{end}": np.flatnonzero(points[:, axis] == end) for axis in (0, 1) for end in (0, 8)}
+    edges = {
+        f"{'xy'[axis]}{end}": np.flatnonzero(points[:, axis] == end)
+        for axis in (0, 1)
+        for end in (0, 8)
+    }
     moving = np.array([39, 40, 41])
     arms = points[moving] - points[40]
 
@@ -243,7 +266,11 @@ def test_improving_keeps_a_surface_inside_of_the_mesh_where_it_was_sent():
 def test_improving_lets_the_boundary_of_a_plan_slide_and_repeat(by):
     """As `improve` does when it is told the same: nodes move along the line x = 0, or as their partners on x = 8 do."""
     mesh, moving, turned = square()
-    given = {"sliding": "x0", "symmetry": jm.Plane((1, 0), (0, 0)), "periodic": jm.Periodic("x0", "x8")}[by]
+    given = {
+        "sliding": "x0",
+        "symmetry": jm.Plane((1, 0), (0, 0)),
+        "periodic": jm.Periodic("x0", "x8"),
+    }[by]
     held = ("y0", "y8") if by == "periodic" else ("y0", "y8", "x8")
     plan = jm.prepare(mesh, moving, held, **{by: given})
     steps = jm.fewest_steps(plan, mesh, turned, max_steps=2, improve=True)
@@ -287,7 +314,10 @@ def sleeve(around=80, layers=13):
 
 
 def channel():
-    patches = {"body": lambda ids: ids[:, 0], "rest": lambda ids: np.r_[ids[0, 1:], ids[-1, 1:], ids[1:-1, -1]]}
+    patches = {
+        "body": lambda ids: ids[:, 0],
+        "rest": lambda ids: np.r_[ids[0, 1:], ids[-1, 1:], ids[1:-1, -1]],
+    }
     return grid(np.linspace(0, 4, 41), np.linspace(0, 1, 11), patches=patches)
 
 
@@ -300,11 +330,17 @@ MOTIONS = {
     "sleeve turned by 60 degrees": (sleeve, lambda x: turned(x, 60), "sliding"),
     "sleeve turned by 170 degrees": (sleeve, lambda x: turned(x, 170), "sliding"),
     "sleeve turned and shifted": (sleeve, lambda x: turned(x, 60) + SHIFT, "steps"),
-    "channel with a bump of 90 %": (channel, lambda x: 0.9 * np.exp(-((x[:, :1] - 2) ** 2) / 0.5) * [0, 1], "steps"),
+    "channel with a bump of 90 %": (
+        channel,
+        lambda x: 0.9 * np.exp(-((x[:, :1] - 2) ** 2) / 0.5) * [0, 1],
+        "steps",
+    ),
 }
 
 
-@over("name", ["sleeve turned by 60 degrees", "channel with a bump of 90 %"], nightly=[*MOTIONS][1:3])
+@over(
+    "name", ["sleeve turned by 60 degrees", "channel with a bump of 90 %"], nightly=[*MOTIONS][1:3]
+)
 def test_advice_on_folded_cells_cures(name):
     make, motion, kind = MOTIONS[name]
     mesh = make()
@@ -315,18 +351,24 @@ def test_advice_on_folded_cells_cures(name):
     share = jm.largest_step(plan, 0 * u, u, mesh).step
     said = jm.inspect(plan, u, mesh=mesh).folds
     assert count > 0
-    assert said.startswith(f"one step folds {count} cells, the first after {100 * share:.3g} % of the motion. With ")
+    assert said.startswith(
+        f"one step folds {count} cells, the first after {100 * share:.3g} % of the motion. With "
+    )
     if kind == "sliding":
         assert f"With sliding=['{outer}'] in place of `fixed` none folds." in said
         moved = jm.deform(jm.prepare(mesh, "body", sliding=outer), u)
     else:
         found = re.search(
-            r"With (\d) steps none folds: `march\(plan, jm.Turn.of\(plan.moving_points, u\).path\((\d)\)\)`", said
+            r"With (\d) steps none folds: `march\(plan, jm.Turn.of\(plan.moving_points, u\).path\((\d)\)\)`",
+            said,
         )
         assert found
         count, degrees = int(found[1]), 60 if name.startswith("sleeve") else 0
         assert int(found[2]) == count
-        path = [turned(x, degrees * k / count) + (u - turned(x, degrees)) * k / count for k in range(1, count + 1)]
+        path = [
+            turned(x, degrees * k / count) + (u - turned(x, degrees)) * k / count
+            for k in range(1, count + 1)
+        ]
         np.testing.assert_allclose(jm.Turn.of(x, u).path(count), path, rtol=0, atol=1e-12)
         moved = jm.march(plan, np.stack(path))[1]
     assert int(jm.quality(mesh, moved).inverted) == 0
@@ -337,7 +379,9 @@ def test_advice_where_nothing_cures_says_what_was_tried():
     mesh = sleeve()
     plan = jm.prepare(mesh, "body", "sleeve")
     said = jm.inspect(plan, np.tile([2.0, 0.0], (80, 1)), mesh=mesh).folds
-    assert said.endswith("2 steps, 4 steps, 8 steps, jm.LinearElasticity(), jm.TorsionalSprings() do not cure it.")
+    assert said.endswith(
+        "2 steps, 4 steps, 8 steps, jm.LinearElasticity(), jm.TorsionalSprings() do not cure it."
+    )
 
 
 def test_a_cylinder_with_flat_ends_is_round_about_its_axis_alone():
@@ -347,7 +391,10 @@ def test_a_cylinder_with_flat_ends_is_round_about_its_axis_alone():
     side, end = np.concatenate([rim, rim + along]) + centre, np.concatenate([rim, rim / 2]) + centre
     arms = np.random.default_rng(0).normal(size=(20, 3))
     for vector, holds in (([0, 0, 1.0], True), ([0, 1.0, 0], False)):
-        body, (u, half) = arms + centre, (Rotation.from_rotvec(np.array(vector) / k).apply(arms) - arms for k in (1, 2))
+        body, (u, half) = (
+            arms + centre,
+            (Rotation.from_rotvec(np.array(vector) / k).apply(arms) - arms for k in (1, 2)),
+        )
         found = jm.Turn.of(body, u)
         np.testing.assert_allclose(found.path(3)[-1], u, atol=1e-12)
         np.testing.assert_allclose(found.path(2)[0], half, atol=1e-12)
@@ -361,8 +408,14 @@ def test_a_plate_turns_in_its_plane():
         path = jm.Turn.of(plate, turned(plate, degrees)).path(4)
         for k, u in enumerate(path, start=1):
             np.testing.assert_allclose(u, turned(plate, degrees * k / 4), rtol=0, atol=1e-13)
-    for x, u in ((plate, turned(plate, 3)), (plate[:1], np.array([[1.0, 2.0]])), (0 * plate, plate)):
-        np.testing.assert_allclose(jm.Turn.of(x, u).path(4), [u / 4, u / 2, 0.75 * u, u], rtol=0, atol=1e-15)
+    for x, u in (
+        (plate, turned(plate, 3)),
+        (plate[:1], np.array([[1.0, 2.0]])),
+        (0 * plate, plate),
+    ):
+        np.testing.assert_allclose(
+            jm.Turn.of(x, u).path(4), [u / 4, u / 2, 0.75 * u, u], rtol=0, atol=1e-15
+        )
 
 
 def test_single_precision_stays_on_the_way():
@@ -374,7 +427,10 @@ def test_single_precision_stays_on_the_way():
 
 LARGE = {
     "ellipse turned by 90 degrees": (functools.partial(sleeve, 160, 25), lambda x: turned(x, 90)),
-    "bump of 95 % of a channel": (channel, lambda x: 0.95 * np.exp(-((x[:, :1] - 2) ** 2) / 0.5) * [0, 1]),
+    "bump of 95 % of a channel": (
+        channel,
+        lambda x: 0.95 * np.exp(-((x[:, :1] - 2) ** 2) / 0.5) * [0, 1],
+    ),
 }
 
 
@@ -389,7 +445,9 @@ def test_a_large_motion_passes_in_one_call_and_is_differentiated(name):
     steps = jm.fewest_steps(plan, mesh, u, min_jacobian_ratio=0.0)
     assert (steps.fraction, int(steps.report.inverted)) == (1, 0)
     assert 1 < steps.count <= 4
-    np.testing.assert_allclose(steps.points[plan.moving], plan.moving_points + u, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        steps.points[plan.moving], plan.moving_points + u, rtol=0, atol=1e-13
+    )
     np.testing.assert_allclose(steps.path_to(u), steps.path, rtol=0, atol=1e-15)
     weights, way = np.random.default_rng(0).normal(size=mesh.points.shape), np.cos(3 * u + 1)
 

@@ -30,7 +30,9 @@ def test_a_grid_of_others_keeps_its_arrays_and_its_other_cells(tmp_path):
     quads = mesh.cells["quad"]
     blocks = [("quad", quads[:20]), ("line", quads[:12, :2]), ("quad", quads[20:])]
     mark = [np.arange(20.0), np.arange(12.0), np.arange(20.0, 36.0)]
-    meshio.write(tmp_path / "a.vtu", meshio.Mesh(points, blocks, {"heat": points[:, 0]}, {"mark": mark}))
+    meshio.write(
+        tmp_path / "a.vtu", meshio.Mesh(points, blocks, {"heat": points[:, 0]}, {"mark": mark})
+    )
     read = io.read(tmp_path / "a.vtu")
     assert read.points.shape == mesh.points.shape
     np.testing.assert_array_equal(read.cells["quad"], mesh.cells["quad"])
@@ -52,7 +54,9 @@ def test_patches_from_numbers_on_the_boundary(tmp_path, suffix, kind):
     points = np.column_stack([mesh.points, np.zeros(len(mesh.points))])
     lines = np.stack([np.arange(12), np.roll(np.arange(12), -1)], axis=1)
     blocks = [("quad", mesh.cells["quad"]), ("line", lines), ("line", lines + 36)]
-    numbers = {"Marker": [np.zeros(36, kind), np.full(12, 7, kind), np.repeat([8, 9], 6).astype(kind)]}
+    numbers = {
+        "Marker": [np.zeros(36, kind), np.full(12, 7, kind), np.repeat([8, 9], 6).astype(kind)]
+    }
     meshio.write(tmp_path / f"a{suffix}", meshio.Mesh(points, blocks, cell_data=numbers))
     read = io.read(tmp_path / f"a{suffix}")
     assert {name: nodes.tolist() for name, nodes in read.patches.items()} == {
@@ -98,7 +102,10 @@ def test_what_must_not_be_written(tmp_path):
     all_refused(
         (lambda: io.write(tmp_path / "a.stl", mesh), r"this is a surface, without cells"),
         (lambda: io.write(tmp_path / "no" / "a.su2", mesh), "there is no folder"),
-        (lambda: io.write(tmp_path / "b.su2", mesh, point_data={"u": mesh.points}), "SU2 files hold no arrays"),
+        (
+            lambda: io.write(tmp_path / "b.su2", mesh, point_data={"u": mesh.points}),
+            "SU2 files hold no arrays",
+        ),
         (lambda: io.write(tmp_path / "b.vtu", mesh, point_data={"u": np.zeros(3)}), shape),
         (lambda: io.write(tmp_path / "b.su2", lost), "1 of 48 points are not finite, first node 5"),
     )
@@ -168,7 +175,9 @@ def test_sections_of_gmsh_are_told_from_words_in_comments(tmp_path, version, bin
     np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, mesh.points + 1)
 
 
-@pytest.mark.parametrize(("before", "mark"), [("// a ring\n", ""), ("\n", ""), ("\ufeff", " .* byte order mark")])
+@pytest.mark.parametrize(
+    ("before", "mark"), [("// a ring\n", ""), ("\n", ""), ("\ufeff", " .* byte order mark")]
+)
 def test_what_stands_before_the_format_of_a_gmsh_file_is_told(tmp_path, before, mark):
     """Sections of comments may stand there, as meshio has it; anything else is shown."""
     comment = b"$Comments\na ring\n$EndComments\n"
@@ -179,7 +188,8 @@ def test_what_stands_before_the_format_of_a_gmsh_file_is_told(tmp_path, before, 
     for start, line in ((comment, 4), (b"", 1)):
         (tmp_path / "b.msh").write_bytes(start + before.encode() + data)
         with pytest.raises(
-            ValueError, match=rf"b\.msh, line {line}: not a \.msh file; \$MeshFormat is .*{mark * (line < 4)}"
+            ValueError,
+            match=rf"b\.msh, line {line}: not a \.msh file; \$MeshFormat is .*{mark * (line < 4)}",
         ):
             io.read(tmp_path / "b.msh")
 
@@ -189,7 +199,9 @@ def test_a_block_of_no_elements_is_no_damage(tmp_path):
     meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, "2.2", binary=True)
     data = (tmp_path / "a.msh").read_bytes()
     start = data.index(b"$Elements\n1\n") + 12
-    (tmp_path / "a.msh").write_bytes(data[:start] + np.array([2, 0, 2], "<i4").tobytes() + data[start:])
+    (tmp_path / "a.msh").write_bytes(
+        data[:start] + np.array([2, 0, 2], "<i4").tobytes() + data[start:]
+    )
     np.testing.assert_array_equal(io.read(tmp_path / "a.msh").cells["triangle"], [[0, 1, 2]])
 
 
@@ -199,8 +211,12 @@ def test_a_tag_far_beyond_the_number_of_nodes_is_told(tmp_path, version, line):
     mesh = meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))])
     meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, version, binary=False)
     data = (tmp_path / "a.msh").read_bytes()
-    (tmp_path / "a.msh").write_bytes(re.sub(rb"(\$Nodes\n(?:.+\n){%d})1\b" % line, rb"\g<1>1000000000", data))
-    with pytest.raises(ValueError, match=r"a\.msh: a triangle between nodes of which 1 is none of the 3 in \$Nodes"):
+    (tmp_path / "a.msh").write_bytes(
+        re.sub(rb"(\$Nodes\n(?:.+\n){%d})1\b" % line, rb"\g<1>1000000000", data)
+    )
+    with pytest.raises(
+        ValueError, match=r"a\.msh: a triangle between nodes of which 1 is none of the 3 in \$Nodes"
+    ):
         io.read(tmp_path / "a.msh")
 
 
@@ -208,7 +224,9 @@ def test_a_tag_far_beyond_the_number_of_nodes_is_told(tmp_path, version, line):
 def test_a_cell_that_stands_twice_is_refused(tmp_path, suffix):
     mesh = rings()
     kind, corners = next(iter(mesh.cells.items()))
-    copies = jm.Mesh(mesh.points, {**mesh.cells, kind: np.concatenate([corners, corners[2:3, ::-1]])})
+    copies = jm.Mesh(
+        mesh.points, {**mesh.cells, kind: np.concatenate([corners, corners[2:3, ::-1]])}
+    )
     io.write(tmp_path / f"a{suffix}", copies)
     told = rf"a\{suffix}: 2 cells of type {kind} have the nodes of another one, first cell 2 "
     with pytest.raises(ValueError, match=told):
@@ -232,14 +250,21 @@ def test_text_of_vtk_that_was_cut_or_counts_wrong_is_refused(tmp_path):
 
 
 def test_gradients_and_sensitivities_are_read_back_as_they_were(tmp_path):
-    parameters, gradient = {"a": np.array([1.5, -2.0]), "b": 0.25}, {"a": np.array([1e-17, np.nan]), "b": 3.0}
+    parameters, gradient = (
+        {"a": np.array([1.5, -2.0]), "b": 0.25},
+        {"a": np.array([1e-17, np.nan]), "b": 3.0},
+    )
     names = jm.shapes.names(parameters)
     for file in ("a.csv", "a.json"):
         io.write_gradient(tmp_path / file, parameters, gradient)
     table = json.loads((tmp_path / "a.json").read_text())
     rows = [line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines()[1:]]
     assert [name for name, *_ in rows] == list(table) == list(names)
-    assert [float(value) for _, value, _ in rows] == [each["value"] for each in table.values()] == [1.5, -2.0, 0.25]
+    assert (
+        [float(value) for _, value, _ in rows]
+        == [each["value"] for each in table.values()]
+        == [1.5, -2.0, 0.25]
+    )
     np.testing.assert_array_equal([float(slope) for *_, slope in rows], [1e-17, np.nan, 3.0])
     assert [each["dJ_dvalue"] for each in table.values()] == [1e-17, None, 3.0]
     with pytest.raises(ValueError, match="a gradient of 1 numbers for 3"):

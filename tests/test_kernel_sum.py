@@ -36,7 +36,9 @@ def case(name, dimension=3, n=2 * BLOCK + 137, s=70):
 
 
 def field_of(plan, u):
-    return plan.method.field(plan.surface.ids, plan.surface.factors, plan.surface.points, jnp.asarray(u))
+    return plan.method.field(
+        plan.surface.ids, plan.surface.factors, plan.surface.points, jnp.asarray(u)
+    )
 
 
 def in_blocks(plan, u):
@@ -57,14 +59,18 @@ def test_scipy_agrees(name, dimension):
     reference = RBFInterpolator(moving, u, kernel=kernel, epsilon=epsilon, degree=degree)(points)
     if name == "multiquadric":  # SciPy's has the other sign, which the weights take up
         assert np.abs(reference).max() > 1
-    np.testing.assert_allclose(jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max())
+    np.testing.assert_allclose(
+        jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max()
+    )
 
 
 SIZES = [("thin-plate", n, 25) for n in (26, BLOCK, BLOCK + 1)]
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("name", "n", "s"), [*((name, 2 * BLOCK + 137, 70) for name in BASES), *SIZES])
+@pytest.mark.parametrize(
+    ("name", "n", "s"), [*((name, 2 * BLOCK + 137, 70) for name in BASES), *SIZES]
+)
 def test_blocks_are_the_one_point_form(name, n, s):
     plan, u, w = case(name, n=n, s=s)
     scale = np.abs(one_by_one(plan, u)).max()
@@ -72,7 +78,9 @@ def test_blocks_are_the_one_point_form(name, n, s):
 
     def gradients(form):
         by_u = jax.grad(lambda u, points: jnp.sum(w * jnp.sin(form(plan, u))))
-        by_points = jax.grad(lambda u, points: jnp.sum(w * form(jm.refit(plan, points), u)), argnums=1)
+        by_points = jax.grad(
+            lambda u, points: jnp.sum(w * form(jm.refit(plan, points), u)), argnums=1
+        )
         return jax.jit(lambda *at: (by_u(*at), by_points(*at)))(jnp.asarray(u), plan.points)
 
     for found, expected in zip(gradients(in_blocks), gradients(one_by_one), strict=True):
@@ -108,10 +116,16 @@ def test_memory_does_not_grow_with_points_times_sources(what):
     function = {
         "deform": lambda plan, u: jm.deform(plan, u),
         "gradient": lambda plan, u: jax.grad(lambda u: jnp.sum(jm.deform(plan, u) ** 2))(u),
-        "gradient by the points": lambda plan, u: jax.grad(squares, argnums=2)(plan, u, plan.points),
+        "gradient by the points": lambda plan, u: jax.grad(squares, argnums=2)(
+            plan, u, plan.points
+        ),
     }[what]
     arrays, static = eqx.partition(plan, eqx.is_array)
-    compiled = jax.jit(lambda arrays, u: function(eqx.combine(arrays, static), u)).lower(arrays, u).compile()
+    compiled = (
+        jax.jit(lambda arrays, u: function(eqx.combine(arrays, static), u))
+        .lower(arrays, u)
+        .compile()
+    )
     n, d = plan.points.shape
     assert compiled.memory_analysis().temp_size_in_bytes < 8 * 10 * n * d + 8 * 12 * BLOCK * 200
     assert dense_kernels(compiled.as_text(), n, 200) == 0

@@ -62,7 +62,12 @@ def test_conditions_of_one_family_that_differ_are_both_told(tmp_path):
             del file[f"Base/{place}/ data"]
             file[f"Base/{place}/ data"] = np.frombuffer(kind.encode(), np.int8)
     mesh = io.read(tmp_path / "a.cgns")
-    assert mesh.kinds == {"floor": "BCWallViscous, BCWallInviscid", "c": "BCWall", "e": "BCWall", "f": "BCWall"}
+    assert mesh.kinds == {
+        "floor": "BCWallViscous, BCWallInviscid",
+        "c": "BCWall",
+        "e": "BCWall",
+        "f": "BCWall",
+    }
     assert io.symmetry(mesh) == ()
 
 
@@ -153,7 +158,9 @@ def test_every_format_has_the_nodes_of_its_file(tmp_path):
     io.write(tmp_path / "a.vtu", square(2))
     mesh = io.read(tmp_path / "a.vtu")
     io.write(tmp_path / "b.vtu", mesh.moved(mesh.points * 2))
-    np.testing.assert_array_equal(mesh.in_file_order(mesh.points * 2), meshio.read(tmp_path / "b.vtu").points)
+    np.testing.assert_array_equal(
+        mesh.in_file_order(mesh.points * 2), meshio.read(tmp_path / "b.vtu").points
+    )
     with pytest.raises(ValueError, match="has shape"):
         mesh.in_file_order(mesh.points[:3])
 
@@ -167,8 +174,12 @@ def test_boundary_faces_of_patches(tmp_path):
         a, b, c, d = (mesh.points[faces[:, k]] for k in range(4))
         return np.cross(c - a, d - b).sum(axis=0) / 2
 
-    np.testing.assert_allclose(areas(jm.boundary_faces(mesh, "low")["quad"]), [0, 0, -1], atol=1e-12)
-    np.testing.assert_allclose(areas(jm.boundary_faces(mesh, "mirror")["quad"]), [0, -1, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        areas(jm.boundary_faces(mesh, "low")["quad"]), [0, 0, -1], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        areas(jm.boundary_faces(mesh, "mirror")["quad"]), [0, -1, 0], atol=1e-12
+    )
     assert len(jm.boundary_faces(mesh, "low", "mirror")["quad"]) == 12 + 16
     np.testing.assert_allclose(areas(jm.boundary_faces(mesh)["quad"]), 0, atol=1e-12)
     assert len(jm.boundary_faces(mesh)["quad"]) == 2 * (12 + 12 + 16)
@@ -182,4 +193,8 @@ def test_boundary_faces_of_patches(tmp_path):
 
 def test_unstructured_kinds(tmp_path):
     unstructured(tmp_path / "a.cgns")
-    assert io.read(tmp_path / "a.cgns").kinds == {"high": "BCWall", "some": "BCWall", "old": "BCWall"}
+    assert io.read(tmp_path / "a.cgns").kinds == {
+        "high": "BCWall",
+        "some": "BCWall",
+        "old": "BCWall",
+    }

@@ -22,7 +22,9 @@ from jaxmorph._host.package.text import MESHES, UNREAD
 from jaxmorph.cli import main
 
 PAGE = pathlib.Path(__file__).parents[1] / "docs" / "pages" / "files.md"
-FILES = {"OpenFOAM": "", "Medit": ".meshb"} | {name: endings[0] for name, endings in MESHES.items() if endings}
+FILES = {"OpenFOAM": "", "Medit": ".meshb"} | {
+    name: endings[0] for name, endings in MESHES.items() if endings
+}
 FILES["Medit"] = ".meshb"
 PATCHES = {
     "SU2": "markers",
@@ -72,7 +74,9 @@ def test_the_table_of_kinds_is_what_files_are(tmp_path):
     for name in FILES:
         (tmp_path / name).mkdir()
     head = ["| kind | endings | patches | comes back | from any mesh |", "|---|---|---|---|---|"]
-    table = "\n".join([*head, *(row(tmp_path / name, name) for name in sorted(FILES, key=list(MESHES).index))])
+    table = "\n".join(
+        [*head, *(row(tmp_path / name, name) for name in sorted(FILES, key=list(MESHES).index))]
+    )
     assert table in PAGE.read_text(), f"the table of {PAGE.name} is\n{table}"
 
 
@@ -94,7 +98,9 @@ def test_another_reader_finds_the_moved_points(tmp_path, ending, capsys):
     again = rewritten(tmp_path / f"out{ending}", moved)
     assert_same(again, moved)
     found = by_another_reader(tmp_path / f"out{ending}")
-    assert found.dtype == np.float64 or ending == ".ugrid"  # meshio reads its text in single precision
+    assert (
+        found.dtype == np.float64 or ending == ".ugrid"
+    )  # meshio reads its text in single precision
     np.testing.assert_array_equal(found, np.asarray(moved.points).astype(found.dtype))
     if ending not in (".meshb", ".xdmf"):
         before, after = (each.read_bytes().split() for each in (path, tmp_path / f"out{ending}"))
@@ -109,13 +115,17 @@ SHAPES = {
         {"quad": [[0, 1, 2, 3]], "triangle": [[1, 4, 2]]},
         {"low side": [0, 1]},
     ),
-    "curved": jm.elevate(jm.Mesh(mixed()[0], {"tetra": CELLS["tetra"], "wedge": CELLS["wedge"]}), 2),
+    "curved": jm.elevate(
+        jm.Mesh(mixed()[0], {"tetra": CELLS["tetra"], "wedge": CELLS["wedge"]}), 2
+    ),
 }
 LINEAR = (".su2", ".vol", ".cas", ".h5", ".mesh", ".xdmf")  # as meshio writes them
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("ending", [".su2", ".vtu", ".vtk", ".msh", ".cas", ".h5", ".mesh", ".inp", ".xdmf", ".vol"])
+@pytest.mark.parametrize(
+    "ending", [".su2", ".vtu", ".vtk", ".msh", ".cas", ".h5", ".mesh", ".inp", ".xdmf", ".vol"]
+)
 def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
     """Cells of all types, in 2-D and 3-D, of order 1 and 2: the same nodes, none folded, and moved points to the last bit."""
     mesh, path = SHAPES[shape], tmp_path / f"a{ending}"
@@ -123,7 +133,13 @@ def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
     if ending in LINEAR and shape == "curved":
         pytest.skip("the kind has linear cells alone")
     if ending in (".cas", ".h5"):
-        fluent.write(path, np.asarray(mesh.points), cells, {"low": [0, 1]}, "h5" if ending == ".h5" else "text")
+        fluent.write(
+            path,
+            np.asarray(mesh.points),
+            cells,
+            {"low": [0, 1]},
+            "h5" if ending == ".h5" else "text",
+        )
     elif ending in (".mesh", ".inp", ".xdmf", ".vol"):
         try:
             meshio.write(path, jm.Mesh(mesh.points, cells).to_meshio())
@@ -149,7 +165,9 @@ def test_numbers_in_columns_stay_in_them(tmp_path):
     for name in ("in", "out"):
         lines = (tmp_path / f"{name}.unv").read_text().splitlines()
         assert {len(line) for line in lines if "D" in line} == {75}
-    np.testing.assert_array_equal(io.read(tmp_path / "out.unv").points, np.asarray(mesh.points) / 3 - 1e-105)
+    np.testing.assert_array_equal(
+        io.read(tmp_path / "out.unv").points, np.asarray(mesh.points) / 3 - 1e-105
+    )
 
 
 COPIED = (".h5", ".cgns", ".med", ".e")
@@ -172,7 +190,11 @@ def test_a_packed_file_is_what_is_in_it(tmp_path, ending):
     assert gzip.decompress(pathlib.Path(f"{out}.gz").read_bytes()) == out.read_bytes()
     moved = mesh.moved(np.asarray(mesh.points) + 0.125)
     assert_same(rewritten(pathlib.Path(f"{out}.gz"), moved), moved)
-    for damaged in (packed.read_bytes()[:-9], b"no such file", gzip.compress(b"\0" * 300_000_000, 9)):
+    for damaged in (
+        packed.read_bytes()[:-9],
+        b"no such file",
+        gzip.compress(b"\0" * 300_000_000, 9),
+    ):
         packed.write_bytes(damaged)
         with pytest.raises(ValueError, match=rf"in\{ending}\.gz: "):
             io.read(packed)
@@ -218,15 +240,21 @@ def test_another_package_brings_a_format(tmp_path, monkeypatch):
         rows = np.loadtxt(path)
         return jm.Mesh(rows, {"triangle": [[0, 1, 2]]}, {"wall": [0, 1]}, source=path.name)
 
-    plugin = types.SimpleNamespace(read=read, write=lambda path, mesh: np.savetxt(path, np.asarray(mesh.points)))
+    plugin = types.SimpleNamespace(
+        read=read, write=lambda path, mesh: np.savetxt(path, np.asarray(mesh.points))
+    )
     point = types.SimpleNamespace(name="rows", load=lambda: plugin)
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [point] * (group == "jaxmorph.formats"))
+    monkeypatch.setattr(
+        importlib.metadata, "entry_points", lambda group: [point] * (group == "jaxmorph.formats")
+    )
     np.savetxt(tmp_path / "a.rows", [[0.0, 0], [1, 0], [0, 1]])
     mesh = io.read(tmp_path / "a.rows")
     moved = mesh.moved(np.asarray(mesh.points) + 1)
     assert_same(rewritten(tmp_path / "b.rows", moved), moved)
     del plugin.write
-    with pytest.raises(ValueError, match=r"c\.rows: files of the format rows are read, and not written"):
+    with pytest.raises(
+        ValueError, match=r"c\.rows: files of the format rows are read, and not written"
+    ):
         io.write(tmp_path / "c.rows", mesh)
 
 

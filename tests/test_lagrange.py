@@ -8,7 +8,14 @@ from jaxmorph._host.cells.pieces import boundary_faces, boundary_sides, linear_c
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, FRAMES, NODES, SHAPES
 
 TYPES = lagrange_types()
-SIZES = {"triangle": 1 / 2, "quad": 1, "tetra": 1 / 6, "pyramid": 1 / 3, "wedge": 1 / 2, "hexahedron": 1}
+SIZES = {
+    "triangle": 1 / 2,
+    "quad": 1,
+    "tetra": 1 / 6,
+    "pyramid": 1 / 3,
+    "wedge": 1 / 2,
+    "hexahedron": 1,
+}
 
 
 @pytest.mark.parametrize("name", TYPES)
@@ -21,14 +28,18 @@ def test_nodes_of_edges_and_sides_lie_on_them(name):
     assert cell.corners == CORNERS[cell.shape]
     for edge, ends in zip(cell.edges, EDGES[cell.shape], strict=True):
         a, b = x[list(ends)]
-        assert np.allclose(x[edge], a + np.concatenate([[0, p], np.arange(1, p)])[:, None] / p * (b - a))
+        assert np.allclose(
+            x[edge], a + np.concatenate([[0, p], np.arange(1, p)])[:, None] / p * (b - a)
+        )
     for kind, nodes in cell.sides if cell.dimension == 3 else []:
         side = TYPES[kind]
         a, b, last = x[nodes[[0, 1, side.corners - 1]]]
         assert np.allclose(x[nodes], a + side.reference @ np.stack([b - a, last - a]))
 
 
-@pytest.mark.parametrize("name", ["quad8", "pyramid13", "wedge15", "hexahedron20", "tetra10", "wedge40"])
+@pytest.mark.parametrize(
+    "name", ["quad8", "pyramid13", "wedge15", "hexahedron20", "tetra10", "wedge40"]
+)
 def test_completed_cell_is_the_same_cell(name):
     complete, matrix = TYPES[name].completion()
     x, y = TYPES[name].reference, TYPES[complete].reference
@@ -45,7 +56,9 @@ def test_pieces_fill_the_cell_and_meet_in_equal_faces(name):
     jacobians = {kind: _jacobians(kind, cell.reference[ids]) for kind, ids in cells.items()}
     assert min(each.min() for each in jacobians.values()) > 1e-6
     # all pieces are affine images of the reference cells
-    assert np.isclose(sum(SIZES[kind] * each[:, 0].sum() for kind, each in jacobians.items()), SIZES[cell.shape])
+    assert np.isclose(
+        sum(SIZES[kind] * each[:, 0].sum() for kind, each in jacobians.items()), SIZES[cell.shape]
+    )
     assert set(np.concatenate([ids.ravel() for ids in cells.values()])) == set(range(n))
     sides = set().union(*(_sets(linear_cells({kind: rows[None]})) for kind, rows in cell.sides))
     if cell.is_complete or cell.dimension == 2:
@@ -54,7 +67,9 @@ def test_pieces_fill_the_cell_and_meet_in_equal_faces(name):
     assert _sets(boundary_faces(whole, n)) == sides
     assert _sets(boundary_sides(whole, n)) == {frozenset(rows.tolist()) for _, rows in cell.sides}
     three = owners({name: np.zeros((3, n), int), "line": np.zeros((2, 2), int)})
-    assert np.bincount(np.concatenate(list(three.values()))).tolist() == [sum(map(len, cells.values()))] * 3 + [1, 1]
+    assert np.bincount(np.concatenate(list(three.values()))).tolist() == [
+        sum(map(len, cells.values()))
+    ] * 3 + [1, 1]
 
 
 def _jacobians(kind, x):

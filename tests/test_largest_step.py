@@ -38,11 +38,18 @@ def test_the_bound_is_met_exactly_in_the_cell_that_is_told(tmp_path, bound):
     u = 0.01 * u
     result = jm.largest_step(plan, u, direction, mesh, min_jacobian_ratio=bound)
     assert 0 < result.step < 1
-    ratios = np.asarray(jm.quality(mesh, jm.deform(plan, u + result.step * direction)).jacobian_ratio)
+    ratios = np.asarray(
+        jm.quality(mesh, jm.deform(plan, u + result.step * direction)).jacobian_ratio
+    )
     assert ratios.min() == pytest.approx(bound, abs=1e-9)
     assert ratios.argmin() == result.cell
     for share in np.linspace(0, 0.999, 8):
-        assert jm.quality(mesh, jm.deform(plan, u + share * result.step * direction)).jacobian_ratio.min() > bound
+        assert (
+            jm.quality(
+                mesh, jm.deform(plan, u + share * result.step * direction)
+            ).jacobian_ratio.min()
+            > bound
+        )
 
 
 @over("kind", ["triangle", "quad"], slow=["tetra", "wedge", "pyramid", "hexahedron", "triangle6"])
@@ -56,14 +63,18 @@ def test_the_step_that_is_proven_proves(kind, bound):
     for seed in range(3):
         plan = jm.prepare(points, moving, fixed, method=jm.DelaunayGraph())
         direction = 3 * np.random.default_rng(seed).normal(size=(len(moving), d))
-        result = jm.largest_step(plan, 0 * direction, direction, turned, min_jacobian_ratio=bound, proven=True)
+        result = jm.largest_step(
+            plan, 0 * direction, direction, turned, min_jacobian_ratio=bound, proven=True
+        )
         assert 0 < result.step < 1
         at = jm.deform(plan, result.step * direction)
         report = jm.proof(turned, at)
         assert report.valid == report.count
         shorter = jm.deform(plan, result.step * (1 - 1e-9) * direction)
         assert jm.proof(turned, shorter, base=points).valid == report.count
-        if mesh.points.shape[1] == len(mesh.cells[kind][0]) - 1:  # of a simplex the margin is the ratio
+        if (
+            mesh.points.shape[1] == len(mesh.cells[kind][0]) - 1
+        ):  # of a simplex the margin is the ratio
             margin = np.asarray(jm.proven_margin(turned, at))
             assert margin.min() >= bound
             assert margin.min() == pytest.approx(bound, abs=1e-9)
@@ -83,7 +94,9 @@ def test_cells_that_arrive_folded_end_no_step_and_are_no_proof():
     plan = jm.prepare(points, moving, np.flatnonzero(points[:, 0] == 1), method=jm.RBF())
     u = np.tile([0.01, 0.0], (len(moving), 1))
     assert jm.largest_step(plan, 0 * u, u, mesh) == jm.LargestStep(1.0, -1)
-    words = r"\d of \d+ cells of the undeformed mesh are not proven valid, first cell \d+.*proven=False"
+    words = (
+        r"\d of \d+ cells of the undeformed mesh are not proven valid, first cell \d+.*proven=False"
+    )
     with pytest.raises(ValueError, match=words):
         jm.largest_step(plan, 0 * u, u, mesh, proven=True)
     with pytest.raises(ValueError, match="of the undeformed mesh are not proven valid"):
@@ -97,7 +110,9 @@ def test_a_plan_that_is_not_linear_is_refused_and_judged_step_by_step(tmp_path):
     plan = jm.prepare(mesh, "wall", "far", method=jm.InverseDistance(rotations=True))
     base = np.asarray(plan.moving_points)
     u = np.asarray(jm.shapes.rotate(base, np.deg2rad(170), [0.0, 0.0])) - base
-    with pytest.raises(ValueError, match=r"InverseDistance is not\. Its nodes leave straight lines.*fewest_steps"):
+    with pytest.raises(
+        ValueError, match=r"InverseDistance is not\. Its nodes leave straight lines.*fewest_steps"
+    ):
         jm.largest_step(plan, 0 * u, u, mesh)
     curved = jm.prepare(mesh, "wall", sliding="far")
     assert not curved.is_linear
@@ -105,7 +120,9 @@ def test_a_plan_that_is_not_linear_is_refused_and_judged_step_by_step(tmp_path):
         jm.largest_step(curved, 0 * u, u, mesh)
     search = jm.ValidSteps(plan, mesh, lambda step: step * u)
     for step in (0.1, 0.3, 0.5, 0.7):
-        assert bool(search.holds(jnp.array(step))) == (int(jm.quality(mesh, jm.deform(plan, step * u)).inverted) == 0)
+        assert bool(search.holds(jnp.array(step))) == (
+            int(jm.quality(mesh, jm.deform(plan, step * u)).inverted) == 0
+        )
 
 
 @pytest.mark.slow
@@ -130,7 +147,9 @@ def test_velocity_satisfies_the_geometric_conservation_law(tmp_path):
     def areas(u):
         corners = jm.deform(plan, u)[quads]
         after = jnp.roll(corners, -1, axis=1)
-        return 0.5 * jnp.sum(corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0], axis=1)
+        return 0.5 * jnp.sum(
+            corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0], axis=1
+        )
 
     rate = jax.jvp(areas, (0.02 * u,), (u_dot,))[1]
     edge = np.roll(x[quads], -1, axis=1) - x[quads]
@@ -142,13 +161,21 @@ def test_velocity_satisfies_the_geometric_conservation_law(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "solver", [pytest.param(optx.BFGS(1e-9, 1e-9), marks=pytest.mark.slow), optx.GradientDescent(1.0, 1e-9, 1e-9)]
+    "solver",
+    [
+        pytest.param(optx.BFGS(1e-9, 1e-9), marks=pytest.mark.slow),
+        optx.GradientDescent(1.0, 1e-9, 1e-9),
+    ],
 )
-def test_a_search_of_optimistix_shortens_steps_and_solves_no_flow_on_broken_meshes(tmp_path, solver):
+def test_a_search_of_optimistix_shortens_steps_and_solves_no_flow_on_broken_meshes(
+    tmp_path, solver
+):
     """The objective's optimum inverts cells; every mesh that the flow met keeps the bound, and the way ends near it."""
     mesh, plan, _, direction = ring(tmp_path)
     fields, met = jnp.stack([direction, jnp.roll(direction, 5, axis=0)]), []
-    search = jm.ValidSteps(plan, mesh, lambda y: jnp.tensordot(y, fields, 1), min_jacobian_ratio=0.2)
+    search = jm.ValidSteps(
+        plan, mesh, lambda y: jnp.tensordot(y, fields, 1), min_jacobian_ratio=0.2
+    )
 
     def flow(y, args):
         jax.debug.callback(lambda y: met.append(y), y)
@@ -157,7 +184,10 @@ def test_a_search_of_optimistix_shortens_steps_and_solves_no_flow_on_broken_mesh
     solver = eqx.tree_at(lambda solver: solver.search, solver, search)
     result = optx.minimise(search.guarded(flow), solver, jnp.zeros(2), max_steps=40, throw=False)
     jax.effects_barrier()
-    ratios = [float(jm.quality(mesh, jm.deform(plan, search.mesh.displacement(y))).min_jacobian_ratio) for y in met]
+    ratios = [
+        float(jm.quality(mesh, jm.deform(plan, search.mesh.displacement(y))).min_jacobian_ratio)
+        for y in met
+    ]
     assert len(ratios) > 3
     assert min(ratios) >= 0.2
     assert min(ratios) < 0.35

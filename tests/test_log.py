@@ -15,17 +15,23 @@ def everywhere():
     spread = np.ldexp(rng.uniform(1, 2, len(exponents)), exponents)
     near_one = 1 + rng.uniform(-1, 1, 20_000) * 10.0 ** rng.uniform(-16, -0.3, 20_000)
     cuts = np.sqrt([0.5, 2])[:, None] * (1 + rng.uniform(-1e-9, 1e-9, 5_000))
-    tiny, largest, least = (getattr(np.finfo(float), name) for name in ("tiny", "max", "smallest_subnormal"))
+    tiny, largest, least = (
+        getattr(np.finfo(float), name) for name in ("tiny", "max", "smallest_subnormal")
+    )
     edges = [tiny, largest, least, np.nextafter(tiny, 0), 1, np.nextafter(1, 0), np.nextafter(1, 2)]
     values = np.concatenate([spread, near_one, cuts.ravel(), edges])
     return values[(values > 0) & np.isfinite(values)]
 
 
 def error_in_last_place(found, reference):
-    return np.abs(found.astype(np.longdouble) - reference) / np.spacing(np.abs(reference).astype(float))
+    return np.abs(found.astype(np.longdouble) - reference) / np.spacing(
+        np.abs(reference).astype(float)
+    )
 
 
-needs_extended = pytest.mark.skipif(np.finfo(np.longdouble).nmant < 60, reason="no extended precision to compare with")
+needs_extended = pytest.mark.skipif(
+    np.finfo(np.longdouble).nmant < 60, reason="no extended precision to compare with"
+)
 
 
 @needs_extended
@@ -58,7 +64,10 @@ def test_derivatives(function):
     """First, second and third, forward and reverse, against closed forms."""
     x = jnp.asarray(np.random.default_rng(1).uniform(0.01, 30, 50))
     log_x = np.log(np.asarray(x))
-    closed = {log: (1 / x, -1 / x**2, 2 / x**3), half_x_log_x: ((log_x + 1) / 2, 0.5 / x, -0.5 / x**2)}[function]
+    closed = {
+        log: (1 / x, -1 / x**2, 2 / x**3),
+        half_x_log_x: ((log_x + 1) / 2, 0.5 / x, -0.5 / x**2),
+    }[function]
     derivative = function
     for expected in closed:
         forward = jax.jacfwd(derivative)

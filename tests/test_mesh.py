@@ -8,7 +8,9 @@ import pytest
 import jaxmorph as jm
 from jaxmorph import io
 
-POINTS = np.array([[0, 0], [1, 0], [2, 0], [2.5, 1], [1, 1], [0, 1], [0.4, 2], [3.5, 0.5]], dtype=float)
+POINTS = np.array(
+    [[0, 0], [1, 0], [2, 0], [2.5, 1], [1, 1], [0, 1], [0.4, 2], [3.5, 0.5]], dtype=float
+)
 CELLS = {"triangle": [[5, 4, 6], [2, 7, 3]], "quad": [[0, 1, 4, 5], [1, 2, 3, 4]]}
 BOUNDARY = {"wall": [0, 1, 2], "rest": [0, 5, 6, 4, 3, 7, 2]}
 
@@ -22,7 +24,12 @@ def test_cells_keep_their_order_under_jit():
     mesh = mixed()
     leaves, structure = jax.tree.flatten(mesh)
     again = jax.tree.unflatten(structure, leaves)
-    assert list(again.cells) == list(mesh.cells) == list(mesh.moved(POINTS + 1).cells) == ["quad", "triangle"]
+    assert (
+        list(again.cells)
+        == list(mesh.cells)
+        == list(mesh.moved(POINTS + 1).cells)
+        == ["quad", "triangle"]
+    )
     here, there = jm.quality(mesh), eqx.filter_jit(jm.quality)(mesh)
     assert here.types == there.types == (("quad", 2), ("triangle", 2))
     np.testing.assert_allclose(here.volume, [1, 1.25, 0.5, 0.625], rtol=1e-14)

@@ -42,19 +42,28 @@ def test_nodes_are_where_the_map_takes_them(tmp_path, name):
         for row, corners in zip(ids, table[numbers[cell.shape]], strict=True):
             assert row[: cell.corners].tolist() == corners
             at = places[corners]
-            axes = [at[PLACES[cell.shape].index(tuple(unit))] - at[0] for unit in np.eye(d, dtype=int).tolist()]
-            np.testing.assert_allclose(mesh.points[row], mfem_meshes.moved(at[0] + cell.reference @ axes), atol=1e-8)
+            axes = [
+                at[PLACES[cell.shape].index(tuple(unit))] - at[0]
+                for unit in np.eye(d, dtype=int).tolist()
+            ]
+            np.testing.assert_allclose(
+                mesh.points[row], mfem_meshes.moved(at[0] + cell.reference @ axes), atol=1e-8
+            )
             seen += 1
     assert seen == 3
     assert int(jm.quality(mesh).inverted) == 0
-    assert len(np.unique(np.concatenate([ids.ravel() for ids in mesh.cells.values()]))) == len(mesh.points)
+    assert len(np.unique(np.concatenate([ids.ravel() for ids in mesh.cells.values()]))) == len(
+        mesh.points
+    )
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_files_come_back_and_move(tmp_path, name):
     path = saved(
         tmp_path,
-        "".join(FILES[name].partition("elements\n")[:2]) + "# cells\n" + FILES[name].partition("elements\n")[2],
+        "".join(FILES[name].partition("elements\n")[:2])
+        + "# cells\n"
+        + FILES[name].partition("elements\n")[2],
     )
     mesh = io.read(path)
     io.write(tmp_path / "same.mesh", mesh)
@@ -64,9 +73,16 @@ def test_files_come_back_and_move(tmp_path, name):
     points[far] += 0.01 * np.cos(2 * points[far])
     again = rewritten(tmp_path / "moved.mesh", mesh.moved(points))
     np.testing.assert_allclose(again.points, points, rtol=0, atol=1e-13)
-    old, new = (text.split("Ordering")[1].split() for text in (path.read_text(), (tmp_path / "moved.mesh").read_text()))
-    assert 0.2 < np.mean([a == b for a, b in zip(old, new, strict=True)]) < 0.95  # digits of cells that stay are kept
-    assert (tmp_path / "moved.mesh").read_text().split("Ordering")[0] == path.read_text().split("Ordering")[0]
+    old, new = (
+        text.split("Ordering")[1].split()
+        for text in (path.read_text(), (tmp_path / "moved.mesh").read_text())
+    )
+    assert (
+        0.2 < np.mean([a == b for a, b in zip(old, new, strict=True)]) < 0.95
+    )  # digits of cells that stay are kept
+    assert (tmp_path / "moved.mesh").read_text().split("Ordering")[0] == path.read_text().split(
+        "Ordering"
+    )[0]
 
 
 def test_comments_between_vertices_stay(tmp_path):
@@ -77,7 +93,9 @@ def test_comments_between_vertices_stay(tmp_path):
     assert (tmp_path / "same.mesh").read_text() == (tmp_path / "a.mesh").read_text()
     io.write(tmp_path / "b.mesh", mesh.moved(np.asarray(mesh.points) + 0.25))
     assert "\n# 1 2 3\n0.25 0.25 0.25\n # four\n" in (tmp_path / "b.mesh").read_text()
-    np.testing.assert_array_equal(io.read(tmp_path / "b.mesh").points, np.asarray(mesh.points) + 0.25)
+    np.testing.assert_array_equal(
+        io.read(tmp_path / "b.mesh").points, np.asarray(mesh.points) + 0.25
+    )
 
 
 def test_patches_are_attributes_and_named_sets(tmp_path):
@@ -93,7 +111,9 @@ def test_patches_are_attributes_and_named_sets(tmp_path):
     assert straight.groups == {"floor": ("boundary_4",)}
     points = np.array(straight.points)
     points[4] += 0.1
-    np.testing.assert_array_equal(rewritten(tmp_path / "moved.mesh", straight.moved(points)).points, points)
+    np.testing.assert_array_equal(
+        rewritten(tmp_path / "moved.mesh", straight.moved(points)).points, points
+    )
     side = next(iter(jm.boundary_faces(mixed()).values()))[0]
     every = jm.Mesh(mixed().points, mixed().cells, {"side": side})
     again = io.read(saved(tmp_path, mfem_meshes.straight(every, "side"), "b.mesh"))
@@ -120,18 +140,30 @@ def test_a_mesh_in_space_that_lies_in_a_plane_has_two_coordinates(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("H1_2D_P4", "H1_2D_P5"), "nodes of H1_2D_P5 are not read; H1 and L2_T1 of order 1 to 4 are"),
+        (
+            ("H1_2D_P4", "H1_2D_P5"),
+            "nodes of H1_2D_P5 are not read; H1 and L2_T1 of order 1 to 4 are",
+        ),
         (("H1_2D_P4", "H1Pos_2D_P4"), "nodes of H1Pos_2D_P4 are not read"),
         (("H1_2D_P4", "NURBS"), "nodes of NURBS are not read"),
-        (("H1_2D_P4", "H1_2D_P3"), "28 nodes of 2 or 3 coordinates expected, found 90 numbers for 2"),
-        (("v1.0", "v2.0"), "MFEM mesh v1.0 to v1.3 expected in the first line, found 'MFEM mesh v2.0'"),
+        (
+            ("H1_2D_P4", "H1_2D_P3"),
+            "28 nodes of 2 or 3 coordinates expected, found 90 numbers for 2",
+        ),
+        (
+            ("v1.0", "v2.0"),
+            "MFEM mesh v1.0 to v1.3 expected in the first line, found 'MFEM mesh v2.0'",
+        ),
         (("MFEM mesh", "MFEM NC mesh"), "expected in the first line"),
         (("1 2 1 4 2", "1 2 1 4 9"), "there are nodes 0 to 5, and others here"),
         (("1 2 1 4 2", "1 12 1 4 2"), "line 8: element type 12 is not known"),
         (("1 2 1 4 2", "1 2 1 4"), "line 8: an element of type 2 has 3 nodes"),
         (("1 2 1 4 2", "1 1 1 4"), "cells of 2-D alone, or of 3-D alone, expected"),
         (("elements\n3", "elements\n4"), "a number of elements expected, and as many rows"),
-        ((mfem_meshes.FLAT, "MFEM mesh v1.0\n"), "no elements, boundary, vertices in this file; it is cut short"),
+        (
+            (mfem_meshes.FLAT, "MFEM mesh v1.0\n"),
+            "no elements, boundary, vertices in this file; it is cut short",
+        ),
         (("boundary\n", "frontier\n"), "no boundary in this file"),
         (("v1.0", "v1.2"), "no line mfem_mesh_end in this file; it is cut short"),
         (("vertices\n6", "vertices\n600000"), "600000 vertices do not fit into a file of"),
@@ -151,7 +183,11 @@ def test_torn_and_periodic_meshes_are_told(tmp_path):
     head, numbers = mfem_meshes.TORN.split("Ordering: 0\n\n")
     words = numbers.split()
     words[0] = repr(float(words[0]) + 0.5)
-    with pytest.raises(ValueError, match=r"nodes of cells that meet are 0\.5 apart; periodic meshes are not read"):
+    with pytest.raises(
+        ValueError, match=r"nodes of cells that meet are 0\.5 apart; periodic meshes are not read"
+    ):
         io.read(saved(tmp_path, f"{head}Ordering: 0\n\n{' '.join(words)}\n"))
-    with pytest.raises(ValueError, match="only a mesh that was read from an MFEM file can be written to one"):
+    with pytest.raises(
+        ValueError, match="only a mesh that was read from an MFEM file can be written to one"
+    ):
         io.write(tmp_path / "new.mesh", bricks(2))

@@ -30,7 +30,11 @@ CALLS = {
     "naca": lambda: (AIRFOIL, X, np.array([0.03, 0.4, 0.1])),
     "axis": lambda: (AXIS, np.c_[X, X[:, 0]], {"twist": np.array([0.0, 0.1])}),
     "part": lambda: (shapes.Part(shapes.HicksHenne([0.3]), X[:, 1] > 0.5), X, np.ones(1)),
-    "chain": lambda: (shapes.Chain({"box": BOX, "rows": shapes.OnRows(AIRFOIL, [0, 1])}), X, {"box": CONTROL}),
+    "chain": lambda: (
+        shapes.Chain({"box": BOX, "rows": shapes.OnRows(AIRFOIL, [0, 1])}),
+        X,
+        {"box": CONTROL},
+    ),
     "together": lambda: (shapes.Together(shapes.CST(2), BOX), X, (np.ones(4), CONTROL)),
     "curve": lambda: (shapes.BSplineCurve(X, 4).at(X), np.ones((4, 2))),
     "basis": lambda: (jm.WendlandC2(0.5), np.linspace(0, 1, 5)),
@@ -46,8 +50,12 @@ BREADTH = ("naca", "together", "chain", "axis")
 def test_jit_takes_modules_and_their_methods(name):
     function, *arguments = CALLS[name]()
     expected = function(*arguments)
-    np.testing.assert_allclose(eqx.filter_jit(function)(*arguments), expected, rtol=1e-12, atol=1e-15)
-    traced = jax.jit(lambda *arguments: jax.jit(function)(*arguments) + jax.jit(function)(*arguments))
+    np.testing.assert_allclose(
+        eqx.filter_jit(function)(*arguments), expected, rtol=1e-12, atol=1e-15
+    )
+    traced = jax.jit(
+        lambda *arguments: jax.jit(function)(*arguments) + jax.jit(function)(*arguments)
+    )
     np.testing.assert_allclose(traced(*arguments), 2 * expected, rtol=1e-12, atol=1e-15)
 
 

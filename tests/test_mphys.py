@@ -20,7 +20,9 @@ pytestmark = [pytest.mark.filterwarnings("ignore"), pytest.mark.usefixtures("her
 def wing(x, p):
     """Twist that grows along the span y, about the quarter chord; and a bend upward."""
     x = jnp.asarray(x)
-    turned = shapes.twist(x, p["twist"], [0.25, -0.1, 0.0], [0.0, 1.0, 0.0], 2.0)  # no node at its ends
+    turned = shapes.twist(
+        x, p["twist"], [0.25, -0.1, 0.0], [0.0, 1.0, 0.0], 2.0
+    )  # no node at its ends
     return turned + p["rise"] * (x[:, 1:2] ** 2) * jnp.array([[0.0, 0.0, 1.0]])
 
 
@@ -45,7 +47,9 @@ def test_builders_pass_openmdaos_check(plan):
     problem = om.Problem(reports=False)
     model = problem.model
     model.add_subsystem("mesh", volume.get_mesh_coordinate_subsystem())
-    model.add_subsystem("geometry", ShapeBuilder(SHAPE).get_mesh_coordinate_subsystem(), promotes=["twist", "rise"])
+    model.add_subsystem(
+        "geometry", ShapeBuilder(SHAPE).get_mesh_coordinate_subsystem(), promotes=["twist", "rise"]
+    )
     model.add_subsystem("volume", volume.get_coupling_group_subsystem())
     model.connect("mesh.x_aero0_mesh", "geometry.x_aero0_geometry_input")
     model.connect("geometry.x_aero0_geometry_output", "volume.x_aero")
@@ -54,7 +58,9 @@ def test_builders_pass_openmdaos_check(plan):
     problem.set_val("rise", 0.02)
     problem.run_model()
     u = shapes.displacement(SHAPE, plan, {"twist": 0.1, "rise": 0.02})
-    np.testing.assert_allclose(problem.get_val("volume.aero_vol_coords"), np.ravel(jm.deform(plan, u)), atol=1e-14)
+    np.testing.assert_allclose(
+        problem.get_val("volume.aero_vol_coords"), np.ravel(jm.deform(plan, u)), atol=1e-14
+    )
     data = problem.check_partials(out_stream=None, method="fd", form="central", step=1e-5)
     for name in ("geometry", "volume"):
         for entry in data[name].values():
@@ -92,7 +98,13 @@ def test_nonsense_is_refused_by_name(plan):
     from jaxmorph.integrations import mphys, openmdao
 
     bend = shapes.FreeForm([-3.0] * 3, 7 * np.eye(3), (2, 2, 2))
-    made = {"shape": bend, "parameters": bend.neutral(), "plan": plan, "flat": False, "positions": False}
+    made = {
+        "shape": bend,
+        "parameters": bend.neutral(),
+        "plan": plan,
+        "flat": False,
+        "positions": False,
+    }
     table = {
         openmdao.MeshDeformation: ("plan", "mesh", "raise_if_inverted", "flat", "units"),
         openmdao.ShapeDisplacement: ("shape", "plan", "parameters", "positions", "flat", "units"),
@@ -100,7 +112,12 @@ def test_nonsense_is_refused_by_name(plan):
         mphys.VolumeBuilder: ("plan", "mesh", "raise_if_inverted"),
     }
     built = {mphys.Geometry, mphys.Volume}
-    classes = [each for module in (openmdao, mphys) for each in vars(module).values() if isinstance(each, type)]
+    classes = [
+        each
+        for module in (openmdao, mphys)
+        for each in vars(module).values()
+        if isinstance(each, type)
+    ]
     own = [each for each in classes if each.__module__.startswith("jaxmorph.integrations.")]
     hidden = ("_", "Traced", "MovedMesh", "Deformed")
     assert {each for each in own if not each.__name__.startswith(hidden)} - built == set(table)
@@ -108,7 +125,9 @@ def test_nonsense_is_refused_by_name(plan):
         good = {name: made[name] for name in names if name in made}
         for name in names:
             for nonsense in (3j, "nonsense", object(), jm.Plan):
-                with pytest.raises((ValueError, TypeError), match=f"`{name}`|[Oo]ption '{name}'|The {name} '"):
+                with pytest.raises(
+                    (ValueError, TypeError), match=f"`{name}`|[Oo]ption '{name}'|The {name} '"
+                ):
                     set_up(called, good | {name: nonsense})
     flat = jm.prepare(np.eye(3, 2), [0], [1], method=jm.InverseDistance())
     with pytest.raises(ValueError, match="this mesh is in 2-D"):
@@ -126,7 +145,14 @@ def test_one_shape_moves_openaerostructs_lattice_and_a_volume_mesh():
 
     from jaxmorph.integrations.mphys import ShapeBuilder, VolumeBuilder
 
-    lattice = {"num_x": 3, "num_y": 7, "wing_type": "rect", "symmetry": True, "span": 4.0, "root_chord": 1.0}
+    lattice = {
+        "num_x": 3,
+        "num_y": 7,
+        "wing_type": "rect",
+        "symmetry": True,
+        "span": 4.0,
+        "root_chord": 1.0,
+    }
     lattice_points = meshing.generate_mesh(lattice)
     lattice_points[:, :, 1] *= -1  # OpenAeroStruct's half wing has y < 0; the shapes' span is |y|
     surface = {
@@ -142,12 +168,17 @@ def test_one_shape_moves_openaerostructs_lattice_and_a_volume_mesh():
     shape = shapes.Function(either_side, {"twist": 0.0, "rise": 0.0})
     mesh = cases.wing(points=300, stations=4)
     points = np.asarray(mesh.points) * [1, -1, 1]
-    volume_plan = jm.prepare(points, mesh.patch("wing"), mesh.patch("farfield"), method=jm.RBF.classic())
+    volume_plan = jm.prepare(
+        points, mesh.patch("wing"), mesh.patch("farfield"), method=jm.RBF.classic()
+    )
     weights = np.random.default_rng(0).normal(size=points.size)
 
     class Top(Multipoint):
         def setup(self):
-            aero, volume = AeroBuilder([surface], options={"write_solution": False}), VolumeBuilder(volume_plan)
+            aero, volume = (
+                AeroBuilder([surface], options={"write_solution": False}),
+                VolumeBuilder(volume_plan),
+            )
             geometry = ShapeBuilder(shape)
             for name, builder in (("aero", aero), ("volume", volume)):
                 builder.initialize(self.comm)
@@ -157,9 +188,15 @@ def test_one_shape_moves_openaerostructs_lattice_and_a_volume_mesh():
                 self.mphys_add_scenario(name, ScenarioAerodynamic(aero_builder=builder))
                 self.connect(f"{name}_mesh.x_aero0_mesh", f"{name}_shape.x_aero0_geometry_input")
                 self.connect(f"{name}_shape.x_aero0_geometry_output", f"{name}.x_aero")
-            for name, value, units in (("rho", 1.2, "kg/m**3"), ("v", 100.0, "m/s"), ("mach_number", 0.3, None)):
+            for name, value, units in (
+                ("rho", 1.2, "kg/m**3"),
+                ("v", 100.0, "m/s"),
+                ("mach_number", 0.3, None),
+            ):
                 self.aero.set_input_defaults(name, value, units=units)
-            weighted = om.ExecComp("J = sum(w * x)", w={"val": weights}, x={"shape": weights.shape, "units": "m"})
+            weighted = om.ExecComp(
+                "J = sum(w * x)", w={"val": weights}, x={"shape": weights.shape, "units": "m"}
+            )
             self.add_subsystem("weighted", weighted)
             self.connect("volume.aero_vol_coords", "weighted.x")
 
@@ -176,7 +213,12 @@ def test_one_shape_moves_openaerostructs_lattice_and_a_volume_mesh():
         moved = np.ravel(jm.deform(volume_plan, u))
         np.testing.assert_allclose(problem.get_val("volume.aero_vol_coords"), moved, atol=1e-12)
         assert np.abs(problem.get_val("aero.f_aero")).max() > 0
-        value = lambda p: jnp.vdot(weights, jm.deform(volume_plan, shapes.displacement(shape, volume_plan, p)))  # noqa: E731
+
+        def value(p):
+            return jnp.vdot(
+                weights, jm.deform(volume_plan, shapes.displacement(shape, volume_plan, p))
+            )
+
         slope = jax.grad(value)({"twist": 0.03, "rise": 0.01})
         for name in ("twist", "rise"):
             np.testing.assert_allclose(totals["weighted.J", name].item(), slope[name], rtol=1e-9)

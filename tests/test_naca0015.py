@@ -36,7 +36,9 @@ def test_skewness_is_the_papers(mesh):
 
 def test_wall_is_the_section(mesh):
     x, y = mesh.points[mesh.patch("airfoil")].T
-    expected = 0.75 * (0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
+    expected = 0.75 * (
+        0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4
+    )
     on_base = (x == 1) & (np.abs(y) < expected - 1e-9)
     assert on_base.sum() == 5
     np.testing.assert_allclose(np.abs(y)[~on_base], expected[~on_base], atol=1e-15)

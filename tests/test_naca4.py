@@ -30,12 +30,19 @@ def test_ordinates_of_the_4412():
     wall = cases.naca4("4412").points[50:211]
     nose = np.argmin(wall[:, 0])
     stations = NACA4412[:, 0] / 100
-    np.testing.assert_allclose(np.interp(stations, *wall[nose:].T), NACA4412[:, 1] / 100, atol=1.5e-4)
-    np.testing.assert_allclose(np.interp(stations, *wall[nose::-1].T), NACA4412[:, 2] / 100, atol=1.5e-4)
+    np.testing.assert_allclose(
+        np.interp(stations, *wall[nose:].T), NACA4412[:, 1] / 100, atol=1.5e-4
+    )
+    np.testing.assert_allclose(
+        np.interp(stations, *wall[nose::-1].T), NACA4412[:, 2] / 100, atol=1.5e-4
+    )
 
 
 def test_first_cell_and_counts():
-    for first_cell, mesh in [(1e-6, cases.naca4("4412")), (1e-7, cases.naca4("4412", first_cell=1e-7))]:
+    for first_cell, mesh in [
+        (1e-6, cases.naca4("4412")),
+        (1e-7, cases.naca4("4412", first_cell=1e-7)),
+    ]:
         wall, layer = mesh.points[50:211], mesh.points[261 + 50 : 261 + 211]
         np.testing.assert_allclose(np.linalg.norm(layer - wall, axis=1), first_cell, rtol=1e-6)
         assert len(mesh.points) == 39_666
@@ -48,16 +55,22 @@ def test_first_cell_is_kept_on_coarse_meshes():
     outside = np.setdiff1d(np.arange(len(mesh.points)), airfoil)
     gaps, _ = cKDTree(mesh.points[outside]).query(mesh.points[airfoil])
     assert len(airfoil) < 50
-    assert np.sum(np.isclose(gaps, 1e-6, rtol=1e-6)) == len(airfoil) - 1  # all but the middle of the base
+    assert (
+        np.sum(np.isclose(gaps, 1e-6, rtol=1e-6)) == len(airfoil) - 1
+    )  # all but the middle of the base
 
 
 def test_camber_makes_the_lower_wall_concave():
     wall = cases.naca4("4412").points[50:211]
-    assert (turning(wall[:81]) > 0).sum() >= 20  # the wall lies to the right: a left turn is concave
+    assert (
+        turning(wall[:81]) > 0
+    ).sum() >= 20  # the wall lies to the right: a left turn is concave
     assert (turning(wall[80:]) > 0).sum() == 0
 
 
-@over("code", ["0006", "1408", "2412", "4412", "4424", "6409", "6612", "9312", "9412", "9912", "0040"])
+@over(
+    "code", ["0006", "1408", "2412", "4412", "4424", "6409", "6612", "9312", "9412", "9912", "0040"]
+)
 @over("points", [2_000], nightly=[12_000])
 def test_geometry(code, points):
     check_geometry(cases.naca4(code, points=points, first_cell=1e-9 if code == "4412" else 1e-6))
@@ -66,7 +79,10 @@ def test_geometry(code, points):
 def test_rays_leave_the_wall_near_its_normal():
     rays = cases.naca4("4412").points[: 151 * 261].reshape(151, 261, 2)[:, 50:211]
     tangents = np.gradient(rays[0], axis=0)
-    normals = np.column_stack([-tangents[:, 1], tangents[:, 0]]) / np.linalg.norm(tangents, axis=1)[:, None]
+    normals = (
+        np.column_stack([-tangents[:, 1], tangents[:, 0]])
+        / np.linalg.norm(tangents, axis=1)[:, None]
+    )
     directions = (rays[-1] - rays[0]) / 15
     cosines = np.einsum("kd,kd->k", normals, directions)
     assert np.degrees(np.arccos(cosines)).max() < 17

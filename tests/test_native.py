@@ -22,8 +22,22 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O3", "-march
 NAMED = ("dimension", "count", "moving", "layer")
 
 REFUSED = {
-    *("elasticity", "torsional", "springs", "laplacian", "laplacian-uniform", "laplacian-near-wall", "biharmonic"),
-    *("inverse-distance-turning", "compact", "compact-automatic", "iterative", "iterative-wendland-none"),
+    *(
+        "elasticity",
+        "torsional",
+        "springs",
+        "laplacian",
+        "laplacian-uniform",
+        "laplacian-near-wall",
+        "biharmonic",
+    ),
+    *(
+        "inverse-distance-turning",
+        "compact",
+        "compact-automatic",
+        "iterative",
+        "iterative-wendland-none",
+    ),
     *("notebook's method", "notebook's basis"),
 }
 """Cases of the contract that no file holds: solves on cells or by iterations, turns, classes of the user."""
@@ -34,7 +48,8 @@ def compiled(folder: pathlib.Path, *flags: str, name: str = "plan.so") -> ctypes
     source.write_text('#define JMPLAN_IMPLEMENTATION\n#include "jmplan.h"\n')
     target = folder / name
     subprocess.run(
-        [COMPILER, *flags, "-fPIC", "-shared", f"-I{native.folder}", source, "-o", target, "-lm"], check=True
+        [COMPILER, *flags, "-fPIC", "-shared", f"-I{native.folder}", source, "-o", target, "-lm"],
+        check=True,
     )
     library = ctypes.CDLL(str(target))
     library.jm_open.restype = library.jm_rest.restype = library.jm_nodes.restype = ctypes.c_void_p
@@ -56,7 +71,9 @@ class Opened:
         self.library, self.plan = library, ctypes.c_void_p(library.jm_open(str(path).encode()))
         self.error = library.jm_error(self.plan)
         if self.error is None:
-            self.d, self.n, self.m = (getattr(library, f"jm_{name}")(self.plan) for name in NAMED[:3])
+            self.d, self.n, self.m = (
+                getattr(library, f"jm_{name}")(self.plan) for name in NAMED[:3]
+            )
 
     def __enter__(self):
         assert self.error is None, self.error
@@ -73,7 +90,10 @@ class Opened:
 
     def _call(self, function, values, rows):
         given, result = np.ascontiguousarray(values, float), np.full((rows, self.d), np.nan)
-        assert function(self.plan, *(ctypes.c_void_p(array.ctypes.data) for array in (given, result))) == 0
+        assert (
+            function(self.plan, *(ctypes.c_void_p(array.ctypes.data) for array in (given, result)))
+            == 0
+        )
         return result
 
     def nodes(self):
@@ -91,7 +111,9 @@ def check(library, plan, path, u, back):
     extent = np.ptp(moved, axis=0).max()
     bar = np.random.default_rng(0).normal(size=moved.shape)
     base, wall = np.asarray(plan.points), np.asarray(plan.moving_points)
-    near = bar * np.exp(-10 * np.linalg.norm(base - wall.mean(axis=0), axis=1) / np.ptp(wall))[:, None]
+    near = (
+        bar * np.exp(-10 * np.linalg.norm(base - wall.mean(axis=0), axis=1) / np.ptp(wall))[:, None]
+    )
     with Opened(library, path) as opened:
         points, of_all, of_near = opened.deform(u), *map(opened.pullback, (bar, near))
     np.testing.assert_allclose(points, moved, rtol=0, atol=1e-13 * extent)
@@ -99,16 +121,18 @@ def check(library, plan, path, u, back):
         held = np.append(np.asarray(plan.moving), np.asarray(plan.fixed))
         np.testing.assert_array_equal(points[held], moved[held])
     shift = points - base
-    assert abs((shift * bar).sum() - (u * of_all).sum()) < 1e-13 * np.linalg.norm(shift) * np.linalg.norm(bar)
+    assert abs((shift * bar).sum() - (u * of_all).sum()) < 1e-13 * np.linalg.norm(
+        shift
+    ) * np.linalg.norm(bar)
     for found, cotangent in ((of_all, bar), (of_near, near)):
         wanted = np.asarray(jm.pullback(plan, u, cotangent))
         np.testing.assert_allclose(found, wanted, rtol=0, atol=back * np.abs(wanted).max())
 
 
 EXPORTED = [pair for pair in NAMES if pair[0] not in REFUSED]
-FAST = [(name, 2) for name in ("default", "published", "near-wall", "multiscale", "inverse-distance")] + [
-    ("default with faces", 3)
-]
+FAST = [
+    (name, 2) for name in ("default", "published", "near-wall", "multiscale", "inverse-distance")
+] + [("default with faces", 3)]
 
 
 @over("name dimension", fast=FAST, slow=[pair for pair in EXPORTED if pair not in FAST])
@@ -118,7 +142,11 @@ def test_the_header_moves_as_deform_does(library, tmp_path, name, dimension):
     check(library, plan, tmp_path / "body.plan", motion(mesh.points[mesh.moving]), back=1e-11)
 
 
-@over("name", fast=["elasticity", "inverse-distance-turning", "notebook's basis"], slow=sorted(REFUSED))
+@over(
+    "name",
+    fast=["elasticity", "inverse-distance-turning", "notebook's basis"],
+    slow=sorted(REFUSED),
+)
 def test_other_methods_are_refused_by_name(tmp_path, name):
     dimension = BY_NAME[name].dimensions[0]
     mesh = body(dimension)
@@ -128,7 +156,13 @@ def test_other_methods_are_refused_by_name(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-BASES = (jm.LinearSpline(), jm.CubicSpline(), jm.Gaussian(0.3), jm.Multiquadric(0.1), jm.InverseMultiquadric(0.2))
+BASES = (
+    jm.LinearSpline(),
+    jm.CubicSpline(),
+    jm.Gaussian(0.3),
+    jm.Multiquadric(0.1),
+    jm.InverseMultiquadric(0.2),
+)
 COMPACT = (
     jm.WendlandC0,
     jm.WendlandC2,
@@ -150,7 +184,9 @@ def test_every_basis(library, tmp_path, basis):
 
 
 def wing(**boundary):
-    return jm.prepare(cases.wing(points=300, stations=5, first_cell=1e-3), "wing", "farfield", **boundary)
+    return jm.prepare(
+        cases.wing(points=300, stations=5, first_cell=1e-3), "wing", "farfield", **boundary
+    )
 
 
 BOUNDARIES = {
@@ -178,7 +214,11 @@ def with_loose_node() -> jm.Mesh:
     return jm.Mesh(np.vstack([mesh.points, [[0.1, 40.0]]]), mesh.cells, mesh.patches)
 
 
-@over("name", fast=["one plane", "periodic", "share", "a node of no cell"], slow=["sliding", "parallel planes"])
+@over(
+    "name",
+    fast=["one plane", "periodic", "share", "a node of no cell"],
+    slow=["sliding", "parallel planes"],
+)
 def test_boundaries(library, tmp_path, name):
     plan = BOUNDARIES[name]()
     wall = np.asarray(plan.moving_points)
@@ -208,14 +248,23 @@ def test_ranges_and_threads_give_equal_bits(library, tmp_path):
     u = motion(np.asarray(plan.moving_points))
     jm.export(plan, tmp_path / "airfoil.plan")
     threads = compiled(tmp_path, *STRICT, "-fopenmp", name="threads.so")
-    with Opened(library, tmp_path / "airfoil.plan") as one, Opened(threads, tmp_path / "airfoil.plan") as many:
+    with (
+        Opened(library, tmp_path / "airfoil.plan") as one,
+        Opened(threads, tmp_path / "airfoil.plan") as many,
+    ):
         whole = one.deform(u)
         np.testing.assert_array_equal(many.deform(u), whole)
         np.testing.assert_array_equal(many.pullback(whole), one.pullback(whole))
         library.jm_fit.restype = ctypes.c_void_p
         fit = ctypes.c_void_p(library.jm_fit(one.plan, ctypes.c_void_p(u.ctypes.data)))
         part = np.empty((1234, 2))
-        library.jm_move(one.plan, fit, ctypes.c_int64(700), ctypes.c_int64(1234), ctypes.c_void_p(part.ctypes.data))
+        library.jm_move(
+            one.plan,
+            fit,
+            ctypes.c_int64(700),
+            ctypes.c_int64(1234),
+            ctypes.c_void_p(part.ctypes.data),
+        )
         ctypes.CDLL(None).free(fit)
         np.testing.assert_array_equal(part, whole[700:1934])
 
@@ -241,7 +290,10 @@ def test_what_no_file_holds_is_told(tmp_path):
         (lambda: jm.export(plan, file, nodes=[1, 1]), "1 points more than once"),
         (lambda: jm.export(plan, file, nodes=[999999]), "not in 0 to"),
         (lambda: jm.export(plan, tmp_path / "none" / "body.plan"), "none"),
-        (lambda: jm.export(plan, file, layer=jm.Layer(np.array([len(mesh.points)]), (0, 1))), "layer.points"),
+        (
+            lambda: jm.export(plan, file, layer=jm.Layer(np.array([len(mesh.points)]), (0, 1))),
+            "layer.points",
+        ),
         (lambda: jm.Layer(np.array([0]), (0, 5)), "`axes` must be two of 0, 1, 2"),
     )
     assert not list(tmp_path.iterdir())
@@ -266,7 +318,9 @@ def test_a_damaged_file_is_refused(library, tmp_path):
     }
     damaged[whole[:8] + b"\2" + whole[9:]] = b"version"
     for place in (40, 8 * 20, *rng.integers(144, len(whole), 20)):
-        damaged[whole[:place] + bytes([whole[place] ^ 64]) + whole[place + 1 :]] = b"changed|damaged"
+        damaged[whole[:place] + bytes([whole[place] ^ 64]) + whole[place + 1 :]] = (
+            b"changed|damaged"
+        )
     for content, words in damaged.items():
         file.write_bytes(content)
         opened = Opened(library, file)
@@ -332,13 +386,25 @@ def test_files_with_wrong_words_and_right_sums_do_no_harm(tmp_path, rounds):
     """Under the sanitizers of addresses and of undefined behaviour; most such files are refused, some are read."""
     program, source = tmp_path / "fuzz", tmp_path / "fuzz.c"
     source.write_text(FUZZ)
-    flags = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{native.folder}")
+    flags = (
+        "-g",
+        "-O1",
+        "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=all",
+        f"-I{native.folder}",
+    )
     built = subprocess.run(
-        [COMPILER, *flags, source, "-o", program, "-lm"], capture_output=True, text=True, check=False
+        [COMPILER, *flags, source, "-o", program, "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if built.returncode:
         pytest.skip(f"no sanitizers: {built.stderr.splitlines()[-1]}")
-    for make in (small_plan, *([lambda file: jm.export(wing(sliding=("root", "tip")), file)] if rounds > 100 else [])):
+    for make in (
+        small_plan,
+        *([lambda file: jm.export(wing(sliding=("root", "tip")), file)] if rounds > 100 else []),
+    ):
         make(tmp_path / "good.plan")
         words = [program, tmp_path / "good.plan", tmp_path / "bad.plan", str(rounds)]
         done = subprocess.run(words, capture_output=True, text=True, check=False)
@@ -357,9 +423,27 @@ def test_the_examples_move_the_wall_up(tmp_path, language):
         if fortran is None:
             pytest.skip("no gfortran")
         subprocess.run(
-            [COMPILER, *build, "-x", "c", "-DJMPLAN_IMPLEMENTATION", "-c", header, "-o", tmp_path / "jm.o"], check=True
+            [
+                COMPILER,
+                *build,
+                "-x",
+                "c",
+                "-DJMPLAN_IMPLEMENTATION",
+                "-c",
+                header,
+                "-o",
+                tmp_path / "jm.o",
+            ],
+            check=True,
         )
-        words = [fortran, "-Wall", "-Werror", f"-J{tmp_path}", examples / "move.f90", tmp_path / "jm.o"]
+        words = [
+            fortran,
+            "-Wall",
+            "-Werror",
+            f"-J{tmp_path}",
+            examples / "move.f90",
+            tmp_path / "jm.o",
+        ]
     else:
         source = tmp_path / "move.cc"
         source.write_text(
@@ -374,13 +458,25 @@ def test_the_examples_move_the_wall_up(tmp_path, language):
     subprocess.run([*words, "-o", tmp_path / "move", "-lm"], check=True)
     done = subprocess.run([tmp_path / "move", file], capture_output=True, text=True, check=True)
     mesh = body(2)
-    wanted = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed), np.tile([0, 0.1], (len(mesh.moving), 1)))
-    np.testing.assert_allclose(np.array(done.stdout.split(), float).reshape(-1, 2), wanted, atol=1e-13)
+    wanted = jm.deform(
+        jm.prepare(mesh.points, mesh.moving, mesh.fixed), np.tile([0, 0.1], (len(mesh.moving), 1))
+    )
+    np.testing.assert_allclose(
+        np.array(done.stdout.split(), float).reshape(-1, 2), wanted, atol=1e-13
+    )
 
 
 def test_the_command_exports(library, tmp_path, capsys):
     io.write(tmp_path / "ring.su2", ring())
-    words = ["export", str(tmp_path / "ring.su2"), str(tmp_path / "ring.plan"), "--moving", "wall", "--fixed", "far"]
+    words = [
+        "export",
+        str(tmp_path / "ring.su2"),
+        str(tmp_path / "ring.plan"),
+        "--moving",
+        "wall",
+        "--fixed",
+        "far",
+    ]
     assert "24 moving nodes" in printed(capsys, words)
     with Opened(library, tmp_path / "ring.plan") as opened:
         assert (opened.d, opened.n, opened.m) == (2, len(ring().points), 24)

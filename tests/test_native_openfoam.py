@@ -33,11 +33,18 @@ def test_it_compiles_without_a_warning(built):
 def faults(case):
     """What checkMesh finds at each time beyond what it finds in the undeformed mesh."""
     before = foam.verdict(case, "-time", "0")
-    return [[line for line in foam.verdict(case, "-time", time) if line not in before] for time in times(case)]
+    return [
+        [line for line in foam.verdict(case, "-time", time) if line not in before]
+        for time in times(case)
+    ]
 
 
 def times(case):
-    found = [folder.name for folder in case.iterdir() if re.fullmatch(r"[\d.]+", folder.name) and folder.name != "0"]
+    found = [
+        folder.name
+        for folder in case.iterdir()
+        if re.fullmatch(r"[\d.]+", folder.name) and folder.name != "0"
+    ]
     return sorted(found, key=float)
 
 
@@ -78,11 +85,16 @@ def test_a_wing_bends_by_30_percent(tmp_path, library):
 
 def half_moved(case, library):
     """A box of which one of two patches of the floor moves."""
-    return foam_motion.box(case, library, foam_motion.FLOORS | {"ahead": foam_motion.STILL}, end=0.1)
+    return foam_motion.box(
+        case, library, foam_motion.FLOORS | {"ahead": foam_motion.STILL}, end=0.1
+    )
 
 
 CASES = {
-    "airfoil": (lambda case, library: foam_motion.airfoil(case, "jaxmorph", library, 30, end=0.2), AIRFOIL),
+    "airfoil": (
+        lambda case, library: foam_motion.airfoil(case, "jaxmorph", library, 30, end=0.2),
+        AIRFOIL,
+    ),
     "strip": (foam_motion.strip, foam_motion.STRIP),
     "wing": (lambda case, library: foam_motion.wing(case, "jaxmorph", library), foam_motion.WING),
     "box": (lambda case, library: foam_motion.box(case, library, end=0.1), foam_motion.BOX),
@@ -126,8 +138,12 @@ def test_points_of_few_digits_move_as_far(tmp_path, library):
 
 def test_a_run_that_begins_again_is_one_run(tmp_path, library):
     """Stopped half way, in one process and in three: the same bits at the end."""
-    straight = foam_motion.moved(foam_motion.airfoil(tmp_path / "a", "jaxmorph", library, 30, end=0.4), AIRFOIL)
-    case = foam_motion.moved(foam_motion.airfoil(tmp_path / "b", "jaxmorph", library, 30, end=0.2), AIRFOIL)
+    straight = foam_motion.moved(
+        foam_motion.airfoil(tmp_path / "a", "jaxmorph", library, 30, end=0.4), AIRFOIL
+    )
+    case = foam_motion.moved(
+        foam_motion.airfoil(tmp_path / "b", "jaxmorph", library, 30, end=0.2), AIRFOIL
+    )
     foam_motion.write_control(case, end=0.4)
     foam.run(case, "decomposePar", "-latestTime")
     foam_motion.write_plan(case, *AIRFOIL)
@@ -148,19 +164,27 @@ def test_the_wall_is_where_its_displacement_says(tmp_path, library):
         case = foam_motion.moved(make[0](tmp_path / f"{between[1]}", library), make[1])
         before, after = foam_motion.points_of(case), foam_motion.points_of(case, "0.1")
         x, floor = before[:, 0], before[:, 2] == 0
-        for at, u in ((x < 0.6, ahead), ((x > 0.6) & (x < 0.7), between), (x > 0.7, [0, 0.03, 0.1])):
+        for at, u in (
+            (x < 0.6, ahead),
+            ((x > 0.6) & (x < 0.7), between),
+            (x > 0.7, [0, 0.03, 0.1]),
+        ):
             np.testing.assert_array_equal(after[at & floor], before[at & floor] + u)
 
 
 @pytest.mark.parametrize("normal", range(3))
 def test_a_layer_across_any_axis(tmp_path, library, normal):
     """Its points stay in their planes; pairs stay pairs, to the last bit, and the wall is where it should be."""
-    case = foam_motion.moved(foam_motion.strip(tmp_path / "case", library, normal), foam_motion.STRIP)
+    case = foam_motion.moved(
+        foam_motion.strip(tmp_path / "case", library, normal), foam_motion.STRIP
+    )
     before, after = foam_motion.points_of(case), foam_motion.points_of(case, "1")
     np.testing.assert_array_equal(after[:, normal], before[:, normal])
     plane = [axis for axis in range(3) if axis != normal]
     wall = np.linalg.norm(before[:, plane], axis=1) < 1.1
-    np.testing.assert_array_equal(after[wall][:, plane], before[wall][:, plane] + np.array([0.05, 0.03, 0.02])[plane])
+    np.testing.assert_array_equal(
+        after[wall][:, plane], before[wall][:, plane] + np.array([0.05, 0.03, 0.02])[plane]
+    )
     order = [points[np.lexsort(before.T[plane])][:, plane] for points in (before, after)]
     for points in order:
         np.testing.assert_array_equal(points[::2], points[1::2])
@@ -171,7 +195,9 @@ def refused(case, *words):
     """What moveDynamicMesh says of an error that ends it."""
     parallel = [*foam.PARALLEL, "3"] if words else []
     command = [*parallel, "moveDynamicMesh", *words]
-    done = subprocess.run(command, cwd=case, env=foam.ENVIRONMENT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=case, env=foam.ENVIRONMENT, capture_output=True, text=True, check=False
+    )
     assert done.returncode != 0
     return " ".join((done.stdout + done.stderr).partition("FOAM FATAL ERROR")[2].split())
 
@@ -195,10 +221,15 @@ def test_another_plan_is_refused(tmp_path, library):
     foam_motion.write_plan(box, *foam_motion.BOX)
     first, _, last = (part / "constant" / "jaxmorph.plan" for part in foam_motion.parts_of(box))
     shutil.copy(first, last)
-    assert re.search(r"\[2\] .* is of another mesh: points are up to 0.6", refused(box, "-parallel"))
+    assert re.search(
+        r"\[2\] .* is of another mesh: points are up to 0.6", refused(box, "-parallel")
+    )
     foam.run(box, "transformPoints", "-scale", "(1 1 1.0009765625)")
     said = refused(box)
-    assert re.search(r"is of another mesh: points are up to 0.0009765625 apart, .* at \(\S+ \S+ 1.0009765625\)", said)
+    assert re.search(
+        r"is of another mesh: points are up to 0.0009765625 apart, .* at \(\S+ \S+ 1.0009765625\)",
+        said,
+    )
 
 
 @pytest.mark.parametrize("parallel", [(), ("-parallel",)], ids=["whole", "parts"])
@@ -206,7 +237,10 @@ def test_a_boundary_that_contradicts_the_plan_is_refused(tmp_path, library, para
     """A wall without values, and a displacement of what the plan holds; the patch is named."""
     box, still = foam_motion.box(tmp_path / "box", library), foam_motion.STILL
     for boundary, message in (
-        ({"sides": still, "ahead": "type slip;", "behind": still}, "15 of the 49 points .*: ahead, of type slip Give"),
+        (
+            {"sides": still, "ahead": "type slip;", "behind": still},
+            "15 of the 49 points .*: ahead, of type slip Give",
+        ),
         (
             foam_motion.FLOORS | {"sides": "type fixedValue; value uniform (0 0 1e-6);"},
             r"by up to 9.9\d*e-07 on patch sides",
@@ -221,7 +255,9 @@ def test_a_boundary_that_contradicts_the_plan_is_refused(tmp_path, library, para
 
 def test_the_mover_takes_little_of_a_step(tmp_path, library):
     """Of pimpleFoam's, which turns airFoil2D by 30 degrees in 20 steps."""
-    case = foam_motion.airfoil(tmp_path / "a", "jaxmorph", library, 30, end=0.1, delta=0.005, interval=1000)
+    case = foam_motion.airfoil(
+        tmp_path / "a", "jaxmorph", library, 30, end=0.1, delta=0.005, interval=1000
+    )
     foam_motion.write_plan(case, *AIRFOIL)
     said = foam.run(case, "pimpleFoam")
     spent = list(map(float, re.findall(r"mesh moved in (\S+) s", said)))
@@ -234,13 +270,17 @@ def test_what_the_page_says_works(tmp_path, library):
     """Its commands and dictionary, on airFoil2D, in a shell with OpenFOAM's environment."""
     page = (ROOT / "docs" / "pages" / "in_solver.md").read_text()
     page = f"\n{page}".partition("\n## OpenFOAM\n")[2].partition("\n## ")[0]
-    (typed,), (dictionary,) = (re.findall(rf"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("sh", r"c\+\+"))
+    (typed,), (dictionary,) = (
+        re.findall(rf"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("sh", r"c\+\+")
+    )
     case = foam_motion.airfoil(tmp_path / "case", "jaxmorph", library, 30, end=0.01, delta=0.005)
     (case / "constant" / "dynamicMeshDict").write_text(dictionary)
     shell = f'. "$JAXMORPH_OPENFOAM_SOURCE/etc/bashrc"\njaxmorph() {{ "{sys.executable}" -m jaxmorph "$@"; }}\n'
     environment = os.environ | {"HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
     command = ["bash", "-c", f"{shell}set -e\n{typed}"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     assert done.stdout.count("mesh moved in") == 2
     assert done.stdout.split()[-1] == "End"

@@ -62,7 +62,11 @@ def faults(name):
                 answer = "was accepted"
             except ValueError as error:
                 text = str(error)
-                is_told = re.search(SAYS.get(key, key), text) and len(text) > 20 and not CRYPTIC.search(text)
+                is_told = (
+                    re.search(SAYS.get(key, key), text)
+                    and len(text) > 20
+                    and not CRYPTIC.search(text)
+                )
                 answer = "" if is_told else text
             except FileNotFoundError:
                 answer = "" if kind in ("ending", "folder") else "no such file"
@@ -87,5 +91,7 @@ def tell(module):
     """Raises `ValueError` with all faults of a module."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "A JAX array is being set as static")
-        wrong = [each for name in public() if name.startswith(f"{module}.") for each in faults(name)]
+        wrong = [
+            each for name in public() if name.startswith(f"{module}.") for each in faults(name)
+        ]
     raise ValueError("\n".join([f"{len(wrong)} faults", *wrong]))

@@ -38,7 +38,10 @@ def check_first_steps(said):
 
 def check_airfoil(said):
     """Its derivatives agree with its differences, which it prints."""
-    for before, within in (("gradient . direction", 1e-5), (r"d\(mean skewness\) / d\(degree\):", 1e-4)):
+    for before, within in (
+        ("gradient . direction", 1e-5),
+        (r"d\(mean skewness\) / d\(degree\):", 1e-4),
+    ):
         check_equal(said, f"{before} (-?[0-9.]+), central difference (-?[0-9.]+)", within)
     assert int(re.search(r"Mesh\((\d+) points", said)[1]) < 3000
 
@@ -49,7 +52,8 @@ def check_wing(said):
     row = r"{} +([0-9.]+) +([0-9.]+) +(-?[0-9.]+) +(\d+)"
     for motion in ("mode 1, 0.25", "mode 1, 0.75", "mode 2, 0.3"):
         (reduced,), (graph,) = (
-            re.findall(row.format(motion + f" +{name}"), said) for name in ("reduced RBF", "graph mapping")
+            re.findall(row.format(motion + f" +{name}"), said)
+            for name in ("reduced RBF", "graph mapping")
         )
         assert float(reduced[2]) > float(graph[2]) + 0.15
         assert reduced[3] == "0"
@@ -57,8 +61,12 @@ def check_wing(said):
     kept, rebuilt = (re.findall(name + row, said) for name in ("ids kept", "found again"))
     assert [(row[0], row[1]) for row in kept + rebuilt] == [("1", "0"), ("3", "0")] * 2
     assert float(kept[1][2]) < 1e-9 < float(rebuilt[1][2])
-    rows = re.findall(r"(bending|pitch|dihedral) +(held|interior|symmetry) +(-?[0-9.]+) +(\d+) +([0-9.]+)\n", said)
-    inverted, off = ({(motion, plane): float(row[k]) for motion, plane, *row in rows} for k in (1, 2))
+    rows = re.findall(
+        r"(bending|pitch|dihedral) +(held|interior|symmetry) +(-?[0-9.]+) +(\d+) +([0-9.]+)\n", said
+    )
+    inverted, off = (
+        {(motion, plane): float(row[k]) for motion, plane, *row in rows} for k in (1, 2)
+    )
     assert len(inverted) == 9
     assert inverted["pitch", "held"] > 50
     assert sum(inverted.values()) == inverted["pitch", "held"]
@@ -121,13 +129,24 @@ def check_descent(said):
     assert all(good == meshes for good, meshes in judged)
     apart = re.findall(r"^(start|free|area held): slope .* (\S+)% apart", said, re.MULTILINE)
     assert [name for name, _ in apart] == ["start", "free", "area held"]
-    assert max(float(share) for name, share in apart if name != "free") < 2  # `free` has little slope left
+    assert (
+        max(float(share) for name, share in apart if name != "free") < 2
+    )  # `free` has little slope left
 
 
 def check_coupling(said):
     """Work, force and moment are conserved, memory does not grow, the mesh comes back."""
-    words = "relative difference", "total force", "of the moment", "temporary memory:", "5 steps,", "off by"
-    work, force, moment, few, many, back = (numbers(said, rf"{before} (\d[^\s,]*)")[0] for before in words)
+    words = (
+        "relative difference",
+        "total force",
+        "of the moment",
+        "temporary memory:",
+        "5 steps,",
+        "off by",
+    )
+    work, force, moment, few, many, back = (
+        numbers(said, rf"{before} (\d[^\s,]*)")[0] for before in words
+    )
     assert work < 1e-12
     assert max(force, moment) < 1e-11
     assert many == pytest.approx(few, rel=0.01)
@@ -140,7 +159,9 @@ def check_wave_drag(said):
     assert float(re.search(r"largest relative difference (\S+)", said)[1]) < 1e-5
     off = re.findall(r"by the wall's nodes alone: .* (\d+) degrees off", said)
     assert min(map(int, off)) > 3
-    rows = re.findall(r"step +\d+: drag (\S+), lift (\S+), area (\S+) of the first, Jacobian ratio (\S+)", said)
+    rows = re.findall(
+        r"step +\d+: drag (\S+), lift (\S+), area (\S+) of the first, Jacobian ratio (\S+)", said
+    )
     assert len(rows) > 2
     assert min(float(ratio) for *_, ratio in rows) >= 0.1
     assert float(rows[-1][2]) >= 1 - 2e-4
@@ -151,7 +172,10 @@ def check_wave_drag(said):
 def check_flap(said):
     """No cell folds, the worst cell is no worse than the biharmonic extension's, and checkMesh agrees where it is."""
     rows = re.findall(r"^(\S.*?) {2,}(-?[0-9.]+) +(-?[0-9.]+) +(\d+) +(\d+|-)$", said, re.MULTILINE)
-    found = {name: (float(smallest), int(inverted), complaints) for name, smallest, _, inverted, complaints in rows}
+    found = {
+        name: (float(smallest), int(inverted), complaints)
+        for name, smallest, _, inverted, complaints in rows
+    }
     assert found["jaxmorph"][0] >= found["biharmonic"][0] > 0 > found["harmonic"][0]
     assert found["jaxmorph"][1] == 0 < found["harmonic"][1]
     assert found["jaxmorph"][2] in ("0", "-")
@@ -165,7 +189,9 @@ def check_wing_openmdao(said):
     assert float(re.search(r"largest relative difference (\S+)", said)[1]) < 1e-6
     first, last = numbers(said, r"induced drag (\S+) to (\S+):")
     words = "less at lift", "root bending moment", "volume", "at least"
-    lift, bending, volume, thickness = (float(re.findall(before + r" ([0-9.]+)", said)[-1]) for before in words)
+    lift, bending, volume, thickness = (
+        float(re.findall(before + r" ([0-9.]+)", said)[-1]) for before in words
+    )
     assert last < 0.985 * first
     assert lift == pytest.approx(0.3, abs=1e-3)
     assert bending < 1.001
@@ -176,9 +202,13 @@ def check_wing_openmdao(said):
 
 def check_curved(said):
     """All cells are proven, straight and moved, at the end and on the way; the derivative is the difference."""
-    cells, proven = map(int, re.search(r"(\d+) cells: (\d+) proven valid, 0 invalid, 0 unknown", said).groups())
+    cells, proven = map(
+        int, re.search(r"(\d+) cells: (\d+) proven valid, 0 invalid, 0 unknown", said).groups()
+    )
     assert cells == proven > 300
-    rows = re.findall(r"(\d+) of (\d+) cells proven at the end, (\d+) on the way; least margin ([0-9.]+)", said)
+    rows = re.findall(
+        r"(\d+) of (\d+) cells proven at the end, (\d+) on the way; least margin ([0-9.]+)", said
+    )
     assert len(rows) == 3
     assert all(int(count) == cells for row in rows for count in row[:3])
     assert min(float(margin) for *_, margin in rows) > 0.1
@@ -194,7 +224,10 @@ CASES = {
     "06_external_solver.ipynb": ({"points": 2000}, check_chain),
     "07_extend.ipynb": ({"points": 2000}, check_extension),
     "08_openfoam.ipynb": ({"cells": 24, "steps": 3, "cycles": 2}, check_openfoam),
-    "09_wave_drag.ipynb": ({"around": 52, "layers": 16, "steps": 3, "refined": ()}, check_wave_drag),
+    "09_wave_drag.ipynb": (
+        {"around": 52, "layers": 16, "steps": 3, "refined": ()},
+        check_wave_drag,
+    ),
     "10_flap.ipynb": ({"size": 0.008, "deflections": 4}, check_flap),
     "11_wing_openmdao.ipynb": ({"points": 6500, "steps": 8}, check_wing_openmdao),
     "13_curved.ipynb": ({"points": 500}, check_curved),
@@ -213,7 +246,9 @@ def test_notebook_runs(name):
 def said_by(name):
     """What the notebook prints on small meshes."""
     notebook = nbformat.read(FOLDER / name, as_version=4)
-    (tagged,) = (k for k, cell in enumerate(notebook.cells) if "parameters" in cell.metadata.get("tags", ()))
+    (tagged,) = (
+        k for k, cell in enumerate(notebook.cells) if "parameters" in cell.metadata.get("tags", ())
+    )
     lines = "\n".join(f"{key} = {value!r}" for key, value in CASES[name][0].items())
     notebook.cells.insert(tagged + 1, nbformat.v4.new_code_cell(lines))
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
@@ -243,5 +278,12 @@ def test_notebook_is_committed_as_it_ran(path):
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     outputs = [output for cell in cells for output in cell.outputs]
-    assert not [output for output in outputs if output.output_type == "error" or output.get("name") == "stderr"]
-    assert any("image/jpeg" in output.get("data", {}) or "image/png" in output.get("data", {}) for output in outputs)
+    assert not [
+        output
+        for output in outputs
+        if output.output_type == "error" or output.get("name") == "stderr"
+    ]
+    assert any(
+        "image/jpeg" in output.get("data", {}) or "image/png" in output.get("data", {})
+        for output in outputs
+    )

@@ -31,7 +31,9 @@ def test_words_are_read_as_python_reads_them():
         for _ in range(rng.randint(1, 4)):
             letters = "0123456789..--+eE" if rng.random() < 0.5 else "0123456789"
             made = "".join(rng.choice(letters) for _ in range(rng.randint(1, 9)))
-            words.append(made if rng.random() < 0.5 else repr(rng.gauss(0, 1) * 10 ** rng.randint(-9, 9)))
+            words.append(
+                made if rng.random() < 0.5 else repr(rng.gauss(0, 1) * 10 ** rng.randint(-9, 9))
+            )
         values, fine = as_python_reads(words)
         text = " ".join(words).encode() + b"\n"
         found = _text.parse(text, np.float64).tolist()
@@ -44,7 +46,24 @@ def test_words_are_read_as_python_reads_them():
     assert min(good, bad) > 400
 
 
-@over("word", ["1.5.2", "1-2", "1.5-300", "1e5.3", "1e5e3", "5e", "5e+", "--1", "1..2", "1d5d3", "1x", "0x10", "1,2"])
+@over(
+    "word",
+    [
+        "1.5.2",
+        "1-2",
+        "1.5-300",
+        "1e5.3",
+        "1e5e3",
+        "5e",
+        "5e+",
+        "--1",
+        "1..2",
+        "1d5d3",
+        "1x",
+        "0x10",
+        "1,2",
+    ],
+)
 def test_what_begins_like_a_number_is_none(word):
     text = f"1 2\n3 {word}\n5 6\n".encode()
     assert len(_text.parse(text, np.float64)) < 6
@@ -62,7 +81,13 @@ def hard_values():
     rng = np.random.default_rng(0)
     edges = [0.0, -0.0, 1.0, 0.1, 1 / 3, 5e-324, 2.2250738585072014e-308, 1.7976931348623157e308]
     edges += [9007199254740993.0, 1e22, 1e23]
-    return np.concatenate([edges, rng.normal(size=3000), rng.normal(size=3000) * 10.0 ** rng.integers(-300, 300, 3000)])
+    return np.concatenate(
+        [
+            edges,
+            rng.normal(size=3000),
+            rng.normal(size=3000) * 10.0 ** rng.integers(-300, 300, 3000),
+        ]
+    )
 
 
 @pytest.mark.parametrize("enough", [1, 1 << 30])
@@ -73,7 +98,9 @@ def test_written_numbers_read_back_bit_for_bit(monkeypatch, enough):
     lines = _text.lines(values).split(b"\n")
     assert np.array([float(line) for line in lines]).tobytes() == values.tobytes()
     mantissa = lambda text: len(text.lower().split("e")[0].strip("-").replace(".", "").strip("0"))  # noqa: E731
-    assert [mantissa(line.decode()) for line in lines] == [mantissa(repr(value)) for value in values.tolist()]
+    assert [mantissa(line.decode()) for line in lines] == [
+        mantissa(repr(value)) for value in values.tolist()
+    ]
     assert _text.parse(b" ".join(lines), np.float64).tobytes() == values.tobytes()
 
 
@@ -102,7 +129,9 @@ FACES = (
 @pytest.mark.parametrize("chunk", [1, 1 << 20])
 def test_faces_of_one_size_and_of_several(tmp_path, monkeypatch, faces, chunk):
     monkeypatch.setattr(_text, "CHUNK", chunk)
-    expected = [[int(word) for word in face.split("(")[1].split()] for face in faces.split(")")[:-1]]
+    expected = [
+        [int(word) for word in face.split("(")[1].split()] for face in faces.split(")")[:-1]
+    ]
     head = "FoamFile { format ascii; class faceList; object faces; }\n"
     (tmp_path / "faces").write_text(f"{head}2\n(\n{faces})\n")
     labels, starts = load(tmp_path, "faces").faces()

@@ -33,7 +33,9 @@ def test_a_ball_grows_and_shrinks_no_farther_than_its_middle(wall):
     np.testing.assert_array_equal(shape(points, shape.neutral()), points)
     np.testing.assert_allclose(radius(3.0), 4.0, rtol=1e-12)
     np.testing.assert_allclose(radius(-0.4), 0.6, rtol=1e-12)  # below half of 0.9: all the way
-    np.testing.assert_allclose(radius(-0.8), 1 - 0.9 * (0.5 + 0.5 * np.tanh(2 * 0.8 / 0.9 - 1)), rtol=1e-9)
+    np.testing.assert_allclose(
+        radius(-0.8), 1 - 0.9 * (0.5 + 0.5 * np.tanh(2 * 0.8 / 0.9 - 1)), rtol=1e-9
+    )
     assert (radius(-100.0) > 0.0999).all()
 
 
@@ -65,9 +67,9 @@ def test_two_walls_across_a_gap_keep_some_of_it():
 def test_heights_are_smoothed_as_a_smoother_does():
     wall, rng = ring(), np.random.default_rng(0)
     heights = 1e-3 * rng.normal(size=60)
-    smoothed = shapes.Smoother(np.asarray(wall.points), wall.faces, 0.3).apply(np.column_stack([heights, heights]))[
-        :, 0
-    ]
+    smoothed = shapes.Smoother(np.asarray(wall.points), wall.faces, 0.3).apply(
+        np.column_stack([heights, heights])
+    )[:, 0]
     moved = shapes.Offset(wall, length=0.3)(wall.points, heights)
     np.testing.assert_allclose(moved, wall.points + smoothed[:, None] * wall.normals(), atol=1e-15)
 
@@ -86,15 +88,24 @@ def test_a_border_stays_in_its_plane():
 def test_derivatives_equal_differences():
     """Also where heights are limited, and with respect to the wall."""
     wall, rng = section(), np.random.default_rng(0)
-    shape, heights = shapes.Offset(wall, length=0.05), 0.05 * np.cos(5 * np.arange(len(wall.points)))
+    shape, heights = (
+        shapes.Offset(wall, length=0.05),
+        0.05 * np.cos(5 * np.arange(len(wall.points))),
+    )
     weights, ways = (
         rng.normal(size=wall.points.shape),
         (rng.normal(size=wall.points.shape), rng.normal(size=heights.shape)),
     )
-    value = jax.jit(lambda h, k: jnp.sum(weights * shape(wall.points + h * ways[0], heights + k * ways[1])))
+    value = jax.jit(
+        lambda h, k: jnp.sum(weights * shape(wall.points + h * ways[0], heights + k * ways[1]))
+    )
     by_wall, by_heights = jax.grad(value, argnums=(0, 1))(0.0, 0.0)
-    assert float(by_wall) == pytest.approx(float(jacobian(lambda h: value(h, 0.0), 0.0, 4e-8)), rel=1e-6)
-    assert float(by_heights) == pytest.approx(float(jacobian(lambda k: value(0.0, k), 0.0, 8e-5)), rel=1e-8)
+    assert float(by_wall) == pytest.approx(
+        float(jacobian(lambda h: value(h, 0.0), 0.0, 4e-8)), rel=1e-6
+    )
+    assert float(by_heights) == pytest.approx(
+        float(jacobian(lambda k: value(0.0, k), 0.0, 8e-5)), rel=1e-8
+    )
 
 
 def test_what_is_refused():

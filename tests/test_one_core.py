@@ -72,11 +72,15 @@ for _ in range(3):
 def run(program):
     """Runs a program in a process that never has more than one core."""
     command, root = [sys.executable, "-c", START + program], pathlib.Path(__file__).parents[1]
-    done = subprocess.run(command, cwd=root, timeout=LIMIT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=root, timeout=LIMIT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr[-3000:]
 
 
-ONE = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="nothing here chooses the cores of a process")
+ONE = pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="nothing here chooses the cores of a process"
+)
 
 
 @ONE
@@ -93,7 +97,11 @@ def test_it_ends_each_time(name):
         run(PROGRAMS[name])
 
 
-@over("mesh", [mixed(), bricks(), *(cases.bricks(kind, cells=3) for kind in ("tetra", "mixed"))], ids=str)
+@over(
+    "mesh",
+    [mixed(), bricks(), *(cases.bricks(kind, cells=3) for kind in ("tetra", "mixed"))],
+    ids=str,
+)
 def test_the_largest_step_is_found_without_jax(mesh):
     """On the host any array that JAX makes would be waited for; the guard refuses them."""
     bounds, points = CornerBounds(mesh, float, 0.1), np.asarray(mesh.points)
@@ -117,7 +125,10 @@ def test_a_call_takes_arrays_of_numpy_and_one_element_of_a_batch_after_another(i
         return host_call(product, jax.ShapeDtypeStruct((3, 2), a.dtype), a, b)
 
     rng = np.random.default_rng(0)
-    a, b = jnp.asarray(rng.normal(size=(4, 3, 5)), jnp.float32), jnp.asarray(rng.normal(size=(2, 4)), jnp.float32)
+    a, b = (
+        jnp.asarray(rng.normal(size=(4, 3, 5)), jnp.float32),
+        jnp.asarray(rng.normal(size=(2, 4)), jnp.float32),
+    )
     every = jax.vmap(jax.vmap(call, (1, None)), (0, 1))  # b's batch is the outer one
     found = (jax.jit(every) if is_jitted else every)(a, b)
     np.testing.assert_array_equal(found, a.swapaxes(1, 2)[..., None] * b.T[:, None, None])

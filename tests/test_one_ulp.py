@@ -23,12 +23,19 @@ def wedge():
     """A wall at rest, a ramp of 10 degrees and a flat roof, below a channel of equal columns."""
     x = np.linspace(-0.5, 1.5, 41)
     floor, s = np.clip(x, 0, 1) * np.tan(np.deg2rad(10)), np.linspace(0, 1, 17)
-    places = np.stack([np.repeat(x[:, None], 17, axis=1), floor[:, None] + s * (1 - floor[:, None])], axis=-1)
+    places = np.stack(
+        [np.repeat(x[:, None], 17, axis=1), floor[:, None] + s * (1 - floor[:, None])], axis=-1
+    )
     ids = np.arange(41 * 17).reshape(41, 17)
     cells = blocks(ids)
     wall = ids[5:-5, 0]
     fixed = np.setdiff1d(np.concatenate([ids[0], ids[-1], ids[:, -1], ids[:, 0]]), wall)
-    return jm.Mesh(places.reshape(-1, 2), {"quad": cells}, {"wall": wall, "fixed": fixed}), "wall", "fixed", ()
+    return (
+        jm.Mesh(places.reshape(-1, 2), {"quad": cells}, {"wall": wall, "fixed": fixed}),
+        "wall",
+        "fixed",
+        (),
+    )
 
 
 def cube():
@@ -78,7 +85,9 @@ def waves(x):
 METHODS = {
     "default": lambda x: None,
     "published": lambda x: jm.SurfaceReconstruction.published(8, 4),
-    "KDTree": lambda x: reduced(jm.KDTree(8, jm.GaussPoints(), extremes=True), fixed_reduction=jm.KDTree(4)),
+    "KDTree": lambda x: reduced(
+        jm.KDTree(8, jm.GaussPoints(), extremes=True), fixed_reduction=jm.KDTree(4)
+    ),
     "KDTree by size": lambda x: reduced(jm.KDTree(largest_box=0.25, smallest_box=0.125)),
     "FarthestPoints": lambda x: reduced(jm.FarthestPoints(12)),
     "extremes": lambda x: reduced(jm.FarthestPoints(12, extremes=True, separation=0.125)),
@@ -86,8 +95,12 @@ METHODS = {
     "motions": lambda x: reduced(jm.Greedy(12, waves(x))),
     "Graded": lambda x: reduced(jm.KDTree(4), fixed_reduction=jm.Graded(0.25)),
     "Multiscale": lambda x: jm.Multiscale(),
-    "corrected": lambda x: jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8)), jm.Multiscale()),
-    "LocalCorrection": lambda x: jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8)), jm.LocalCorrection()),
+    "corrected": lambda x: jm.SurfaceReconstruction(
+        jm.RBF(reduction=jm.KDTree(8)), jm.Multiscale()
+    ),
+    "LocalCorrection": lambda x: jm.SurfaceReconstruction(
+        jm.RBF(reduction=jm.KDTree(8)), jm.LocalCorrection()
+    ),
     "DelaunayGraph": lambda x: jm.DelaunayGraph(),
 }
 
@@ -112,7 +125,9 @@ def change(name, method, alone, seeds=(0, 1)):
         if alone:
             plan = jm.prepare(points, wall, fixed, method=method_of_points)
         else:
-            plan = jm.prepare(mesh.moved(points), wall, fixed, method=method_of_points, symmetry=symmetry)
+            plan = jm.prepare(
+                mesh.moved(points), wall, fixed, method=method_of_points, symmetry=symmetry
+            )
         return np.asarray(jm.deform(plan, u)) - points
 
     still = moved(points)
@@ -149,7 +164,8 @@ def test_the_graph_of_a_lattice_is_one():
     lattice = np.asarray(bricks(4).points)
     inside = np.random.default_rng(0).random((200, 3))
     vertices = [
-        np.sort(locate(graph_of(x), inside, np.arange(200))) for x in (lattice, *(noisy(lattice, k) for k in range(4)))
+        np.sort(locate(graph_of(x), inside, np.arange(200)))
+        for x in (lattice, *(noisy(lattice, k) for k in range(4)))
     ]
     for each in vertices[1:]:
         np.testing.assert_array_equal(each, vertices[0])
@@ -162,7 +178,9 @@ def test_derivatives_by_base_points_are_equal_on_both_sides():
     plan = jm.prepare(mesh, moving, fixed, method=jm.NearWall())
     points = jnp.asarray(mesh.points)
     u = jnp.asarray(0.1 * np.sin(3 * np.asarray(points)[plan.moving]))
-    along = jnp.zeros_like(points).at[plan.moving].set(np.random.default_rng(0).normal(size=u.shape))
+    along = (
+        jnp.zeros_like(points).at[plan.moving].set(np.random.default_rng(0).normal(size=u.shape))
+    )
     moved = jax.jit(lambda points: jm.deform(jm.refit(plan, points), u))
     step = 1e-9
     ahead, here, behind = moved(points + step * along), moved(points), moved(points - step * along)

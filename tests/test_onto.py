@@ -51,14 +51,18 @@ def section(camber, thickness, count, chord=1.0):
 
 def extruded(ring, edges, heights):
     first = len(ring) * np.arange(len(heights) - 1)[:, None, None]
-    quads = np.concatenate([edges + first, edges[:, ::-1] + first + len(ring)], axis=2).reshape(-1, 4)
+    quads = np.concatenate([edges + first, edges[:, ::-1] + first + len(ring)], axis=2).reshape(
+        -1, 4
+    )
     return np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in heights]), quads
 
 
 def roughness(facets):
     areas = np.asarray(facets.areas())
     unit = areas / np.linalg.norm(areas, axis=1, keepdims=True)
-    return np.median(np.arccos(np.clip(np.einsum("kd,ked->ke", unit, unit[np.asarray(facets.beside)]), -1, 1)))
+    return np.median(
+        np.arccos(np.clip(np.einsum("kd,ked->ke", unit, unit[np.asarray(facets.beside)]), -1, 1))
+    )
 
 
 @pytest.mark.parametrize("smooth", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -73,9 +77,14 @@ def test_a_ball_goes_onto_an_ellipsoid_with_a_bump(smooth):
     height = np.asarray(jm.wall_quality(mesh, mesh.patch("wall"), points).height)
     assert height.min() > 0.8
     assert height.max() < 1.2
-    sizes = [np.linalg.norm(np.asarray(each.areas()), axis=1) for each in (wall, wall.at(wall.points + u))]
+    sizes = [
+        np.linalg.norm(np.asarray(each.areas()), axis=1)
+        for each in (wall, wall.at(wall.points + u))
+    ]
     nearest = np.linalg.norm(np.asarray(wall.at(onto.closest(wall.points)).areas()), axis=1)
-    assert np.ptp(np.log(sizes[1] / sizes[0])) < 0.7 * np.ptp(np.log(nearest / sizes[0]))  # than closest points alone
+    assert np.ptp(np.log(sizes[1] / sizes[0])) < 0.7 * np.ptp(
+        np.log(nearest / sizes[0])
+    )  # than closest points alone
 
 
 @pytest.mark.slow
@@ -85,10 +94,19 @@ def test_numbering_sense_and_soup_of_the_target_do_not_matter():
     rng = np.random.default_rng(0)
     order, faces = rng.permutation(300), np.asarray(onto.faces)
     place = np.argsort(order)
-    mixed = np.stack([np.roll(row, k) for row, k in zip(place[faces], rng.integers(3, size=len(faces)), strict=True)])
-    mixed = np.where(rng.integers(2, size=len(mixed))[:, None] == 1, mixed[:, ::-1], mixed)[rng.permutation(len(mixed))]
+    mixed = np.stack(
+        [
+            np.roll(row, k)
+            for row, k in zip(place[faces], rng.integers(3, size=len(faces)), strict=True)
+        ]
+    )
+    mixed = np.where(rng.integers(2, size=len(mixed))[:, None] == 1, mixed[:, ::-1], mixed)[
+        rng.permutation(len(mixed))
+    ]
     again = jm.Facets(onto.points[order], mixed)
-    soup = jm.Facets(onto.points[faces[:, ::-1]].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3))
+    soup = jm.Facets(
+        onto.points[faces[:, ::-1]].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
+    )
     for other in (again, soup):
         assert len(other.sharp) == len(other.rim) == 0
         np.testing.assert_allclose(shapes.onto(wall, other), u, atol=1e-9)
@@ -103,18 +121,25 @@ def test_a_target_elsewhere_is_found_by_a_rigid_motion():
     assert float(away.distance(moved).max()) < 1e-12
     other = wall.points + shapes.onto(wall, onto)
     back = (moved - np.array([[3.0, -2.0, 1.0]])) @ turn(0.7, 3)
-    assert np.linalg.norm(back - other, axis=1).max() < 0.2  # the same nodes, not those of another side
+    assert (
+        np.linalg.norm(back - other, axis=1).max() < 0.2
+    )  # the same nodes, not those of another side
 
 
 def test_the_sharp_edge_of_an_airfoil_goes_onto_the_sharp_edge():
-    (ring, edges), (other, segments) = section(1e-12, 0.12, 41), section(0.03, 0.14, 101, chord=1.05)
+    (ring, edges), (other, segments) = (
+        section(1e-12, 0.12, 41),
+        section(0.03, 0.14, 101, chord=1.05),
+    )
     wall, onto = jm.Facets(ring, edges), jm.Facets(other, segments[:, ::-1])
     assert wall.sharp.tolist() == [[40]]
     x = ring + shapes.onto(wall, onto)
     assert np.abs(x[40] - other[100]).max() < 1e-12
     assert float(onto.distance(x).max()) < 1e-12
     assert (x[:41, 1] >= x[np.r_[0, 79:39:-1], 1]).all()  # each side on its own
-    growth = np.linalg.norm(np.asarray(wall.at(x).areas()), axis=1) / np.linalg.norm(np.asarray(wall.areas()), axis=1)
+    growth = np.linalg.norm(np.asarray(wall.at(x).areas()), axis=1) / np.linalg.norm(
+        np.asarray(wall.areas()), axis=1
+    )
     assert np.abs(np.log(growth[1:] / growth[:-1])).max() < 0.03  # spacing
 
 
@@ -131,7 +156,8 @@ def test_curves_that_are_named_go_onto_each_other():
     )
     wall, onto = jm.Facets(points, quads), jm.Facets(places, faces)
     lines = [
-        (np.arange(k, len(points), len(ring)), np.arange(j, len(places), len(other))) for k, j in ((24, 40), (0, 0))
+        (np.arange(k, len(points), len(ring)), np.arange(j, len(places), len(other)))
+        for k, j in ((24, 40), (0, 0))
     ]
     x = points + shapes.onto(wall, onto, symmetry=Z, features=lines)
     for rows, ids in lines:
@@ -154,7 +180,10 @@ def test_numbering_of_the_wall_does_not_matter():
 def test_an_extruded_airfoil_stays_between_its_planes(span):
     (ring, edges), (other, segments) = section(1e-12, 0.12, 25), section(0.03, 0.14, 41, chord=1.05)
     points, quads = extruded(ring, edges, np.linspace(0, 1, 4))
-    wall, onto = jm.Facets(points, quads), jm.Facets(*extruded(other, segments, np.linspace(*span, 4)))
+    wall, onto = (
+        jm.Facets(points, quads),
+        jm.Facets(*extruded(other, segments, np.linspace(*span, 4))),
+    )
     x = points + shapes.onto(wall, onto, symmetry=Z)
     tail = np.arange(24, len(points), len(ring))
     assert np.abs(x[tail, :2] - other[40]).max() < 1e-12
@@ -168,7 +197,9 @@ def test_an_extruded_airfoil_stays_between_its_planes(span):
 @pytest.mark.slow
 def test_edges_and_corners_of_a_box_go_onto_those_of_a_turned_box():
     cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
-    sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    sides = np.array(
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    )
     places, faces = refined(cube, sides, 4)
     wall, onto = jm.Facets(places, faces), jm.Facets(cube @ turn(0.1, 3).T * [1.1, 1, 0.9], sides)
     x = places + shapes.onto(wall, onto)
@@ -186,10 +217,14 @@ def refined(corners, quads, count):
     s, t = np.meshgrid(np.linspace(0, 1, count + 1), np.linspace(0, 1, count + 1), indexing="ij")
     shares = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1).reshape(-1, 4)
     ids = np.arange((count + 1) ** 2).reshape(count + 1, -1)
-    pieces = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    pieces = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(
+        -1, 4
+    )
     points = np.concatenate([shares @ corners[quad] for quad in quads])
     different, place = np.unique(points.round(12), axis=0, return_inverse=True)
-    return different, place.ravel()[np.concatenate([pieces + k * len(shares) for k in range(len(quads))])]
+    return different, place.ravel()[
+        np.concatenate([pieces + k * len(shares) for k in range(len(quads))])
+    ]
 
 
 @pytest.mark.slow
@@ -203,7 +238,9 @@ def test_a_scan_with_noise_is_smoothed():
     x = points + shapes.onto(wall, scan, symmetry=Z, length=0.2)
     assert roughness(wall.at(x)) < 0.2 * roughness(scan)
     truth = jm.Facets(points, quads)
-    assert np.sqrt(np.mean(truth.distance(x) ** 2)) < 0.5 * np.sqrt(np.mean(truth.distance(noisy) ** 2))
+    assert np.sqrt(np.mean(truth.distance(x) ** 2)) < 0.5 * np.sqrt(
+        np.mean(truth.distance(noisy) ** 2)
+    )
     assert 1e-3 < float(scan.distance(x).max()) < 0.04  # told
     assert np.abs(x[points[:, 2] == 0, 2]).max() < 1e-12
 
@@ -250,13 +287,17 @@ def test_a_function_of_closest_places_is_a_target():
     flat = jm.Plane([0.0, 1.0], [0.0, 0.0])
     half[[0, -1], 1] = 0
     moved = half + shapes.onto(
-        jm.Facets(half, lines), lambda x: 3 * x / jnp.linalg.norm(x, axis=1, keepdims=True), symmetry=flat
+        jm.Facets(half, lines),
+        lambda x: 3 * x / jnp.linalg.norm(x, axis=1, keepdims=True),
+        symmetry=flat,
     )
     assert abs(moved[0, 1]) < 1e-12
 
 
 def test_an_ambiguous_way_is_refused_with_its_place():
-    square, faces = refined(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2, 3]]), 6)
+    square, faces = refined(
+        np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2, 3]]), 6
+    )
     wall = jm.Facets(square, faces)
     small = jm.Facets(square * [0.5, 1, 1] + [0, 0, 0.1], faces)
     with pytest.raises(jm.MeshError, match=r"at node \d+ near \(.*one to one") as caught:
@@ -295,7 +336,17 @@ def test_the_command_line_moves_a_wall_onto_a_file(tmp_path, capsys, monkeypatch
     other = jm.Facets.of(jm.cases.naca4("2412", points=3000), "airfoil")
     np.savez("scan.npz", points=np.asarray(other.points), lines=np.asarray(other.faces))
     io.write("foil.su2", mesh)
-    words = ["deform", "foil.su2", "out.su2", "--moving", "airfoil", "--fixed", "farfield", "--onto", "scan.npz"]
+    words = [
+        "deform",
+        "foil.su2",
+        "out.su2",
+        "--moving",
+        "airfoil",
+        "--fixed",
+        "farfield",
+        "--onto",
+        "scan.npz",
+    ]
     assert main([*words, "--picture", "out.png"]) == 0
     said = capsys.readouterr().out
     assert "distance from scan.npz" in said

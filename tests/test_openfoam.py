@@ -33,13 +33,17 @@ def test_every_form_comes_back_as_it_was(tmp_path, form):
     moved = (mesh.points * np.pi).astype(exact.dtype)
     io.write(tmp_path / "b", mesh.moved(moved))
     after = foam.tree(tmp_path / "b")
-    assert [name for name in after if after[name] != before[name]] == [next(n for n in before if "points" in n)]
+    assert [name for name in after if after[name] != before[name]] == [
+        next(n for n in before if "points" in n)
+    ]
     np.testing.assert_array_equal(io.read(tmp_path / "b").points, moved)
     io.write(tmp_path / "a" / "0.5", mesh.moved(moved))
     again = io.read(tmp_path / "a" / "0.5")
     np.testing.assert_array_equal(again.points, moved)
     assert again.cells.keys() == mesh.cells.keys()
-    assert {name: text for name, text in foam.tree(tmp_path / "a").items() if "0.5" not in name} == before
+    assert {
+        name: text for name, text in foam.tree(tmp_path / "a").items() if "0.5" not in name
+    } == before
 
 
 @pytest.mark.parametrize("end", [" // x)", "\n\n// the end (1 2 3)\n// ) of the file //\n"])
@@ -51,7 +55,9 @@ def test_comments_at_the_end_may_hold_parentheses(tmp_path, end):
         file.write_text(file.read_text().rstrip() + end)
     mesh = io.read(tmp_path / "a")
     np.testing.assert_array_equal(mesh.points, points)
-    np.testing.assert_array_equal(rewritten(tmp_path / "b", mesh.moved(points + 1)).points, points + 1)
+    np.testing.assert_array_equal(
+        rewritten(tmp_path / "b", mesh.moved(points + 1)).points, points + 1
+    )
     assert (tmp_path / "b" / "constant" / "polyMesh" / "points").read_text().endswith(end)
 
 
@@ -68,7 +74,9 @@ def test_pieces_of_a_polyhedron_may_coincide(tmp_path):
         [3, 0, 4, 7],
     ]
     foam.write_case(tmp_path / "a", points, [cell], [("all", "wall", lambda face: True)])
-    moved = io.read(tmp_path / "a").moved(points + np.random.default_rng(9).integers(-4, 5, points.shape) / 8)
+    moved = io.read(tmp_path / "a").moved(
+        points + np.random.default_rng(9).integers(-4, 5, points.shape) / 8
+    )
     found = rewritten(tmp_path / "b", moved)
     pieces = np.sort(np.asarray(found.cells["tetra"]), axis=1)
     assert len(np.unique(pieces, axis=0)) < len(pieces)
@@ -79,7 +87,9 @@ def test_pieces_of_a_polyhedron_may_coincide(tmp_path):
 def test_patches_by_the_groups_of_the_case(tmp_path, capsys, entry):
     foam.write_case(tmp_path / "a", *split(), PATCHES)
     boundary = tmp_path / "a" / "constant" / "polyMesh" / "boundary"
-    boundary.write_text(boundary.read_text().replace("inGroups 1(wall);", entry and f"inGroups {entry};"))
+    boundary.write_text(
+        boundary.read_text().replace("inGroups 1(wall);", entry and f"inGroups {entry};")
+    )
     mesh = io.read(tmp_path / "a")
     walls = {"wall": ("floor",)} if entry else {}
     near = {"near": ("floor",)} if "near" in entry else {}
@@ -87,17 +97,24 @@ def test_patches_by_the_groups_of_the_case(tmp_path, capsys, entry):
     for group, names in mesh.groups.items():
         np.testing.assert_array_equal(mesh.patch(group), mesh.patch(*names))
         assert mesh.patch_names(group, "floor")[: len(names)] == names
-    with pytest.raises(ValueError, match=r"this mesh has: 'floor', 'rest', 'none', and the groups .*'patch'"):
+    with pytest.raises(
+        ValueError, match=r"this mesh has: 'floor', 'rest', 'none', and the groups .*'patch'"
+    ):
         mesh.patch("roof")
     assert main(["info", str(tmp_path / "a"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["groups"] == {group: list(names) for group, names in mesh.groups.items()}
+    assert json.loads(capsys.readouterr().out)["groups"] == {
+        group: list(names) for group, names in mesh.groups.items()
+    }
 
 
 @pytest.mark.parametrize("normal", [0, 1, 2])
 def test_cases_in_2d_move_both_planes_alike(tmp_path, normal):
     points, cells, patches = strip(normal)
     mesh = io.read(foam.write_case(tmp_path / "a", points, cells, patches))
-    assert {kind: len(corners) for kind, corners in mesh.cells.items()} == {"quad": 27, "triangle": 2}
+    assert {kind: len(corners) for kind, corners in mesh.cells.items()} == {
+        "quad": 27,
+        "triangle": 2,
+    }
     assert {name: len(nodes) for name, nodes in mesh.patches.items()} == {"far": 14, "hole": 14}
     np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.patch("hole")], axis=1), 1)
     area = np.asarray(jm.quality(mesh).area)
@@ -111,7 +128,9 @@ def test_cases_in_2d_move_both_planes_alike(tmp_path, normal):
 
 def test_what_is_refused(tmp_path):
     points, cells, patches = strip(2)
-    foam.write_case(tmp_path / "wedge", points, cells, [("w", "wedge", patches[0][2]), *patches[1:]])
+    foam.write_case(
+        tmp_path / "wedge", points, cells, [("w", "wedge", patches[0][2]), *patches[1:]]
+    )
     foam.write_case(tmp_path / "oblique", points + points[:, [2, 0, 1]], cells, patches)
     across = [("sides", "patch", patches[0][2]), ("far", "empty", patches[1][2]), patches[2]]
     foam.write_case(tmp_path / "across", points, cells, across)
@@ -171,14 +190,20 @@ def test_sensitivities_that_are_none(tmp_path):
     mesh = io.read(foam.write_case(tmp_path / "a", *mixed(), PATCHES))
     file = tmp_path / "s"
     foam.write_point_vectors(file, np.ones((11, 3)))
-    with pytest.raises(ValueError, match="12 vectors expected, one for each point of the case, found 11"):
+    with pytest.raises(
+        ValueError, match="12 vectors expected, one for each point of the case, found 11"
+    ):
         io.read_sensitivity(file, mesh)
     with pytest.raises(ValueError, match="needs a mesh that was read from an OpenFOAM case"):
         io.read_sensitivity(file, jm.Mesh(mesh.points, mesh.cells))
     text = file.read_text()
     for old, new, message in (
         ("pointVectorField", "volVectorField", "expected, found volVectorField"),
-        ("nonuniform List<vector>", "uniform (0 0 0); //", "found pointVectorField with one value for all points"),
+        (
+            "nonuniform List<vector>",
+            "uniform (0 0 0); //",
+            "found pointVectorField with one value for all points",
+        ),
     ):
         file.write_text(text.replace(old, new))
         with pytest.raises(ValueError, match=message):
@@ -208,14 +233,25 @@ def test_the_points_of_a_region_go_to_the_region(tmp_path, capsys, region):
     with pytest.raises(ValueError, match="the mesh was read from this folder"):
         io.write(case / "1", again)
     io.write(case / "2", again.moved(points + 1))
-    words = [str(case / "constant" / region), str(case / "3"), "--moving", ".*", "--translate", "0", "0", "1"]
+    words = [
+        str(case / "constant" / region),
+        str(case / "3"),
+        "--moving",
+        ".*",
+        "--translate",
+        "0",
+        "0",
+        "1",
+    ]
     assert main(["deform", *words]) == 0
     capsys.readouterr()
     new = {name for name in foam.tree(case) if name not in before}
     assert new == {f"{time}/{region}/polyMesh/points" for time in "123"}
     np.testing.assert_array_equal(io.read(case / "2" / region).points, points + 1)
     io.write(tmp_path / "new", mesh.moved(points))
-    after = {name: text for name, text in foam.tree(tmp_path / "new").items() if before[name] != text}
+    after = {
+        name: text for name, text in foam.tree(tmp_path / "new").items() if before[name] != text
+    }
     assert list(after) == [f"constant/{region}/polyMesh/points"]
     np.testing.assert_array_equal(io.read(tmp_path / "new" / "constant" / region).points, points)
 
@@ -248,7 +284,11 @@ def cyclic(request, tmp_path):
     def at(x):
         return lambda face: bool(np.allclose(flat[face, 0], x))
 
-    patches = [("in", "cyclic", at(0)), ("out", "cyclic", at(1)), ("walls", "wall", lambda face: True)]
+    patches = [
+        ("in", "cyclic", at(0)),
+        ("out", "cyclic", at(1)),
+        ("walls", "wall", lambda face: True),
+    ]
     points = flat if request.param == "translation" else turned(flat)
     foam.write_case(tmp_path / "case", points, cells, patches)
     boundary = tmp_path / "case" / "constant" / "polyMesh" / "boundary"
@@ -281,7 +321,9 @@ def test_patches_that_drift_apart_are_an_error(cyclic, tmp_path):
     told = r"'in' and 'out' no longer match: \d of 9 pairs.*Hold both patches fixed"
     with pytest.raises(ValueError, match=told) as error:
         io.write(tmp_path / "apart", mesh.moved(moved))
-    assert float(re.findall(r"up to ([\d.]+) of", str(error.value))[0]) == pytest.approx(0.02 / 4 / (1 / 3), rel=1.3)
+    assert float(re.findall(r"up to ([\d.]+) of", str(error.value))[0]) == pytest.approx(
+        0.02 / 4 / (1 / 3), rel=1.3
+    )
     assert not (tmp_path / "apart").exists()
     with pytest.raises(ValueError, match="no longer match"):
         io.write(folder / "1", mesh.moved(moved))

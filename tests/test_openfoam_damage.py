@@ -33,19 +33,39 @@ COUNT = r"\d+(?=\s*\()"
 REFUSED = [
     ("neighbour", r"(?<=\(\n)\d+", "-1", "neighbour: face 0 is of cell -1, which is none"),
     ("neighbour", r"(?<=\(\n)\d+", "-7", "is of cell -7"),
-    ("neighbour", r"(?<=\(\n)\d+", f"{2**31 - 1}", "neighbour: face 0 is of cell 2147483647, which is none"),
+    (
+        "neighbour",
+        r"(?<=\(\n)\d+",
+        f"{2**31 - 1}",
+        "neighbour: face 0 is of cell 2147483647, which is none",
+    ),
     ("neighbour", "3\n\\(", "4\n(", "4 elements of 1 labels expected, found 3 numbers"),
     ("owner", r"(?<=\(\n)\d+", f"{2**62}", "owner: face 0 is of cell 4611686018427387904, which"),
     ("owner", r"\d+(?=\n\))", "-1", "owner: face .* is of cell -1"),
     ("owner", "\n0\n", "\n0.5\n", "elements of 1 labels expected"),
     ("points", "12\n\\(", "13\n(", "13 elements of 3 scalars expected, found 36 numbers"),
-    ("points", r"12\n((?:.*\n){11}).*\n.*\n", r"10\n\1", "a face names node 11, but there are points 0 to 9"),
+    (
+        "points",
+        r"12\n((?:.*\n){11}).*\n.*\n",
+        r"10\n\1",
+        "a face names node 11, but there are points 0 to 9",
+    ),
     ("points", r"12\n\([\s\S]*", "60000000{(0 0 0)}\n", "60000000 elements that are all equal"),
     ("faces", r"4\(", "3(", "or other numbers of labels"),
     ("faces", r"(?<=\()\d+(?= \d+ \d+)", "2147483000", "faces: a face names node 2147483000"),
-    ("boundary", r"startFace\s+3;", "startFace 2;", "faces are in the wrong number of patches; face"),
+    (
+        "boundary",
+        r"startFace\s+3;",
+        "startFace 2;",
+        "faces are in the wrong number of patches; face",
+    ),
     ("boundary", r"\"floor\"\s*\{[^{}]*\}", "", r"boundary: \d patches announced, \d read"),
-    ("boundary", r"\d+\s*\(\s*\"floor\"\s*\{[^{}]*\}", "(", "1 faces are in the wrong .* face 3, an outer face, is in"),
+    (
+        "boundary",
+        r"\d+\s*\(\s*\"floor\"\s*\{[^{}]*\}",
+        "(",
+        "1 faces are in the wrong .* face 3, an outer face, is in",
+    ),
     ("boundary", "nFaces", "nFacets", f'patch "floor" {NO_GOOD}'),
     *(("boundary", key + r"\s+\w+", f"{key} ", NO_GOOD) for key in ("type", "nFaces", "startFace")),
     *((name, COUNT, "9" * 100_000, f"{name}: a list.* expected") for name in FILES),
@@ -74,7 +94,8 @@ def test_damaged_files_are_named(tmp_path, name, form):
 
 
 @pytest.mark.parametrize(
-    ("width", "message"), [(b"80", "scalars of 80 bits are not known"), (b"32", "cut short, or its header's arch")]
+    ("width", "message"),
+    [(b"80", "scalars of 80 bits are not known"), (b"32", "cut short, or its header's arch")],
 )
 def test_another_width_is_told(tmp_path, width, message):
     foam.write_case(tmp_path / "a", *mixed(), PATCHES, foam.FORMS["binary"])
@@ -91,7 +112,9 @@ def test_a_wrong_node_of_a_face_leaves_cells_open(case):
     places = list(re.finditer(r"(?<=[( ])\d+", text))
     assert len(places) == 8 * 4 + 9 * 3
     for place in places:
-        file.write_text(head + text[: place.start()] + str((int(place[0]) + 3) % 9) + text[place.end() :])
+        file.write_text(
+            head + text[: place.start()] + str((int(place[0]) + 3) % 9) + text[place.end() :]
+        )
         with pytest.raises(ValueError, match=r"[12] cells do not close, first cell \d"):
             io.read(case)
 
@@ -134,11 +157,15 @@ def test_directives_and_variables_are_refused_by_name(case, pattern, text):
     changed(case, "boundary", r"type\s+patch;", 'type patch; coupling { value #calc "2"; }')
     assert "rest" in io.read(case).patches
     changed(case, "boundary", pattern, text)
-    with pytest.raises(ValueError, match=r"boundary: [#$]\w+ is not read, nor are other directives"):
+    with pytest.raises(
+        ValueError, match=r"boundary: [#$]\w+ is not read, nor are other directives"
+    ):
         io.read(case)
 
 
-@pytest.mark.parametrize("text", ["a" * 100_000, "/*" * 50_000, "{" * 50_000, "a{" * 50_000, '"' * 50_000])
+@pytest.mark.parametrize(
+    "text", ["a" * 100_000, "/*" * 50_000, "{" * 50_000, "a{" * 50_000, '"' * 50_000]
+)
 def test_long_words_take_no_longer_than_others(case, text):
     """A pattern that is tried from each letter to the end would take minutes."""
     file = case / "constant" / "polyMesh" / "boundary"

@@ -31,8 +31,15 @@ def cubes(shape=(3, 2, 2)):
 def box(points):
     """Patches of the box, by a test of a face's nodes."""
     high = points.max(axis=0)
-    floor, roof = (lambda nodes: (points[nodes, 2] == 0).all()), (lambda nodes: (points[nodes, 2] == high[2]).all())
-    return [("floor", "wall", floor), ("roof", "wall", roof), ("sides", "patch", lambda nodes: True)]
+    floor, roof = (
+        (lambda nodes: (points[nodes, 2] == 0).all()),
+        (lambda nodes: (points[nodes, 2] == high[2]).all()),
+    )
+    return [
+        ("floor", "wall", floor),
+        ("roof", "wall", roof),
+        ("sides", "patch", lambda nodes: True),
+    ]
 
 
 @pytest.fixture
@@ -41,7 +48,9 @@ def divided(tmp_path):
     points, cells = cubes()
     case = tmp_path / "case"
     foam.write_case(case, points, cells, box(points))
-    foam.write_parts(case, points, cells, box(points), [0 if k < 4 else 1 for k in range(len(cells))])
+    foam.write_parts(
+        case, points, cells, box(points), [0 if k < 4 else 1 for k in range(len(cells))]
+    )
     return case
 
 
@@ -70,10 +79,15 @@ def test_parts_of_a_region_are_those_of_a_case(divided, tmp_path):
             shutil.copytree(constant / "polyMesh", constant / region / "polyMesh")
         shutil.rmtree(constant / "polyMesh")
     fluid = tmp_path / "regions" / "constant" / "fluid"
-    with pytest.raises(ValueError, match=rf"name one of the regions fluid, solid, as {re.escape(str(fluid))}"):
+    with pytest.raises(
+        ValueError, match=rf"name one of the regions fluid, solid, as {re.escape(str(fluid))}"
+    ):
         io.Decomposed(tmp_path / "regions")
     shutil.rmtree(tmp_path / "regions" / "constant")
-    with pytest.raises(ValueError, match=r"It is decomposed, and has the regions fluid, solid: .*decomposed \S+fluid"):
+    with pytest.raises(
+        ValueError,
+        match=r"It is decomposed, and has the regions fluid, solid: .*decomposed \S+fluid",
+    ):
         io.read(tmp_path / "regions")
     case = io.Decomposed(fluid)
     surface = case.surface()
@@ -85,7 +99,9 @@ def test_parts_of_a_region_are_those_of_a_case(divided, tmp_path):
     after = foam.tree(tmp_path / "new")
     changed = [name for name in before if name in after and after[name] != before[name]]
     assert changed == [f"processor{k}/constant/fluid/polyMesh/points" for k in range(2)]
-    np.testing.assert_array_equal(io.Decomposed(tmp_path / "new/constant/fluid").surface().points, surface.points * 2)
+    np.testing.assert_array_equal(
+        io.Decomposed(tmp_path / "new/constant/fluid").surface().points, surface.points * 2
+    )
 
 
 def test_the_surface_is_that_of_the_whole(divided):
@@ -117,7 +133,11 @@ def test_summaries_of_parts_add_up_to_the_whole(divided):
     parts = [case.read(k) for k in range(2)]
     moved = [points[io.global_nodes(part)] for part in parts]
     found = jm.Verdict.together([jm.judge(parts[k], moved[k], limits, part=k) for k in range(2)])
-    assert (found.cells, found.inverted, found.spoilt) == (expected.cells, expected.inverted, expected.spoilt)
+    assert (found.cells, found.inverted, found.spoilt) == (
+        expected.cells,
+        expected.inverted,
+        expected.spoilt,
+    )
     assert 0 < found.inverted < 12
     first = {0: 0, 1: 4}
     aspect = "face_aspect_ratio"
@@ -128,7 +148,10 @@ def test_summaries_of_parts_add_up_to_the_whole(divided):
             assert first[number.part] + number.cell == expected.rows[row].cell
             np.testing.assert_allclose(number.near, expected.rows[row].near, rtol=1e-12)
     (gate,), (of_whole,) = found.gates, expected.gates
-    assert (gate.beyond, gate.extreme.value) == (of_whole.beyond, pytest.approx(of_whole.extreme.value, rel=1e-12))
+    assert (gate.beyond, gate.extreme.value) == (
+        of_whole.beyond,
+        pytest.approx(of_whole.extreme.value, rel=1e-12),
+    )
     cells = [first[cell.part] + cell.cell for cell in gate.worst]
     assert cells == [cell.cell for cell in of_whole.worst]
     assert len(cells) == 5
@@ -177,8 +200,18 @@ def test_a_writer_takes_each_part_by_its_number_and_once(divided, tmp_path):
 
 def test_what_a_decomposed_case_lacks(divided, tmp_path):
     for k, old, new, message in (
-        (0, "type processor;", "type processor; myProcNo 0; neighbProcNo 2;", "faces to processor2, which is missing"),
-        (1, r"nFaces \d+", "nFaces 0", r"processor1: this part has no cells.* decompose into fewer parts"),
+        (
+            0,
+            "type processor;",
+            "type processor; myProcNo 0; neighbProcNo 2;",
+            "faces to processor2, which is missing",
+        ),
+        (
+            1,
+            r"nFaces \d+",
+            "nFaces 0",
+            r"processor1: this part has no cells.* decompose into fewer parts",
+        ),
     ):
         file = divided / f"processor{k}" / "constant" / "polyMesh" / "boundary"
         text = file.read_text()
@@ -192,10 +225,15 @@ def test_what_a_decomposed_case_lacks(divided, tmp_path):
         (lambda: io.global_nodes(jm.Mesh(np.zeros((3, 2)))), "was not read from an OpenFOAM case"),
         (lambda: io.global_nodes(undivided), "there is no pointProcAddressing"),
         (lambda: io.Decomposed(tmp_path), "not decomposed, there is no folder processor0"),
-        (lambda: io.read(divided), r"It is decomposed: jaxmorph deform --decomposed .*, or take .*processor0"),
+        (
+            lambda: io.read(divided),
+            r"It is decomposed: jaxmorph deform --decomposed .*, or take .*processor0",
+        ),
     )
     (divided / "processor1" / "constant" / "polyMesh" / "pointProcAddressing").unlink()
-    with pytest.raises(ValueError, match=r"there is no pointProcAddressing.* Run reconstructParMesh -constant"):
+    with pytest.raises(
+        ValueError, match=r"there is no pointProcAddressing.* Run reconstructParMesh -constant"
+    ):
         io.Decomposed(divided).surface()
     (divided / "processor1").rename(divided / "processor2")
     with pytest.raises(ValueError, match="no folder processor1 among 2"):
@@ -205,7 +243,9 @@ def test_what_a_decomposed_case_lacks(divided, tmp_path):
 HEAD = "FoamFile {{ version 2.0; format ascii; class dictionary; object {}; }}\n"
 CORNERS = "(0 0 0)(2 0 0)(2 1.2 0)(0 1 0)(0 0 1)(2 0 1)(2 1.2 1)(0 1 1)"
 PAIR = "front {type cyclic; neighbourPatch back; faces ((4 5 6 7));} back {type cyclic; neighbourPatch front; faces ((0 3 2 1));}"
-PLANES = "front {type symmetryPlane; faces ((4 5 6 7));} back {type symmetryPlane; faces ((0 3 2 1));}"
+PLANES = (
+    "front {type symmetryPlane; faces ((4 5 6 7));} back {type symmetryPlane; faces ((0 3 2 1));}"
+)
 EMPTY = "front {type empty; faces ((4 5 6 7)(0 3 2 1));}"
 ENDS = "floor {type wall; faces ((0 1 5 4));} roof {type wall; faces ((3 7 6 2));} sides {type patch; faces ((0 4 7 3)(2 6 5 1));}"
 CASES = {
@@ -258,7 +298,9 @@ def test_parts_move_as_their_union(divided, tmp_path, capsys, flags):
 
 
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
-@pytest.mark.parametrize("name", runs(slow=["empty"], nightly=[name for name in CASES if name != "empty"]))
+@pytest.mark.parametrize(
+    "name", runs(slow=["empty"], nightly=[name for name in CASES if name != "empty"])
+)
 def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
     foam.need_openfoam()
     case, whole, parts = (tmp_path / each for each in ("case", "whole", "parts"))
@@ -281,7 +323,11 @@ def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
     again = io.read(parts).source.content.points
     assert len(again) == len(expected)
     assert KDTree(expected).query(again)[0].max() < 1e-12
-    assert foam.verdict(parts, "-constant") == foam.verdict(whole, "-constant") == foam.verdict(case, "-constant")
+    assert (
+        foam.verdict(parts, "-constant")
+        == foam.verdict(whole, "-constant")
+        == foam.verdict(case, "-constant")
+    )
     far = ["--translate", "0", "1.05", *([] if name == "empty" else ["0"])]
     counts = []
     for flags in ([], ["--decomposed"]):
@@ -306,7 +352,9 @@ def test_processes_of_an_mpi_run_write_the_same_case(divided, tmp_path):
     one, two = (foam.tree(tmp_path / each) for each in ("one", "two"))
     assert one.keys() == two.keys()
     for k in range(2):
-        first, second = (io.read(tmp_path / each / f"processor{k}").points for each in ("one", "two"))
+        first, second = (
+            io.read(tmp_path / each / f"processor{k}").points for each in ("one", "two")
+        )
         np.testing.assert_allclose(first, second, rtol=0, atol=1e-14)
 
 
@@ -344,9 +392,13 @@ def test_processes_that_cannot_meet_do_not_write_one_case_twice(name, monkeypatc
     monkeypatch.setenv(name, "2")
     for module in (None, WithoutLibrary()):
         monkeypatch.setitem(sys.modules, "mpi4py", module)
-        with pytest.raises(ImportError, match="srun started this process, but mpi4py or its MPI library is missing"):
+        with pytest.raises(
+            ImportError, match="srun started this process, but mpi4py or its MPI library is missing"
+        ):
             _ranks()
     one = types.SimpleNamespace(MPI=types.SimpleNamespace(COMM_WORLD=types.SimpleNamespace(size=1)))
     monkeypatch.setitem(sys.modules, "mpi4py", one)
-    with pytest.raises(ValueError, match=r"2 processes were started, and mpi4py sees 1:.*srun --mpi="):
+    with pytest.raises(
+        ValueError, match=r"2 processes were started, and mpi4py sees 1:.*srun --mpi="
+    ):
         _ranks()

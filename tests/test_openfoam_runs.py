@@ -65,7 +65,9 @@ INCOMPRESSIBLE = {
 OFTEN = "adjointOptimisationFoam/resources/meshes/naca0012"
 
 
-@pytest.mark.parametrize("name", runs([OFTEN], nightly=[each for each in INCOMPRESSIBLE if each != OFTEN]))
+@pytest.mark.parametrize(
+    "name", runs([OFTEN], nightly=[each for each in INCOMPRESSIBLE if each != OFTEN])
+)
 def test_tutorials_in_2d(tmp_path, capsys, name):
     moving, motion = INCOMPRESSIBLE[name]
     case, new = tutorial(tmp_path / "case", f"incompressible/{name}"), tmp_path / "new"
@@ -78,7 +80,9 @@ def test_tutorials_in_2d(tmp_path, capsys, name):
     assert_measured_alike(new, capsys)
     if name.endswith("airFoil2D"):
         with (new / "system" / "fvSolution").open("a") as file:
-            file.write("solvers { Phi { solver PCG; preconditioner DIC; tolerance 1e-6; relTol 0.01; } }\n")
+            file.write(
+                "solvers { Phi { solver PCG; preconditioner DIC; tolerance 1e-6; relTol 0.01; } }\n"
+            )
             file.write("potentialFlow { nNonOrthogonalCorrectors 2; }\n")
         said = foam.run(new, "potentialFoam")
         assert said.split()[-1] == "End"
@@ -128,7 +132,9 @@ def test_a_solver_runs_on_a_moved_cyclic_channel(tmp_path):
     said = foam.run(new, "pimpleFoam")
     assert said.split()[-1] == "End"
     assert abs(float(re.findall(r"sum local = ([\d.e+-]+)", said)[-1])) < 1e-6
-    assert np.isfinite(list(map(float, re.findall(r"Courant Number mean: \S+ max: (\S+)", said)))).all()
+    assert np.isfinite(
+        list(map(float, re.findall(r"Courant Number mean: \S+ max: (\S+)", said)))
+    ).all()
 
 
 @pytest.mark.nightly
@@ -170,7 +176,16 @@ def test_polyhedra_made_by_openfoam(tmp_path, capsys, settings):
     np.testing.assert_allclose(np.asarray(report.volume).sum(), float(total), rtol=1e-3)
     io.write(tmp_path / "same", mesh)
     assert foam.tree(tmp_path / "same") == foam.tree(case)
-    arguments = ["deform", str(case), str(tmp_path / "b"), "--moving", "floor", "--fixed", "roof", "sides"]
+    arguments = [
+        "deform",
+        str(case),
+        str(tmp_path / "b"),
+        "--moving",
+        "floor",
+        "--fixed",
+        "roof",
+        "sides",
+    ]
     assert main([*arguments, "--translate", "0", "-0.02", "0"]) == 0
     assert foam.verdict(tmp_path / "b", "-constant") == foam.verdict(case, "-constant")
     assert_measured_alike(case, capsys)

@@ -27,7 +27,9 @@ def test_sides_of_a_cut_through_a_wedge_stay_apart(tmp_path):
     mesh = io.read(foam.write_case(tmp_path / "cut", *pipe_of(is_cut=True)[:3]))
     points = np.asarray(mesh.points)
     assert len(points) == 12
-    io.write(tmp_path / "moved", mesh.moved(points + (np.arange(12) > 8)[:, None] * np.array([0, 0.05])))
+    io.write(
+        tmp_path / "moved", mesh.moved(points + (np.arange(12) > 8)[:, None] * np.array([0, 0.05]))
+    )
     moved = np.asarray(io.read(tmp_path / "moved").points)
     np.testing.assert_allclose(moved[:9], points[:9], rtol=0, atol=1e-15)
     np.testing.assert_allclose(moved[9:, 1], 0.45, rtol=0, atol=1e-12)
@@ -36,8 +38,14 @@ def test_sides_of_a_cut_through_a_wedge_stay_apart(tmp_path):
 def test_a_wedge_is_a_plane_mesh(pipe, tmp_path):
     case, x, r = pipe
     mesh = io.read(case)
-    np.testing.assert_allclose(mesh.points, np.stack([x.ravel(), r.ravel()], axis=1), rtol=0, atol=1e-15)
-    assert {name: len(nodes) for name, nodes in mesh.patches.items()} == {"wall": 3, "ends": 6, "axis": 3}
+    np.testing.assert_allclose(
+        mesh.points, np.stack([x.ravel(), r.ravel()], axis=1), rtol=0, atol=1e-15
+    )
+    assert {name: len(nodes) for name, nodes in mesh.patches.items()} == {
+        "wall": 3,
+        "ends": 6,
+        "axis": 3,
+    }
     area = np.asarray(jm.quality(mesh).area)
     assert area.min() > 0
     np.testing.assert_allclose(area.sum(), 2, rtol=1e-14)
@@ -48,9 +56,13 @@ def test_a_wedge_is_a_plane_mesh(pipe, tmp_path):
     expected = np.concatenate([both[0], both[1].reshape(3, 3, 3)[:, 1:].reshape(-1, 3)])
     np.testing.assert_allclose(again.source.content.points, expected, rtol=0, atol=1e-14)
     io.write(tmp_path / "rounded", mesh.moved(np.where(moved == 0, 1e-14, moved)))
-    np.testing.assert_allclose(io.read(tmp_path / "rounded").source.content.points, expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        io.read(tmp_path / "rounded").source.content.points, expected, rtol=0, atol=1e-13
+    )
     assert (np.asarray(io.read(tmp_path / "rounded").source.content.points)[::3][:3, 1:] == 0).all()
-    with pytest.raises(ValueError, match="3 nodes of the axis have left it, first node 0: name it, symmetry='axis'"):
+    with pytest.raises(
+        ValueError, match="3 nodes of the axis have left it, first node 0: name it, symmetry='axis'"
+    ):
         io.write(tmp_path / "off", mesh.moved(moved + 0.1))
     w = np.random.default_rng(0).normal(size=expected.shape)
     plane = mesh.source.content.plane
@@ -64,8 +76,17 @@ def test_a_patch_named_axis_is_joined_or_refused(pipe):
     boundary = case / "constant" / "polyMesh" / "boundary"
     text = boundary.read_text()
     end = text.rindex(")")
-    count, entry = re.search(r"^(\d+)\s*\(", text, re.MULTILINE), "axis { type patch; nFaces 0; startFace 0; }\n"
-    boundary.write_text(text[: count.start(1)] + str(int(count[1]) + 1) + text[count.end(1) : end] + entry + text[end:])
+    count, entry = (
+        re.search(r"^(\d+)\s*\(", text, re.MULTILINE),
+        "axis { type patch; nFaces 0; startFace 0; }\n",
+    )
+    boundary.write_text(
+        text[: count.start(1)]
+        + str(int(count[1]) + 1)
+        + text[count.end(1) : end]
+        + entry
+        + text[end:]
+    )
     assert len(io.read(case).patch("axis")) == 3
     boundary.write_text(re.sub(r"\bwall\b", "axis", text, count=1))
     with pytest.raises(ValueError, match="pipe: the patch axis has faces"):
@@ -118,7 +139,8 @@ def test_parts_of_a_wedge_about_any_axis(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["compressible/rhoCentralFoam/LadenburgJet60psi", "combustion/coldEngineFoam/freePiston"]
+    "name",
+    ["compressible/rhoCentralFoam/LadenburgJet60psi", "combustion/coldEngineFoam/freePiston"],
 )
 def test_wedges_of_tutorials(name, tmp_path):
     foam.need_openfoam()

@@ -37,12 +37,18 @@ def component(**options):
 @pytest.mark.parametrize("flat", runs([False], nightly=[True]))
 def test_partials_pass_openmdaos_check(plan, flat):
     problem = run(plan=plan, flat=flat, units="m")
-    np.testing.assert_array_equal(problem.get_val("points").ravel(), np.asarray(plan.points).ravel())
+    np.testing.assert_array_equal(
+        problem.get_val("points").ravel(), np.asarray(plan.points).ravel()
+    )
     u = given(plan)
     problem.set_val("displacements", u.ravel() if flat else u)
     problem.run_model()
-    np.testing.assert_allclose(problem.get_val("points").reshape(-1, 2), jm.deform(plan, u), rtol=0, atol=1e-15)
-    assert problem.get_val("points", units="mm").ravel()[0] == pytest.approx(1e3 * np.asarray(jm.deform(plan, u))[0, 0])
+    np.testing.assert_allclose(
+        problem.get_val("points").reshape(-1, 2), jm.deform(plan, u), rtol=0, atol=1e-15
+    )
+    assert problem.get_val("points", units="mm").ravel()[0] == pytest.approx(
+        1e3 * np.asarray(jm.deform(plan, u))[0, 0]
+    )
     # the map is linear: a large step loses nothing, and rounding is all that is left
     data = problem.check_partials(out_stream=None, compact_print=True, step=1.0)
     found = data["mesh"]["points", "displacements"]
@@ -76,7 +82,10 @@ def test_inverted_cells_raise_analysis_error_by_default(tmp_path):
     quads = np.array(mesh.cells["quad"])
     quads[0] = quads[0][[1, 0, 2, 3]]  # crossed from the start
     plan = jm.prepare(mesh, "wall", "far", method=jm.DelaunayGraph())
-    mesh = jm.Mesh(mesh.points, {"line": np.stack([np.arange(24), np.arange(1, 25) % 24], axis=1), "quad": quads})
+    mesh = jm.Mesh(
+        mesh.points,
+        {"line": np.stack([np.arange(24), np.arange(1, 25) % 24], axis=1), "quad": quads},
+    )
     u = np.tile([0.0, 1.0], (24, 1))
     with pytest.warns(UserWarning, match="inverted cells are not seen: pass the mesh"):
         run(plan=plan)
@@ -88,7 +97,9 @@ def test_inverted_cells_raise_analysis_error_by_default(tmp_path):
         if not count:
             problem.run_model()
             continue
-        with pytest.raises(om.AnalysisError, match=f"mesh: {count} of 192 cells are inverted, first cell"):
+        with pytest.raises(
+            om.AnalysisError, match=f"mesh: {count} of 192 cells are inverted, first cell"
+        ):
             problem.run_model()
         problem = run(plan=plan, mesh=mesh, raise_if_inverted=False)
         problem.set_val("displacements", factor * u)
@@ -131,7 +142,10 @@ def test_a_shape_passes_openmdaos_check_and_moves_the_mesh(plan):
     problem = om.Problem(reports=False)
     model = problem.model
     model.add_subsystem("shape", ShapeDisplacement(shape=shape, plan=plan), promotes=["*"])
-    model.add_subsystem("wall", ShapeDisplacement(shape=bend, plan=plan, parameters=given, positions=True, flat=True))
+    model.add_subsystem(
+        "wall",
+        ShapeDisplacement(shape=bend, plan=plan, parameters=given, positions=True, flat=True),
+    )
     model.add_subsystem("mesh", component(plan=plan), promotes=["*"])
     problem.setup()
     np.testing.assert_array_equal(problem.get_val("displacements"), 0)
@@ -142,7 +156,9 @@ def test_a_shape_passes_openmdaos_check_and_moves_the_mesh(plan):
     np.testing.assert_allclose(problem.get_val("points"), jm.deform(plan, u), atol=1e-15)
     expected = np.asarray(plan.points)[np.asarray(plan.moving)] + u
     np.testing.assert_allclose(problem.get_val("wall.positions"), np.ravel(expected), atol=1e-15)
-    data = problem.check_partials(out_stream=None, includes=["shape", "wall"], method="fd", form="central", step=1e-5)
+    data = problem.check_partials(
+        out_stream=None, includes=["shape", "wall"], method="fd", form="central", step=1e-5
+    )
     for name, out in (("shape", "displacements"), ("wall", "positions")):
         for entry in (data[name][out, "turn:angle"], data[name][out, "shift"]):
             for mode in ("J_fwd", "J_rev"):

@@ -18,10 +18,14 @@ LOCAL = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2))
 def test_a_sector_moves_as_the_whole_wheel(dimension):
     """The field between all four sectors is known: the one that moves the sides of the quarter is it."""
     points, moving, fixed, sides, u = sector(dimension)
-    plan = jm.prepare(points, moving, fixed, method=TPS, periodic=joined(dimension, sides, copies=2))
+    plan = jm.prepare(
+        points, moving, fixed, method=TPS, periodic=joined(dimension, sides, copies=2)
+    )
     moved = np.asarray(jm.deform(plan, u))
     everything, all_moving, all_fixed, (first, _), all_u = sector(dimension, whole=True)
-    expected = np.asarray(jm.deform(jm.prepare(everything, all_moving, all_fixed, method=TPS), all_u))[first]
+    expected = np.asarray(
+        jm.deform(jm.prepare(everything, all_moving, all_fixed, method=TPS), all_u)
+    )[first]
     np.testing.assert_allclose(moved[sides[0]], expected, rtol=0, atol=1e-11)
     assert np.abs(moved - points)[plan.guided].max() > 1e-3
 
@@ -31,7 +35,9 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
     points, moving, fixed, sides, u = sector(dimension)
     plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
     moved = np.asarray(jm.deform(plan, u))
-    np.testing.assert_allclose(moved[sides[1]], moved[sides[0]] @ turn(np.pi / 2, dimension).T, rtol=0, atol=3e-15)
+    np.testing.assert_allclose(
+        moved[sides[1]], moved[sides[0]] @ turn(np.pi / 2, dimension).T, rtol=0, atol=3e-15
+    )
     np.testing.assert_allclose(moved[moving], points[moving] + u, rtol=0, atol=1e-16)
     assert (moved[fixed] == points[fixed]).all()
     assert set(plan.guided.tolist()) == set(np.concatenate(sides)) - {*moving, *fixed}
@@ -61,7 +67,9 @@ def test_steps_and_parts_of_a_periodic_mesh():
     boundary = jm.Boundary(points, moving, fixed, periodic=joined(2, sides))
     plan = jm.prepare(boundary, method=TPS)
     for end in check_steps(plan, np.stack([u, 3 * u])):
-        np.testing.assert_allclose(end[sides[1]], end[sides[0]] @ turn(np.pi / 2, 2).T, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            end[sides[1]], end[sides[0]] @ turn(np.pi / 2, 2).T, rtol=0, atol=1e-14
+        )
     check_parts(boundary, plan, u, size=6)
 
 
@@ -84,7 +92,14 @@ def test_two_directions_and_a_plane():
         np.testing.assert_allclose(d[first], d[second], rtol=0, atol=1e-15)
     assert (d[points[:, 2] == 0, 2] == 0).all()
     with pytest.raises(ValueError, match="must be parallel to the translation"):
-        jm.prepare(points, moving, fixed, method=TPS, periodic=pairs, symmetry=jm.Plane([1, 0, 0], [0, 0, 0]))
+        jm.prepare(
+            points,
+            moving,
+            fixed,
+            method=TPS,
+            periodic=pairs,
+            symmetry=jm.Plane([1, 0, 0], [0, 0, 0]),
+        )
 
 
 @pytest.mark.nightly
@@ -95,7 +110,9 @@ def test_a_blade_turns_farther_between_periodic_sides():
     method, ends = full(jm.WendlandC2(2.0), None), ("inlet", "outlet")
     held = jm.prepare(mesh, "blade", (*ends, "lower", "upper"), method=method)
     plan = jm.prepare(mesh, "blade", ends, method=method, periodic=jm.Periodic("lower", "upper"))
-    before, after = (jm.quality(mesh, jm.deform(each, u)).min_jacobian_ratio for each in (held, plan))
+    before, after = (
+        jm.quality(mesh, jm.deform(each, u)).min_jacobian_ratio for each in (held, plan)
+    )
     assert after > before + 0.1
     assert not jm.inspect(plan, u, mesh=mesh).crossings
 

@@ -27,20 +27,38 @@ def replaced(values, places, by):
 MESH = body(2)
 N, P, MOVING, FIXED = len(MESH.points), MESH.points, MESH.moving, MESH.fixed
 test_what_prepare_refuses = refusals(
-    (lambda: prepared(replaced(P, [5, 9], np.nan)), r"2 of 310 points are not finite, first node 5\."),
+    (
+        lambda: prepared(replaced(P, [5, 9], np.nan)),
+        r"2 of 310 points are not finite, first node 5\.",
+    ),
     (lambda: prepared(replaced(P, 7, np.inf)), r"1 of 310 points are not finite, first node 7\."),
-    (lambda: prepared(P, np.append(MOVING, MOVING[2])), r"1 nodes are named more than once in `moving`"),
+    (
+        lambda: prepared(P, np.append(MOVING, MOVING[2])),
+        r"1 nodes are named more than once in `moving`",
+    ),
     (lambda: prepared(P, [3, -1, N]), r"2 ids in `moving` are not in 0 to 309, first -1\."),
     (lambda: prepared(P, MOVING, [0, N]), r"1 ids in `fixed` are not in 0 to 309, first 310\."),
     (
         lambda: prepared(P, np.isin(np.arange(N), MOVING)),
         r"`moving` must be a list of ids.*bool; .* np\.flatnonzero\(moving",
     ),
-    (lambda: prepared(P, MOVING, np.isin(np.arange(N), FIXED)), r"`fixed` must be .*bool; .* np\.flatnonzero\(fixed\)"),
-    (lambda: prepared(P, MOVING.astype(float)), r"`moving` must be a list of ids, not an array \(31,\) of float64"),
-    (lambda: prepared(P, MOVING[None]), r"`moving` must be a list of ids, not an array \(1, 31\) of int64"),
+    (
+        lambda: prepared(P, MOVING, np.isin(np.arange(N), FIXED)),
+        r"`fixed` must be .*bool; .* np\.flatnonzero\(fixed\)",
+    ),
+    (
+        lambda: prepared(P, MOVING.astype(float)),
+        r"`moving` must be a list of ids, not an array \(31,\) of float64",
+    ),
+    (
+        lambda: prepared(P, MOVING[None]),
+        r"`moving` must be a list of ids, not an array \(1, 31\) of int64",
+    ),
     (lambda: prepared(P, []), "`moving` is empty"),
-    (lambda: prepared(np.ones((N, 4))), r"`points` has shape \(310, 4\); expected \(any, 2\) or \(any, 3\)"),
+    (
+        lambda: prepared(np.ones((N, 4))),
+        r"`points` has shape \(310, 4\); expected \(any, 2\) or \(any, 3\)",
+    ),
     (lambda: prepared(P[:, 0]), r"`points` has shape \(310,\)"),
 )
 
@@ -61,15 +79,24 @@ def test_shapes_are_compared_first():
                 function(plan, np.zeros(shape))
     with pytest.raises(ValueError, match=r"`cotangent` has shape \(31, 2\)"):
         jm.pullback(plan, np.zeros((m, 2)), np.zeros((m, 2)))
-    with pytest.raises(ValueError, match=r"`points` has shape \(309, 2\); this plan was made for \(310, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"`points` has shape \(309, 2\); this plan was made for \(310, 2\)"
+    ):
         jm.refit(plan, mesh.points[1:])
 
 
 def test_what_a_plan_says_of_itself():
     mesh = body(2)
-    plan = jm.prepare(mesh.points, mesh.moving, np.concatenate([mesh.fixed, mesh.fixed, mesh.moving[:5]]), method=GRAPH)
+    plan = jm.prepare(
+        mesh.points,
+        mesh.moving,
+        np.concatenate([mesh.fixed, mesh.fixed, mesh.moving[:5]]),
+        method=GRAPH,
+    )
     assert (np.asarray(plan.moving) == mesh.moving).all()
-    assert (np.asarray(plan.fixed) == mesh.fixed).all()  # a node in both moves; one named twice is one
+    assert (
+        np.asarray(plan.fixed) == mesh.fixed
+    ).all()  # a node in both moves; one named twice is one
     assert (np.asarray(plan.points) == mesh.points).all()
     assert "310 points in 2-D, 31 moving, 31 fixed, float64, " in repr(plan)
 
@@ -78,13 +105,20 @@ def test_what_a_plan_says_of_itself():
 def test_a_plan_speaks_whatever_its_leaves_are():
     """Error messages, debuggers and progress bars print plans of shapes, of nothing, and stacked ones."""
     mesh = body(2)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.SurfaceReconstruction(few(), jm.DelaunayGraph()))
+    plan = jm.prepare(
+        mesh.points,
+        mesh.moving,
+        mesh.fixed,
+        method=jm.SurfaceReconstruction(few(), jm.DelaunayGraph()),
+    )
     said = "310 points in 2-D, 31 moving, 31 fixed, float64"
     for other in (jax.eval_shape(lambda: plan), eqx.filter_eval_shape(jm.refit, plan, mesh.points)):
         assert said in repr(other)
     nothing = jax.tree.map(lambda _: None, plan)
     assert "31 moving" in repr(nothing)
-    assert "Plan(" in repr(eqx.filter_grad(lambda plan: jm.deform(plan, mesh.points[mesh.moving]).sum())(plan))
+    assert "Plan(" in repr(
+        eqx.filter_grad(lambda plan: jm.deform(plan, mesh.points[mesh.moving]).sum())(plan)
+    )
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), plan, plan)
     assert said in repr(stacked)
     traced = []
@@ -94,7 +128,9 @@ def test_a_plan_speaks_whatever_its_leaves_are():
 
 
 def test_integers_are_floats_of_jaxs_precision():
-    plan = jm.prepare(np.array([[0, 0], [2, 0], [0, 2], [2, 2], [1, 1]]), [3], [0, 1, 2], method=GRAPH)
+    plan = jm.prepare(
+        np.array([[0, 0], [2, 0], [0, 2], [2, 2], [1, 1]]), [3], [0, 1, 2], method=GRAPH
+    )
     assert jm.deform(plan, [[1, 1]]).dtype == np.float64
 
 
@@ -132,7 +168,9 @@ class Counting(jm.AbstractPlacing):
 def test_a_coarse_method_is_connected_once(planes):
     """Its mesh points and the surface's mirror images together: one search, one reduction."""
     part, role, *_ = whole_and_part(2, planes) if planes else (body(2).points, np.zeros(310))
-    moving, fixed = (np.flatnonzero(role == k) for k in (1, 2)) if planes else (body(2).moving, body(2).fixed)
+    moving, fixed = (
+        (np.flatnonzero(role == k) for k in (1, 2)) if planes else (body(2).moving, body(2).fixed)
+    )
     symmetry = [jm.Plane([1, 0], [0, 0])] * planes
     asked = []
     method = jm.SurfaceReconstruction(Counting(jm.DelaunayGraph(), asked), jm.DelaunayGraph())
@@ -141,7 +179,9 @@ def test_a_coarse_method_is_connected_once(planes):
     assert asked == [len(part) + images]
     assert (images > 0) == bool(planes)
     u = motion(part)[moving]
-    expected = jm.deform(jm.prepare(part, moving, fixed, method=jm.DelaunayGraph(), symmetry=symmetry), u)
+    expected = jm.deform(
+        jm.prepare(part, moving, fixed, method=jm.DelaunayGraph(), symmetry=symmetry), u
+    )
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-14)
 
 
@@ -160,7 +200,9 @@ def test_the_transpose_after_refit_has_every_entry():
         w[:] = 0
         w[node] = rng.normal(size=2)
         forward = np.vdot(w, jm.deform(again, u) - again.points)
-        np.testing.assert_allclose(np.vdot(jm.pullback(again, u, w), u), forward, rtol=1e-10, atol=1e-13)
+        np.testing.assert_allclose(
+            np.vdot(jm.pullback(again, u, w), u), forward, rtol=1e-10, atol=1e-13
+        )
 
 
 @pytest.mark.slow
@@ -202,7 +244,9 @@ def test_a_thousand_calls_leave_nothing_behind():
 def operator(plan):
     """(n d, m d): the linear map by its columns, each a displaced mesh of its own."""
     m, d = plan.n_moving, plan.points.shape[1]
-    moved = jax.jit(jax.vmap(lambda u: jm.deform(plan, u) - plan.points))(np.eye(m * d).reshape(-1, m, d))
+    moved = jax.jit(jax.vmap(lambda u: jm.deform(plan, u) - plan.points))(
+        np.eye(m * d).reshape(-1, m, d)
+    )
     return np.asarray(moved).reshape(m * d, -1).T
 
 
@@ -225,8 +269,12 @@ def check_base(plan, u, places):
     found = np.asarray(jax.jit(jax.grad(objective))(points))
     assert np.isfinite(found).all()
     nodes, axes = np.array(places).T
-    expected = jacobian(lambda x: objective(jnp.asarray(points).at[nodes, axes].set(x)), points[nodes, axes], 1e-4)
-    np.testing.assert_allclose(found[nodes, axes], expected, rtol=1e-6, atol=1e-6 * np.abs(found).max())
+    expected = jacobian(
+        lambda x: objective(jnp.asarray(points).at[nodes, axes].set(x)), points[nodes, axes], 1e-4
+    )
+    np.testing.assert_allclose(
+        found[nodes, axes], expected, rtol=1e-6, atol=1e-6 * np.abs(found).max()
+    )
 
 
 @over("planes", nightly=[1, 2, 3])
@@ -243,7 +291,11 @@ def test_symmetry_planes(planes):
         assert (a[:, :, on[moving], axis] == 0).all()  # and what leads off it
     off = inner[(part[inner, :planes] != 0).all(axis=1)][::25]
     held = moving[(part[moving, :planes] != 0).all(axis=1)][:2]
-    check_base(plan, motion(part)[moving], [(node, axis) for node in (*off[:3], *held) for axis in range(3)])
+    check_base(
+        plan,
+        motion(part)[moving],
+        [(node, axis) for node in (*off[:3], *held) for axis in range(3)],
+    )
 
 
 @pytest.mark.nightly

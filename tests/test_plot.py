@@ -54,7 +54,10 @@ def test_numbers_and_names_are_within_the_figure(airfoil, size):
     """As first drawn, for windows whose numbers have many digits."""
     window = ((1 - size, 1 + size), (-size, size))
     values = np.linspace(0.9871, 0.9913, len(airfoil.cell_ids))
-    for ax in (plot.before_after(airfoil, airfoil.points, window=window), plot.mesh(airfoil, window=window)):
+    for ax in (
+        plot.before_after(airfoil, airfoil.points, window=window),
+        plot.mesh(airfoil, window=window),
+    ):
         assert_inside(ax)
     assert_inside(plot.mesh(airfoil, values=values, label="V/V0", window=window))
 
@@ -77,7 +80,8 @@ def test_walls_are_drawn_stronger_than_the_lines_between_cells():
     outer = jm.boundary_faces(mesh)["line"]
     assert len(walls.get_segments()) == len(outer)
     found, expected = (
-        {frozenset(map(tuple, edge)) for edge in each} for each in (walls.get_segments(), mesh.points[outer])
+        {frozenset(map(tuple, edge)) for edge in each}
+        for each in (walls.get_segments(), mesh.points[outer])
     )
     assert found == expected
     corners = sum(ids.size for ids in mesh.cells.values())
@@ -98,7 +102,9 @@ def test_colours_are_not_paled_by_a_few_cells_and_lines_do_not_hide_them():
     shown = {tuple(np.round(edge[:, 0], 6)) for edge in lines.get_segments()}
     assert (1.0005, 1.0005) not in shown  # the narrow cell has its colour and no line
     assert (0.0, 0.0) in shown
-    assert plot.mesh(mesh, values=values, limits=(0, 84)).collections[0].colorbar.extend == "neither"
+    assert (
+        plot.mesh(mesh, values=values, limits=(0, 84)).collections[0].colorbar.extend == "neither"
+    )
 
 
 def test_new_figures_have_the_shape_of_their_content():
@@ -107,7 +113,9 @@ def test_new_figures_have_the_shape_of_their_content():
         axis.figure.canvas.draw()
         inches = axis.get_window_extent().size / axis.figure.dpi
         np.testing.assert_allclose(inches[1] / inches[0], height / width, rtol=1e-6)
-        assert (inches > 0.75 * np.array(axis.figure.get_size_inches()) - 0.6).all()  # the rest is labels
+        assert (
+            inches > 0.75 * np.array(axis.figure.get_size_inches()) - 0.6
+        ).all()  # the rest is labels
 
 
 def test_mesh_at_other_points_in_a_window_of_a_given_axis():
@@ -166,7 +174,9 @@ def test_values_bring_a_bar_unless_told_otherwise(bar):
 def test_a_bar_in_3d_stands_beside_the_cells():
     for width, label in ((1, "V/V0"), (3, None)):
         mesh = jm.Mesh(bricks().points * [width, 1, 1], bricks().cells, {})
-        plotter = plot.cut(mesh, plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)), values=np.arange(27.0), label=label)
+        plotter = plot.cut(
+            mesh, plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)), values=np.arange(27.0), label=label
+        )
         filled = np.flatnonzero((plotter.screenshot(return_img=True).min(axis=2) < 250).any(axis=0))
         assert filled[0] > 0
         assert (np.diff(filled) > 20).any()  # columns of pixels left white between cells and bar
@@ -207,7 +217,9 @@ def test_before_and_after_in_two_colours(airfoil):
 def test_graph_has_the_edges_of_a_triangulation():
     points = np.random.default_rng(3).uniform(size=(40, 2))
     hull = ConvexHull(points).vertices
-    plan = jm.prepare(points, [k for k in range(30) if k not in hull], list(hull), method=jm.DelaunayGraph())
+    plan = jm.prepare(
+        points, [k for k in range(30) if k not in hull], list(hull), method=jm.DelaunayGraph()
+    )
     nodes = np.concatenate([plan.moving, plan.fixed])
     axis = plot.graph(plan, interior=True, window=plot.whole(plan.points))
     (edges,) = axis.collections
@@ -217,7 +229,10 @@ def test_graph_has_the_edges_of_a_triangulation():
     moving = plot.graph(plan, u).lines[0]
     names = [text.get_text() for text in axis.get_legend().get_texts()]
     assert names == ["moving nodes", "fixed nodes"]
-    low, high = points[np.asarray(plan.fixed)].min(axis=0), points[np.asarray(plan.fixed)].max(axis=0)
+    low, high = (
+        points[np.asarray(plan.fixed)].min(axis=0),
+        points[np.asarray(plan.fixed)].max(axis=0),
+    )
     inner = points[np.asarray(plan.moving)]
     place = inner[((inner > low + 0.2) & (inner < high - 0.2)).all(axis=1)][0]
     near = plot.graph(plan, window=tuple((float(c) - 1e-3, float(c) + 1e-3) for c in place))
@@ -259,7 +274,14 @@ def test_histogram_counts_every_cell(airfoil):
 def test_histogram_counts_cells_of_the_highest_dimension_alone():
     none = jnp.zeros(5)
     flags = dict.fromkeys(("is_inverted", "is_degenerate"), none > 0)
-    names = ("skewness", "aspect_ratio", "jacobian", "non_orthogonality", "volume_ratio", "jacobian_ratio")
+    names = (
+        "skewness",
+        "aspect_ratio",
+        "jacobian",
+        "non_orthogonality",
+        "volume_ratio",
+        "jacobian_ratio",
+    )
     volume, types = jnp.array([7, 8, 1, 2, jnp.inf]), (("line", 2), ("quad", 1), ("triangle", 2))
     rest = dict.fromkeys(names, none) | flags
     report = jm.QualityReport(volume=volume, centroid=jnp.zeros((5, 2)), types=types, **rest)
@@ -287,7 +309,9 @@ def test_surface_takes_the_colours_of_its_cells():
 
 def test_the_bar_in_3d_has_round_numbers_and_its_whole_label():
     """VTK takes an ASCII bar for a border between columns of text."""
-    plotter = plot.surface(bricks(), values=np.linspace(0.013, 0.871, 27), limits=(0.871, 0.013), label="|V/V0 - 1|")
+    plotter = plot.surface(
+        bricks(), values=np.linspace(0.013, 0.871, 27), limits=(0.871, 0.013), label="|V/V0 - 1|"
+    )
     (bar,) = plotter.scalar_bars.values()
     np.testing.assert_allclose(np.asarray(bar.GetCustomLabels()), [0.2, 0.4, 0.6, 0.8])
     assert bar.GetTitle().strip() == "\u2223V/V0 - 1\u2223"
@@ -314,7 +338,10 @@ def test_before_and_after_in_3d():
 def test_without_a_patch_bodies_are_drawn_in_3d_and_not_what_is_round_them():
     mesh = cases.wing(points=600, first_cell=1e-3)
     moved = np.asarray(mesh.points) * [1, 1, 1.1]
-    counts = [sum(part.n_cells for part in plot.surface(mesh, patch=patch).meshes) for patch in (None, "wing", ".*")]
+    counts = [
+        sum(part.n_cells for part in plot.surface(mesh, patch=patch).meshes)
+        for patch in (None, "wing", ".*")
+    ]
     assert counts[0] == counts[1] < counts[2] == sum(map(len, jm.boundary_faces(mesh).values()))
     wall = np.asarray(mesh.points)[mesh.patch("wing")]
     for part in plot.before_after_3d(mesh, moved).meshes:
@@ -340,7 +367,10 @@ def sphere_half(side):
     mesh = bricks()
     points = mesh.points * [1, side, 1]
     body = np.flatnonzero((mesh.points[:, [0, 2]] % 1 == 0).any(axis=1) | (mesh.points[:, 1] == 1))
-    cells = {kind: ids if side > 0 else ids[:, [1, 0, 3, 2, 5, 4, 7, 6]] for kind, ids in mesh.cells.items()}
+    cells = {
+        kind: ids if side > 0 else ids[:, [1, 0, 3, 2, 5, 4, 7, 6]]
+        for kind, ids in mesh.cells.items()
+    }
     return jm.Mesh(points, cells, {"body": body})
 
 
@@ -362,7 +392,10 @@ def test_pictures_in_3d_have_axes_and_a_scale_of_a_round_length():
 
     def length():
         plotter.render()
-        share = scale.GetPosition2Coordinate().GetValue()[0] - scale.GetPositionCoordinate().GetValue()[0]
+        share = (
+            scale.GetPosition2Coordinate().GetValue()[0]
+            - scale.GetPositionCoordinate().GetValue()[0]
+        )
         return share * 2 * plotter.camera.parallel_scale * width / height
 
     for zoom in (1, 3.7):
@@ -402,13 +435,19 @@ def test_a_cut_shows_whole_polyhedra(tmp_path):
     section, lines, walls = plotter.meshes
     np.testing.assert_allclose(section.area, 2)
     edges = lines.points[lines.lines.reshape(-1, 3)[:, 1:]]
-    assert not ((edges[..., :2] > 1e-6) & (edges[..., :2] < 1 - 1e-6)).all(axis=(1, 2)).any()  # of the cube
+    assert (
+        not ((edges[..., :2] > 1e-6) & (edges[..., :2] < 1 - 1e-6)).all(axis=(1, 2)).any()
+    )  # of the cube
     between = np.all(np.abs(edges[:, :, 0] - 1) < 1e-6, axis=1)  # the cube and the small ones
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
-    np.testing.assert_allclose(length[~between].sum(), 6 + 1, rtol=1e-6)  # round both, and between the small ones
+    np.testing.assert_allclose(
+        length[~between].sum(), 6 + 1, rtol=1e-6
+    )  # round both, and between the small ones
     assert length[between].sum() > 1 - 1e-6
     round_it = walls.points[walls.lines.reshape(-1, 3)[:, 1:]]
-    np.testing.assert_allclose(np.linalg.norm(round_it[:, 1] - round_it[:, 0], axis=1).sum(), 6, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.linalg.norm(round_it[:, 1] - round_it[:, 0], axis=1).sum(), 6, rtol=1e-6
+    )
     # faces of the cube, of five corners too, and of the small ones
     assert plot.surface(mesh).meshes[0].n_cells == 5 + 12
 
@@ -426,11 +465,16 @@ def test_a_cut_is_cropped_to_the_body_that_it_meets():
 
 
 def test_values_follow_the_order_of_the_cells_for_mixed_types():
-    points = np.array([*[[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], [2, 0.5, 0.5]], float)
+    points = np.array(
+        [*[[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], [2, 0.5, 0.5]],
+        float,
+    )
     mesh = jm.Mesh(points, {"pyramid": [[1, 2, 6, 5, 8]], "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]]})
     plotter = plot.surface(mesh, values=[7.0, 3.0])  # types stand in alphabetical order
     faces = plotter.meshes[0]
-    np.testing.assert_array_equal(faces.cell_data["values"], np.where(faces.cell_centers().points[:, 0] > 1, 3, 7))
+    np.testing.assert_array_equal(
+        faces.cell_data["values"], np.where(faces.cell_centers().points[:, 0] > 1, 3, 7)
+    )
 
 
 ZERO = np.zeros(3)
@@ -444,7 +488,12 @@ REFUSED = [
     (lambda: plot.surface(mixed()), r"plot\.mesh"),
     (lambda: plot.surface(bricks(), patch="roof"), "no patch is called 'roof'"),
     (lambda: plot.surface(bricks(), label="skewness"), "no `values`"),
-    (lambda: plot.surface(jm.Mesh(bricks().points, bricks().cells, {"corner": [0]}), patch="corner"), "no face"),
+    (
+        lambda: plot.surface(
+            jm.Mesh(bricks().points, bricks().cells, {"corner": [0]}), patch="corner"
+        ),
+        "no face",
+    ),
     (lambda: plot.before_after_3d(bricks(), np.zeros((3, 3))), r"shape \(3, 3\)"),
     (lambda: plot.cut(bricks(), plane=jm.Plane((1.0, 0, 0), (7.0, 0, 0))), "nothing to draw"),
     (lambda: plot.histogram({}, measure="skew"), "'skew'; there are skewness"),
@@ -462,7 +511,9 @@ def never(points):
 
 
 @pytest.mark.parametrize(("call", "said"), REFUSED)
-def test_what_cannot_be_drawn_is_refused_before_anything_is_drawn(tmp_path, monkeypatch, call, said):
+def test_what_cannot_be_drawn_is_refused_before_anything_is_drawn(
+    tmp_path, monkeypatch, call, said
+):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=said):
         call()

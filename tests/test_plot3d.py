@@ -17,7 +17,9 @@ FORMS = [
 
 
 @pytest.mark.parametrize(("form", "order", "width", "blank"), FORMS)
-@pytest.mark.parametrize(("is_multiple", "counts"), runs([(True, (4, 3, 5))], nightly=[(False, (4, 3))]))
+@pytest.mark.parametrize(
+    ("is_multiple", "counts"), runs([(True, (4, 3, 5))], nightly=[(False, (4, 3))])
+)
 def test_every_form_comes_back_as_it_was(tmp_path, form, order, width, blank, counts, is_multiple):
     blocks = box(*counts) if is_multiple else box(*counts)[:1]
     mesh = io.read(write(tmp_path / "a.xyz", blocks, form, order, width, is_multiple, blank))
@@ -39,21 +41,34 @@ def test_every_form_comes_back_as_it_was(tmp_path, form, order, width, blank, co
 
 def test_patches_by_side_and_by_ranges(tmp_path):
     mesh = io.read(write(tmp_path / "a.p3d", box(4, 3, 5), "records"))
-    sides = {f"block{block}_{axis}{end}" for block in (1, 2) for axis in "ijk" for end in ("min", "max")}
+    sides = {
+        f"block{block}_{axis}{end}" for block in (1, 2) for axis in "ijk" for end in ("min", "max")
+    }
     # the blocks meet at the last i of the first one and at the first j of the second one
     assert set(mesh.patches) == sides - {"block1_imax", "block2_jmin"}
     assert (mesh.points[mesh.patch("block1_imin"), 0] == 0).all()
     assert (mesh.points[mesh.patch("block2_jmax"), 0] == 2).all()
     assert int(jm.quality(mesh).inverted) == 0
-    (tmp_path / "a.p3d.patches").write_text("# walls\nwall 1 KMIN\nwall 2 kmin # the other\n\npart 1 1 2 3 1 5 5\n")
+    (tmp_path / "a.p3d.patches").write_text(
+        "# walls\nwall 1 KMIN\nwall 2 kmin # the other\n\npart 1 1 2 3 1 5 5\n"
+    )
     mesh = io.read(tmp_path / "a.p3d")
     assert set(mesh.patches) == {"wall", "part", "unnamed"}
     assert (mesh.points[mesh.patch("wall"), 2] == 0).all()
     assert len(mesh.patch("wall")) == 7 * 3
     assert len(mesh.patch("part")) == 2 * 3
-    for line in ("wall", "wall 3 kmin", "wall 0 kmin", "wall 1 lmin", "wall 1 1 9 1 1 1 1", "wall 1 1 2"):
+    for line in (
+        "wall",
+        "wall 3 kmin",
+        "wall 0 kmin",
+        "wall 1 lmin",
+        "wall 1 1 9 1 1 1 1",
+        "wall 1 1 2",
+    ):
         (tmp_path / "a.p3d.patches").write_text(f"\n{line}\n")
-        with pytest.raises(ValueError, match=r"a.p3d.patches, line 2: .*; blocks are 4 x 3 x 5, 3 x 4 x 5"):
+        with pytest.raises(
+            ValueError, match=r"a.p3d.patches, line 2: .*; blocks are 4 x 3 x 5, 3 x 4 x 5"
+        ):
             io.read(tmp_path / "a.p3d")
 
 
@@ -79,13 +94,24 @@ def test_vtk_sees_the_moved_grid(tmp_path, form):
 def test_what_is_no_grid(tmp_path):
     write(tmp_path / "a.xyz", box(4, 3, 5), "records")
     whole = (tmp_path / "a.xyz").read_bytes()
-    for content in (b"", whole[:-1], whole[:40], whole + b"\0", b"3 3\n", b"2 2 2 2\n1 2 3\n", b"\0" * 100):
+    for content in (
+        b"",
+        whole[:-1],
+        whole[:40],
+        whole + b"\0",
+        b"3 3\n",
+        b"2 2 2 2\n1 2 3\n",
+        b"\0" * 100,
+    ):
         (tmp_path / "b.xyz").write_bytes(content)
         with pytest.raises(ValueError, match="not a whole PLOT3D grid"):
             io.read(tmp_path / "b.xyz")
     write(tmp_path / "c.xyz", box(4, 3), "text")
     text = (tmp_path / "c.xyz").read_text()
-    for word, message in (("nan", "lines from 1: something that is not a number|not finite"), ("3*1.", "lines from 1")):
+    for word, message in (
+        ("nan", "lines from 1: something that is not a number|not finite"),
+        ("3*1.", "lines from 1"),
+    ):
         (tmp_path / "b.xyz").write_text(text.replace("1.00000000000000000D+00", word, 1))
         with pytest.raises(ValueError, match=message):
             io.read(tmp_path / "b.xyz")

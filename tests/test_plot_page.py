@@ -40,7 +40,9 @@ def scene(path):
     """The objects in a page, as k3d packs them."""
     msgpack = pytest.importorskip("msgpack")
     packed = re.search(r"var data = '([^']*)'", path.read_text())
-    content = msgpack.unpackb(zlib.decompress(base64.b64decode(packed.group(1))), strict_map_key=False)
+    content = msgpack.unpackb(
+        zlib.decompress(base64.b64decode(packed.group(1))), strict_map_key=False
+    )
     return {each["name"]: each for each in content["objects"]}
 
 
@@ -59,7 +61,9 @@ def test_a_page_holds_the_surface_before_and_after(tmp_path):
     assert len(before) == 4**3 - 2**3
     np.testing.assert_allclose(np.ptp(before, axis=0), [1, 1, 1], atol=1e-6)
     np.testing.assert_allclose(np.ptp(after, axis=0), [1, 1, 1.5], atol=1e-6)
-    np.testing.assert_allclose(array(surface["attribute"]["1"]), np.linalg.norm(after - before, axis=1), atol=1e-6)
+    np.testing.assert_allclose(
+        array(surface["attribute"]["1"]), np.linalg.norm(after - before, axis=1), atol=1e-6
+    )
     corners = before[array(surface["indices"])]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert len(corners) == 2 * 6 * 9
@@ -72,7 +76,14 @@ def test_a_page_holds_the_surface_before_and_after(tmp_path):
 
 def test_a_page_takes_the_colours_of_the_cells_of_a_patch(tmp_path):
     mesh = bricks(3)
-    path = plot.page(tmp_path / "f.html", mesh, mesh.points, values=np.arange(27.0), limits=(0, 26), patch="floor")
+    path = plot.page(
+        tmp_path / "f.html",
+        mesh,
+        mesh.points,
+        values=np.arange(27.0),
+        limits=(0, 26),
+        patch="floor",
+    )
     surface = scene(path)["surface"]
     corners = array(surface["vertices"]["1"])[array(surface["indices"])]
     np.testing.assert_array_equal(corners[..., 2], 0)
@@ -84,11 +95,18 @@ def test_a_page_takes_the_colours_of_the_cells_of_a_patch(tmp_path):
 @pytest.fixture
 def browser():
     """Chromium, drawing WebGL in software."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="no playwright: pip install playwright"
+    )
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no chromium on this machine: apt-get install chromium")
-    options = ["--no-sandbox", "--disable-quic", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
+    options = [
+        "--no-sandbox",
+        "--disable-quic",
+        "--enable-unsafe-swiftshader",
+        "--use-angle=swiftshader",
+    ]
     with playwright.sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=program, args=options)
         yield opened
@@ -98,7 +116,12 @@ def browser():
 def opened(browser, path, height=480):
     """A tab with a page that is drawn, what goes wrong there, and what it asks for."""
     tab, problems, requests = browser.new_page(viewport={"width": 640, "height": height}), [], []
-    tab.on("console", lambda message: problems.append(message.text) if message.type in ("error", "warning") else None)
+    tab.on(
+        "console",
+        lambda message: (
+            problems.append(message.text) if message.type in ("error", "warning") else None
+        ),
+    )
     tab.on("pageerror", lambda error: problems.append(str(error)))
     tab.on("dialog", lambda dialog: (problems.append(dialog.message), dialog.dismiss()))
     tab.on("request", lambda request: requests.append(request.url))
@@ -118,7 +141,11 @@ def test_a_page_draws_in_a_browser_without_a_network(tmp_path, browser):
         picture = np.asarray(Image.open(io.BytesIO(tab.screenshot())))
         middle = picture[90:, 120:560, :3].astype(int)
         drawn = (middle < 240).any(axis=2)
-        return drawn.any(axis=1).sum(), drawn.any(axis=0).sum(), len(np.unique(middle[drawn], axis=0))
+        return (
+            drawn.any(axis=1).sum(),
+            drawn.any(axis=0).sum(),
+            len(np.unique(middle[drawn], axis=0)),
+        )
 
     def until(seen):
         """The first body that is as `seen` says, or the last after 20 seconds."""
@@ -153,7 +180,9 @@ def test_a_page_shows_both_ends_in_a_narrow_window(tmp_path, browser):
     for _ in range(40):
         tab.wait_for_timeout(500)
         picture = np.asarray(Image.open(io.BytesIO(tab.screenshot())))[..., :3]
-        ends = np.flatnonzero((picture[200:480] < 240).any(axis=(0, 2)))  # without slider and directions
+        ends = np.flatnonzero(
+            (picture[200:480] < 240).any(axis=(0, 2))
+        )  # without slider and directions
         if len(ends) and ends[0] > 0 and ends[-1] < 359:
             break
     assert ends[0] > 0
@@ -161,7 +190,12 @@ def test_a_page_shows_both_ends_in_a_narrow_window(tmp_path, browser):
     assert np.ptp(ends) > 220
 
 
-HOSTILE = ["</script><script>alert(1)", 'LABEL";alert(1);"', "TITLE \\\\", "a\u2028b ${alert(1)} `'\""]
+HOSTILE = [
+    "</script><script>alert(1)",
+    'LABEL";alert(1);"',
+    "TITLE \\\\",
+    "a\u2028b ${alert(1)} `'\"",
+]
 
 
 @pytest.mark.parametrize("text", runs(slow=HOSTILE[:1], nightly=HOSTILE[1:]))

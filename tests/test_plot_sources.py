@@ -31,7 +31,9 @@ def planned(method=None, half=False):
     rings = [circle(radius, n, half) for radius, n in ((1, 40), (6, 30), (2, 20), (4, 20))]
     method = method or jm.SurfaceReconstruction.published(4, 2)
     plane = jm.Plane((0, 1), (0, 0)) if half else ()
-    return jm.prepare(np.concatenate(rings), np.arange(40), np.arange(40, 70), method=method, symmetry=plane)
+    return jm.prepare(
+        np.concatenate(rings), np.arange(40), np.arange(40, 70), method=method, symmetry=plane
+    )
 
 
 def drawn(axis, name):
@@ -50,7 +52,9 @@ def test_a_plan_shows_its_own_sources():
     parts = [(points[:40], jm.KDTree(4)), (points[40:70], jm.KDTree(2))]
     expected = np.concatenate([points[reduction(points)] for points, reduction in parts])
     axis = plot.sources(plan, fixed=True)
-    np.testing.assert_array_equal(np.sort(drawn(axis, "sources"), axis=0), np.sort(expected, axis=0))
+    np.testing.assert_array_equal(
+        np.sort(drawn(axis, "sources"), axis=0), np.sort(expected, axis=0)
+    )
     np.testing.assert_array_equal(drawn(axis, "nodes"), plan.points[:70])
     assert "6 leaves" in [line.get_label() for line in axis.lines]
     assert len(drawn(plot.sources(plan), "sources")) <= 16

@@ -17,7 +17,9 @@ def rings():
     """A ring with the patches `body` and `far`, and `half`, the far nodes with y > 0."""
     mesh = ring(24, np.geomspace(0.5, 4, 7), ("body", "far"))
     far = mesh.patch("far")
-    return jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "half": far[mesh.points[far, 1] > -1e-9]})
+    return jm.Mesh(
+        mesh.points, mesh.cells, {**mesh.patches, "half": far[mesh.points[far, 1] > -1e-9]}
+    )
 
 
 SURFACES = []
@@ -63,7 +65,9 @@ def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
     whole, more = (np.asarray(jm.deform(plan, u)) for plan in plans)
     np.testing.assert_allclose(more[3:], whole, rtol=0, atol=1e-12)
     assert (more[:3] == odd.points[:3]).all()
-    refit = np.asarray(jm.deform(jm.refit(plans[1], odd.points + 1.0), u)) if not planes else more + 1
+    refit = (
+        np.asarray(jm.deform(jm.refit(plans[1], odd.points + 1.0), u)) if not planes else more + 1
+    )
     np.testing.assert_allclose(refit, more + 1, rtol=0, atol=1e-12)
     pieces = np.array(odd.points)
     for nodes, plan in jm.prepare_in_chunks(jm.Boundary(odd, "z0", fixed, symmetry=planes), size=3):
@@ -83,20 +87,31 @@ def test_a_body_in_a_free_boundary_takes_its_grid_along(part):
         quads = quads[(mesh.points[quads, 1] > -1e-9).all(axis=1)]
         symmetry = jm.Plane((0, 1), (0, 0))
         used, quads = np.unique(quads, return_inverse=True)
-        patches = {name: np.flatnonzero(np.isin(used, nodes)) for name, nodes in mesh.patches.items()}
+        patches = {
+            name: np.flatnonzero(np.isin(used, nodes)) for name, nodes in mesh.patches.items()
+        }
         mesh = jm.Mesh(mesh.points[used], {"quad": quads.reshape(-1, 4)}, patches)
     if part == "layer":  # one layer of cells between two planes
         points = np.concatenate([np.insert(mesh.points, 2, z, axis=1) for z in (0.0, 0.1)])
-        patches = {name: np.concatenate([nodes, nodes + count]) for name, nodes in mesh.patches.items()}
+        patches = {
+            name: np.concatenate([nodes, nodes + count]) for name, nodes in mesh.patches.items()
+        }
         symmetry = [jm.Plane((0, 0, 1), (0, 0, z)) for z in (0.0, 0.1)]
-        mesh = jm.Mesh(points, {"hexahedron": np.concatenate([quads, quads + count], axis=1)}, patches)
+        mesh = jm.Mesh(
+            points, {"hexahedron": np.concatenate([quads, quads + count], axis=1)}, patches
+        )
     angle = 0.0 if part == "half" else 1.0
     shift = np.array([0.3, 0.0, 0.0][: mesh.points.shape[1]])
-    there = mesh.points @ Rotation.from_rotvec([0, 0, angle]).as_matrix().T[: len(shift), : len(shift)] + shift
+    there = (
+        mesh.points @ Rotation.from_rotvec([0, 0, angle]).as_matrix().T[: len(shift), : len(shift)]
+        + shift
+    )
     u = (there - mesh.points)[mesh.patch("body")]
     plan = jm.prepare(mesh, "body", free="overset", symmetry=symmetry)
     np.testing.assert_allclose(jm.deform(plan, u), there, rtol=0, atol=1e-12)
-    chunks = jm.prepare_in_chunks(jm.Boundary(mesh, "body", free="overset", symmetry=symmetry), size=40)
+    chunks = jm.prepare_in_chunks(
+        jm.Boundary(mesh, "body", free="overset", symmetry=symmetry), size=40
+    )
     for nodes, piece in chunks:
         np.testing.assert_allclose(jm.deform(piece, u), there[nodes], rtol=0, atol=1e-12)
 
@@ -130,7 +145,9 @@ def test_mirror_images_have_faces_too():
     assert len(moving) == 4 * 9
     centres = points[moving].mean(axis=1)
     expected = lattice(*[np.arange(-2.5, 3)] * 2) / 3
-    np.testing.assert_allclose(sorted(map(tuple, centres[:, :2].round(9))), sorted(map(tuple, expected.round(9))))
+    np.testing.assert_allclose(
+        sorted(map(tuple, centres[:, :2].round(9))), sorted(map(tuple, expected.round(9)))
+    )
     assert (points[moving][..., 2] == 1).all()
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
 
@@ -140,14 +157,20 @@ def test_sources_and_offset_of_a_plan():
     u = np.zeros((25, 3))
     u[:, 2] = 0.05 * np.cos(mesh.points[mesh.patch("z1"), 0] * 7)
     fixed = ("z0", "x1", "y1", "y0")
-    plan = jm.prepare(mesh, "z1", fixed, method=jm.SurfaceReconstruction.published(2, 2), symmetry="x0")
+    plan = jm.prepare(
+        mesh, "z1", fixed, method=jm.SurfaceReconstruction.published(2, 2), symmetry="x0"
+    )
     assert np.isin(plan.sources, np.concatenate([plan.moving, plan.fixed])).all()
     assert len(np.unique(plan.sources)) == len(plan.sources)
     coarse = jm.prepare(mesh, "z1", fixed, method=plan.method.coarse, symmetry="x0")
     nodes = np.concatenate([plan.moving, plan.fixed])
     target = mesh.points[nodes] + np.concatenate([u, np.zeros((len(plan.fixed), 3))])
-    np.testing.assert_allclose(plan.offset(u), target - np.asarray(jm.deform(coarse, u))[nodes], atol=1e-12)
-    np.testing.assert_allclose(np.asarray(plan.offset(u))[np.isin(nodes, plan.sources)], 0, atol=1e-12)
+    np.testing.assert_allclose(
+        plan.offset(u), target - np.asarray(jm.deform(coarse, u))[nodes], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        np.asarray(plan.offset(u))[np.isin(nodes, plan.sources)], 0, atol=1e-12
+    )
 
 
 def test_the_default_and_its_two_neighbours():
@@ -182,7 +205,10 @@ test_first_mistakes = refusals(
     (lambda: jm.RBF(reduction=64), r"reduction=jm\.KDTree\(64\)"),
     (lambda: jm.prepare(MESH, "body", "far", symmetry=(0, 1)), r"jm\.Plane\(normal=\(0, 1\)"),
     (lambda: jm.quality(MESH.points), r"quality\(mesh, points\)"),
-    (lambda: jm.fewest_steps(MESH, ring_plan(), lambda t: t), r"fewest_steps\(plan, mesh, motion\)"),
+    (
+        lambda: jm.fewest_steps(MESH, ring_plan(), lambda t: t),
+        r"fewest_steps\(plan, mesh, motion\)",
+    ),
     (lambda: jm.compare(jm.Boundary(MESH.points, [0], [1]), U[None]), r"compare\(jm.Boundary"),
     (
         lambda: jm.compare(jm.Boundary(MESH, "body", "far"), np.full((1, 24, 2), np.nan)),
@@ -195,15 +221,24 @@ test_first_mistakes = refusals(
     ),
     (lambda: jm.Mesh(np.zeros((3, 2), bool)), "`points` must be an array of real numbers"),
     (lambda: jm.deform(MESH, U), r"deform\(plan, u\)"),
-    (lambda: jm.shard(ring_plan(), jax.devices()[:1] * 2), r"`devices` has .* more than once, among 2"),
+    (
+        lambda: jm.shard(ring_plan(), jax.devices()[:1] * 2),
+        r"`devices` has .* more than once, among 2",
+    ),
 )
 
 
 def test_nothing_is_written_for_arrays_and_folders_that_are_none(tmp_path):
-    for value, words in ((1j, "array 'a' holds complex128; files hold real numbers"), ("x", "'a' holds <U1|of .*<U1")):
+    for value, words in (
+        (1j, "array 'a' holds complex128; files hold real numbers"),
+        ("x", "'a' holds <U1|of .*<U1"),
+    ):
         with pytest.raises(ValueError, match=words):
             jm.io.write(tmp_path / "a.vtu", MESH, point_data={"a": np.full(168, value)})
-    for write, name in ((jm.io.write, "a.su2"), (lambda path, _: jm.save(path, ring_plan()), "a.npz")):
+    for write, name in (
+        (jm.io.write, "a.su2"),
+        (lambda path, _: jm.save(path, ring_plan()), "a.npz"),
+    ):
         with pytest.raises(ValueError, match=rf"no/{re.escape(name)}: there is no folder"):
             write(tmp_path / "no" / name, MESH)
     assert not list(tmp_path.iterdir())

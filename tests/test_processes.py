@@ -59,5 +59,11 @@ def test_a_service_may_have_closed_streams(tmp_path, closed):
     write_ring(tmp_path / "ring.su2")
     command = [sys.executable, "-m", "jaxmorph", "quality", "ring.su2"]
     closing = " ".join(f"{number}{'<' if number == 0 else '>'}&-" for number in closed)
-    whole, done = (run(tmp_path, "sh", "-c", f'exec "$@" {end}', "sh", *command) for end in ("", closing))
-    assert (done.returncode, done.stdout, done.stderr) == (0, "" if 1 in closed else whole.stdout, "")
+    whole, done = (
+        run(tmp_path, "sh", "-c", f'exec "$@" {end}', "sh", *command) for end in ("", closing)
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (
+        0,
+        "" if 1 in closed else whole.stdout,
+        "",
+    )

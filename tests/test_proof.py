@@ -18,7 +18,9 @@ from jaxmorph._quality.bounds import bounds
 from jaxmorph._quality.jacobian_form import form_of
 
 SHAPES = ("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron")
-COMPLETE = {(cell.shape, cell.order): cell for cell in lagrange_types().values() if cell.is_complete}
+COMPLETE = {
+    (cell.shape, cell.order): cell for cell in lagrange_types().values() if cell.is_complete
+}
 GMSH = {
     "triangle": "Triangle",
     "quad": "Quadrangle",
@@ -52,13 +54,18 @@ def test_bounds_agree_with_samples(shape, order, count, per_side, seed):
     places = samples_inside(cell.shape, per_side)
     chunks = np.array_split(np.arange(count), max(1, count * len(places) // 200_000))
     least = np.concatenate(
-        [jacobians_inside(cell.shape, cell.order, cell.lattice, nodes[rows], places).min(axis=1) for rows in chunks]
+        [
+            jacobians_inside(cell.shape, cell.order, cell.lattice, nodes[rows], places).min(axis=1)
+            for rows in chunks
+        ]
     )
     slack = 1e-9 * (1 + np.abs(least))
     assert (least[is_valid] > -slack[is_valid]).all()
     assert (found.lower <= least + slack).all()
     value = [
-        jacobians_inside(cell.shape, cell.order, cell.lattice, nodes[i : i + 1], reference[i : i + 1])[0, 0]
+        jacobians_inside(
+            cell.shape, cell.order, cell.lattice, nodes[i : i + 1], reference[i : i + 1]
+        )[0, 0]
         for i in np.flatnonzero(found.upper < -0.01)[:20]
     ]
     assert (np.array(value) < 0).all()
@@ -88,7 +95,9 @@ def test_gmsh_finds_the_least_value_between_the_bounds(shape):
 def least_of_gmsh(gmsh, cell, nodes: np.ndarray) -> np.ndarray:
     """The least det J of cells by gmsh, in the unit of the reference cells here."""
     kind = gmsh.model.mesh.getElementType(GMSH[cell.shape], cell.order)
-    local = np.reshape(gmsh.model.mesh.getElementProperties(kind)[4], (len(cell.lattice), -1))[:, : cell.dimension]
+    local = np.reshape(gmsh.model.mesh.getElementProperties(kind)[4], (len(cell.lattice), -1))[
+        :, : cell.dimension
+    ]
     if cell.shape in ("quad", "hexahedron"):
         local = (local + 1) / 2
     elif cell.shape == "pyramid":
@@ -116,7 +125,9 @@ def exact(corners: np.ndarray) -> np.ndarray:
         for axis in range(3):
             shares = [[1 - Fraction(k, 2), Fraction(k, 2)] for k in place]
             shares[axis] = [-1, 1]  # the slopes of both
-            weights = [math.prod(share[u] for share, u in zip(shares, unit, strict=True)) for unit in UNITS]
+            weights = [
+                math.prod(share[u] for share, u in zip(shares, unit, strict=True)) for unit in UNITS
+            ]
             columns.append(np.array(weights, object) @ x)
         values[place] = np.dot(np.cross(*columns[:2]), columns[2])
     to_coefficients = np.array([[1, 0, 0], [Fraction(-1, 2), 2, Fraction(-1, 2)], [0, 0, 1]])
@@ -141,7 +152,9 @@ def test_coefficients_are_those_of_rational_numbers_within_the_round_off_that_is
             assert abs(value - Fraction(float(found))) <= slack[k]
 
 
-@pytest.mark.parametrize("kind", [name for name, cell in lagrange_types().items() if cell.dimension > 1])
+@pytest.mark.parametrize(
+    "kind", [name for name, cell in lagrange_types().items() if cell.dimension > 1]
+)
 def test_an_affine_cell_has_one_coefficient(kind):
     """An affine map has the same det J everywhere, also of cells whose nodes inside of faces are left out."""
     cell = lagrange_types()[kind]
@@ -153,7 +166,9 @@ def test_an_affine_cell_has_one_coefficient(kind):
     moving = form_of(kind, True)
     turned = [np.concatenate([a, 2 * a]) for a in x]  # doubled: (1 + t)^d det J
     at = np.full((1 + d, 1), 0.2)
-    np.testing.assert_allclose(moving.values(moving.columns(turned), at), 1.2**d * np.linalg.det(matrix), rtol=1e-10)
+    np.testing.assert_allclose(
+        moving.values(moving.columns(turned), at), 1.2**d * np.linalg.det(matrix), rtol=1e-10
+    )
     np.testing.assert_allclose(form.mean(form.coefficients(x)), np.linalg.det(matrix), rtol=1e-10)
 
 
@@ -165,9 +180,13 @@ def test_parts_are_the_same_polynomial(factor):
     parts = bernstein.halved((factor,), coefficients)
     weights = rng.dirichlet(np.ones(m + 1), size=5)
     for part, corners in zip(parts.T, bernstein.children(m), strict=True):
-        inner, outer = (bernstein.terms((factor,), at[:, 1:].T) for at in (weights, weights @ corners))
+        inner, outer = (
+            bernstein.terms((factor,), at[:, 1:].T) for at in (weights, weights @ corners)
+        )
         scale = bernstein.multinomials((factor,))
-        np.testing.assert_allclose((part * scale) @ inner, (coefficients[:, 0] * scale) @ outer, rtol=1e-12)
+        np.testing.assert_allclose(
+            (part * scale) @ inner, (coefficients[:, 0] * scale) @ outer, rtol=1e-12
+        )
     volumes = np.abs(np.linalg.det(bernstein.children(m)))
     np.testing.assert_allclose(volumes, 0.5**m)
 
@@ -177,18 +196,26 @@ def test_a_hexahedron_that_folds_between_its_corners_is_found():
     cell = COMPLETE["hexahedron", 1]
     nodes = cells_near_the_limit(cell, 400, seed=3)
     apart = np.arange(400)[:, None, None] * np.array([9.0, 0.0, 0.0])
-    mesh = jm.Mesh((cell.reference + apart).reshape(-1, 3), {"hexahedron": np.arange(3200).reshape(400, 8)})
+    mesh = jm.Mesh(
+        (cell.reference + apart).reshape(-1, 3), {"hexahedron": np.arange(3200).reshape(400, 8)}
+    )
     moved = (nodes + apart).reshape(-1, 3)
     report = jm.proof(mesh, moved)
     hidden = np.flatnonzero(report.is_invalid & ~np.asarray(jm.quality(mesh, moved).is_inverted))
     assert len(hidden) > 5
     for k in hidden:
-        value = jacobians_inside("hexahedron", 1, cell.lattice, nodes[k : k + 1], report.reference[k : k + 1])[0, 0]
+        value = jacobians_inside(
+            "hexahedron", 1, cell.lattice, nodes[k : k + 1], report.reference[k : k + 1]
+        )[0, 0]
         assert value < 0
         assert report.upper[k] == pytest.approx(value, abs=1e-9)
 
 
-@over("shape order count", slow=[("quad", 3, 200)], nightly=[("hexahedron", 2, 200), ("wedge", 2, 100)])
+@over(
+    "shape order count",
+    slow=[("quad", 3, 200)],
+    nightly=[("hexahedron", 2, 200), ("wedge", 2, 100)],
+)
 def test_quality_finds_the_curved_cells_that_the_bounds_call_invalid(shape, order, count):
     """Also where no sample sees the fold. What `quality` reports is a value of det J, with its derivative."""
     cell = COMPLETE[shape, order]
@@ -213,7 +240,9 @@ def test_quality_finds_the_curved_cells_that_the_bounds_call_invalid(shape, orde
     assert (np.asarray(single.is_inverted) == inverted).mean() > 0.98
     traced, both = jax.jit(lambda x: jm.inverted(mesh, x)), jax.vmap(lambda x: jm.inverted(mesh, x))
     np.testing.assert_array_equal(traced(points), inverted)
-    np.testing.assert_array_equal(both(np.stack([base, points])), np.stack([0 * inverted, inverted]))
+    np.testing.assert_array_equal(
+        both(np.stack([base, points])), np.stack([0 * inverted, inverted])
+    )
     way = 0.01 * np.random.default_rng(0).normal(size=points.shape)
     ratio = jax.jit(lambda t: jm.quality(mesh, points + t * way).jacobian_ratio[hidden[:5]])
     slope = jax.jit(jax.jacrev(ratio))(0.0)
@@ -235,11 +264,17 @@ def test_a_mesh_that_arrives_folded_is_folded_however_its_cells_are_numbered(kin
         start = with_folds(mesh, 1 + seed % 2, seed)
         before, turned = mesh.moved(start), reflected(mesh.moved(start), seed)
         ids = np.asarray(mesh.cells[kind])
-        values = jacobians_inside(cell.shape, cell.order, cell.lattice, start[ids], samples_inside(cell.shape, 5))
+        values = jacobians_inside(
+            cell.shape, cell.order, cell.lattice, start[ids], samples_inside(cell.shape, 5)
+        )
         least, largest = values.min(axis=1), values.max(axis=1)
         folded, inside_out = least < -1e-9, largest < -1e-9
         assert 0 < folded.sum() < len(ids) / 2
-        for report in (jm.proof(turned), jm.proof(turned, start), jm.proof(turned, start, base=start)):
+        for report in (
+            jm.proof(turned),
+            jm.proof(turned, start),
+            jm.proof(turned, start, base=start),
+        ):
             assert not report.is_valid[folded].any()
             assert report.is_valid[least > 0.05 * report.size].all()
         assert (jm.proof(turned).is_invalid >= folded).all()
@@ -253,11 +288,17 @@ def test_a_mesh_that_arrives_folded_is_folded_however_its_cells_are_numbered(kin
         assert int(relative.from_start) == int(relative.inverted)
         assert jm.proof(turned, mesh.points).valid == len(ids)
         assert int(jm.quality(turned, mesh.points).inverted) == 0
-        for measure in (jm.quality, jm.smooth_quality) if cell.order == 1 else ():  # curved cells have other samples
+        for measure in (
+            (jm.quality, jm.smooth_quality) if cell.order == 1 else ()
+        ):  # curved cells have other samples
             for name in ("jacobian_ratio", "non_orthogonality"):
-                expected, found = (getattr(measure(either, start), name) for either in (before, turned))
+                expected, found = (
+                    getattr(measure(either, start), name) for either in (before, turned)
+                )
                 np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(jm.proof(turned).margin, jm.proof(before).margin, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            jm.proof(turned).margin, jm.proof(before).margin, rtol=1e-9, atol=1e-9
+        )
         np.testing.assert_array_equal(alone.is_inverted, jm.quality(before).is_inverted)
         if cell.order == 1:
             other, one = (jm.distortion(each, mesh.points) for each in (turned, before))
@@ -270,8 +311,12 @@ def test_cells_are_the_same_for_a_mesh_that_is_traced():
     turned = reflected(mesh.moved(start))
     expected = np.asarray(jm.quality(turned, start).is_inverted)
     assert expected.any()
-    np.testing.assert_array_equal(jax.jit(lambda mesh: jm.inverted(mesh, mesh.points))(turned), expected)
-    np.testing.assert_array_equal(jax.jit(lambda mesh: jm.quality(mesh).is_inverted)(turned), expected)
+    np.testing.assert_array_equal(
+        jax.jit(lambda mesh: jm.inverted(mesh, mesh.points))(turned), expected
+    )
+    np.testing.assert_array_equal(
+        jax.jit(lambda mesh: jm.quality(mesh).is_inverted)(turned), expected
+    )
     margin = jax.jit(lambda mesh: jm.proven_margin(mesh, mesh.points))(turned)
     np.testing.assert_array_equal(margin < 0, expected)
 
@@ -282,15 +327,21 @@ def test_cells_around_a_pole_have_one_handedness():
     angle = np.linspace(0, 1.2, around)
     ids = np.arange(2 * around * up).reshape(2, around, up)
     rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    points = np.array([[*(r * rim[j]), k] for r in (0.0, 1.0) for j in range(around) for k in range(up)])
+    points = np.array(
+        [[*(r * rim[j]), k] for r in (0.0, 1.0) for j in range(around) for k in range(up)]
+    )
     ids[0] = ids[0, 0]  # the axis
     low, high = slice(0, -1), slice(1, None)
     corners = [(0, low, low), (1, low, low), (1, high, low), (0, high, low)]
-    cells = np.stack([ids[i, j, k] for layer in (low, high) for i, j, _ in corners for k in (layer,)], axis=-1)
+    cells = np.stack(
+        [ids[i, j, k] for layer in (low, high) for i, j, _ in corners for k in (layer,)], axis=-1
+    )
     mesh = reflected(jm.Mesh(points, {"hexahedron": cells.reshape(-1, 8)}))
     assert int(jm.quality(mesh).inverted) == 0
     points[ids[1, 2, 1]] = [0.3, -0.6, 1]  # past its neighbour
-    found = [np.asarray(jm.quality(reflected(mesh.moved(points), seed)).is_inverted) for seed in range(4)]
+    found = [
+        np.asarray(jm.quality(reflected(mesh.moved(points), seed)).is_inverted) for seed in range(4)
+    ]
     assert all((other == found[0]).all() for other in found)
     assert 0 < found[0].sum() <= 4
 
@@ -300,7 +351,10 @@ def test_flat_cells_and_parts_apart_leave_the_verdict_alone():
     points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5], [0.5, 0.5], [0.5, 1.4]])
     cells = np.array([[0, 1, 4], [1, 2, 4], [2, 5, 4], [2, 3, 5], [3, 0, 4], [3, 4, 5], [3, 2, 6]])
     for seed in range(4):
-        mesh = reflected(jm.Mesh(np.vstack([points, points + 5]), {"triangle": np.vstack([cells, cells + 7])}), seed)
+        mesh = reflected(
+            jm.Mesh(np.vstack([points, points + 5]), {"triangle": np.vstack([cells, cells + 7])}),
+            seed,
+        )
         assert int(jm.quality(mesh).inverted) == 0
         assert int(jm.proof(mesh).invalid) == 0
         bent = np.array(mesh.points)

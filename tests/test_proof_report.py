@@ -20,7 +20,9 @@ from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph.cli import main
 
 
-@pytest.mark.parametrize("make", [square, ring, mixed, wedges, bricks, unit_box, drum, lambda: cases.naca4("2412")])
+@pytest.mark.parametrize(
+    "make", [square, ring, mixed, wedges, bricks, unit_box, drum, lambda: cases.naca4("2412")]
+)
 def test_valid_meshes_are_proven(make):
     mesh = make()
     report = jm.proof(mesh)
@@ -57,7 +59,9 @@ def test_a_motion_folds_cells_that_are_sound_where_it_begins_and_ends():
     np.testing.assert_allclose(report.upper / report.size, (1 - 3 * t) * (1 - 1.5 * t), atol=1e-9)
     assert ((t > 1 / 3) & (t < 2 / 3)).all()
     assert report.from_start == 0
-    with pytest.raises(ValueError, match=r"9 of 9 cells fold inside, 0 are not proven, first cell \d \(quad\) near"):
+    with pytest.raises(
+        ValueError, match=r"9 of 9 cells fold inside, 0 are not proven, first cell \d \(quad\) near"
+    ):
         report.raise_if_unproven()
     assert "least det J during the motion over" in str(report)
 
@@ -79,7 +83,9 @@ def test_margins_do_not_depend_on_place_size_and_direction():
     moved = lambda x: 1e-3 * np.asarray(x) @ rotation.T + np.array([5.0, -7.0, 3.0])  # noqa: E731
     one, other = jm.proof(mesh, points), jm.proof(mesh.moved(moved(mesh.points)), moved(points))
     np.testing.assert_allclose(one.margin, other.margin, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(moved(one.near)[one.is_invalid], other.near[one.is_invalid], atol=1e-8)
+    np.testing.assert_allclose(
+        moved(one.near)[one.is_invalid], other.near[one.is_invalid], atol=1e-8
+    )
 
 
 def test_a_collapsed_cell_is_flat_and_a_nan_is_invalid():
@@ -136,7 +142,9 @@ def test_the_margin_is_traced_and_has_derivatives(make, options):
         else:
             np.testing.assert_allclose(eager, exact, atol=1e-10)
     if make is mixed:
-        both = jax.vmap(lambda x: jm.proven_margin(mesh, x, **options))(np.stack([points, mesh.points]))
+        both = jax.vmap(lambda x: jm.proven_margin(mesh, x, **options))(
+            np.stack([points, mesh.points])
+        )
         np.testing.assert_allclose(both[0], eager, rtol=1e-10, atol=1e-12)
 
 
@@ -147,7 +155,10 @@ def test_no_sample_of_a_proven_motion_folds():
     report = jm.proof(mesh, end, base=start)
     cells, lattice = np.asarray(mesh.cells["hexahedron"]), lagrange_types()["hexahedron"].lattice
     ways = [((1 - t) * start + t * end)[cells] for t in np.linspace(0, 1, 7)]
-    values = [jacobians_inside("hexahedron", 1, lattice, way, samples_inside("hexahedron", 7)) for way in ways]
+    values = [
+        jacobians_inside("hexahedron", 1, lattice, way, samples_inside("hexahedron", 7))
+        for way in ways
+    ]
     least = np.min(values, axis=(0, 2))
     assert (report.lower <= least + 1e-12).all()
     assert (least[report.is_valid] > 0).all()
@@ -158,8 +169,12 @@ def test_no_sample_of_a_proven_motion_folds():
 def test_a_line_search_accepts_proven_steps_alone():
     """A brick's corners may move on although it is folded between them: judged by corners alone the way ends later."""
     mesh = grid(*[[0.0, 1.0]] * 3)
-    cells = cells_near_the_limit(lagrange_types()["hexahedron"], 400, seed=3)[:, [0, 4, 3, 7, 1, 5, 2, 6]]
-    hidden = (x for x in cells if jm.proof(mesh, x).invalid and not int(jm.quality(mesh, x).inverted))
+    cells = cells_near_the_limit(lagrange_types()["hexahedron"], 400, seed=3)[
+        :, [0, 4, 3, 7, 1, 5, 2, 6]
+    ]
+    hidden = (
+        x for x in cells if jm.proof(mesh, x).invalid and not int(jm.quality(mesh, x).inverted)
+    )
     direction = next(hidden) - mesh.points
     plan, folded = jm.prepare(mesh.points, np.arange(8), method=jm.InverseDistance()), []
     for proven in (False, True):
@@ -175,13 +190,21 @@ def test_a_line_search_accepts_proven_steps_alone():
 
 test_bad_input_is_refused = refusals(
     (lambda: jm.proof(square(), base=np.zeros((3, 2))), r"`base` has shape \(3, 2\)"),
-    (lambda: jm.proof(jm.Mesh(np.zeros((3, 3)), {"triangle": [[0, 1, 2]]})), "no cells that fill 3-D space"),
+    (
+        lambda: jm.proof(jm.Mesh(np.zeros((3, 3)), {"triangle": [[0, 1, 2]]})),
+        "no cells that fill 3-D space",
+    ),
     (lambda: jm.proof(jm.Mesh(np.zeros((3, 3)))), "the mesh has no cells"),
-    (lambda: jax.jit(lambda x: jm.proof(square(), x).lower)(square().points), "`proven_margin` is traced"),
+    (
+        lambda: jax.jit(lambda x: jm.proof(square(), x).lower)(square().points),
+        "`proven_margin` is traced",
+    ),
 )
 
 
-@pytest.mark.parametrize("kind", ["triangle6", "quad16", "quad8", "tetra10", "wedge18", "pyramid14", "hexahedron27"])
+@pytest.mark.parametrize(
+    "kind", ["triangle6", "quad16", "quad8", "tetra10", "wedge18", "pyramid14", "hexahedron27"]
+)
 def test_curved_cells_of_a_mesh_are_judged_whole(kind):
     """A node that is pulled through the cell folds it; nodes in place are proven, at the volume of the straight cell."""
     cell = lagrange_types()[kind]
@@ -193,7 +216,9 @@ def test_curved_cells_of_a_mesh_are_judged_whole(kind):
     points[cell.corners] += 3 * (points.mean(axis=0) - points[cell.corners])
     bent = jm.proof(mesh, points)
     assert bent.invalid == 1
-    value = np.linalg.det(points.T @ lagrange.derivatives(kind, collapsed(cell.shape, bent.reference))[0])
+    value = np.linalg.det(
+        points.T @ lagrange.derivatives(kind, collapsed(cell.shape, bent.reference))[0]
+    )
     assert bent.upper[0] == pytest.approx(value, abs=1e-6)
     assert value < 0
     near = lagrange.values(kind, collapsed(cell.shape, bent.reference)) @ points
@@ -204,7 +229,11 @@ def test_curved_cells_of_a_mesh_are_judged_whole(kind):
 
 def collapsed(shape: str, places: np.ndarray) -> np.ndarray:
     """Places of a pyramid as its shape functions take them."""
-    return np.column_stack([places[:, :2] / (1 - places[:, 2:]), places[:, 2]]) if shape == "pyramid" else places
+    return (
+        np.column_stack([places[:, :2] / (1 - places[:, 2:]), places[:, 2]])
+        if shape == "pyramid"
+        else places
+    )
 
 
 def test_a_folded_piece_of_a_polyhedron_is_unknown(tmp_path):
@@ -229,7 +258,10 @@ def test_a_folded_piece_of_a_polyhedron_is_unknown(tmp_path):
 def test_tables_fit_on_a_terminal():
     mesh = bricks()
     points = shaken(mesh, 0.2) - 0.5
-    for report in (jm.proof(mesh, points), jm.proof(mesh, points, base=np.asarray(mesh.points) - 0.5)):
+    for report in (
+        jm.proof(mesh, points),
+        jm.proof(mesh, points, base=np.asarray(mesh.points) - 0.5),
+    ):
         lines = str(report).split("\n")
         assert max(map(len, lines)) <= 80
         assert re.match(r"27 cells: \d+ proven valid, \d+ invalid, \d+ unknown", lines[0])
@@ -256,7 +288,19 @@ def test_the_command_line_proves_and_gates(tmp_path, capsys, monkeypatch):
     assert f"{report.invalid} invalid" in said.out
     assert f"{report.invalid} of 27 cells fold inside." in said.err
     assert re.search(r"\d+ of 27 cells are beyond --proven, the worst is cell \d+\.", said.err)
-    motion = ["--moving", "z0", "--fixed", "z1", "--free", "x0", "x1", "y0", "y1", "--proven", "--no-dry-run"]
+    motion = [
+        "--moving",
+        "z0",
+        "--fixed",
+        "z1",
+        "--free",
+        "x0",
+        "x1",
+        "y0",
+        "y1",
+        "--proven",
+        "--no-dry-run",
+    ]
     assert main(["deform", "box.su2", "moved.su2", *motion, "--translate", "0", "0", "0.05"]) == 0
     assert "min proven margin" in capsys.readouterr().out
     assert main(["deform", "box.su2", "folded.su2", *motion, "--translate", "0", "0", "1.5"]) == 1
@@ -264,7 +308,20 @@ def test_the_command_line_proves_and_gates(tmp_path, capsys, monkeypatch):
     assert not (tmp_path / "folded.su2").exists()
 
 
-HALF_TURN = ["--rotate", "180", "--axis", "0", "0", "1", "--about", "0.5", "0.5", "0.5", "--proven", "--no-dry-run"]
+HALF_TURN = [
+    "--rotate",
+    "180",
+    "--axis",
+    "0",
+    "0",
+    "1",
+    "--about",
+    "0.5",
+    "0.5",
+    "0.5",
+    "--proven",
+    "--no-dry-run",
+]
 """det J of a straight half turn is (1 - 2 t)^2: zero in the middle, 1 at the end. In four steps it is (1 + cos 45) / 2 at least."""
 
 
@@ -286,7 +343,9 @@ def test_the_gate_proves_the_whole_motion(tmp_path, capsys, monkeypatch, flags, 
     every = ["--moving", "x0", "x1", "y0", "y1", "z0", "z1"]
     assert main(["deform", "box.su2", "turned.su2", *every, *HALF_TURN, *flags]) == (valid == 0)
     said = capsys.readouterr()
-    assert f"proven: {valid} of 8 cells fold nowhere inside, {when}" in re.sub(r"\s+", " ", said.out)
+    assert f"proven: {valid} of 8 cells fold nowhere inside, {when}" in re.sub(
+        r"\s+", " ", said.out
+    )
     assert re.search(r"inverted cells +0 +0", said.out)
     assert max(map(len, said.out.split("\n"))) <= 80
     if flags[:1] == ["--steps"]:  # the margin of the worst step, by its closed form

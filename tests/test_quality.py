@@ -25,18 +25,32 @@ VTK = {kind: getattr(pyvista.CellType, kind.upper()) for kind in IDEAL}
 # measure -> VTK's name of it, where pyvista's `cell_quality` has it
 VERDICT = {
     "triangle": {"area": "area", "aspect_ratio": "aspect_ratio"},
-    "quad": {"area": "area", "aspect_ratio": "aspect_ratio", "skewness": "skew", "jacobian": "jacobian"},
+    "quad": {
+        "area": "area",
+        "aspect_ratio": "aspect_ratio",
+        "skewness": "skew",
+        "jacobian": "jacobian",
+    },
     "tetra": {"volume": "volume", "aspect_ratio": "aspect_ratio", "jacobian": "jacobian"},
     "pyramid": {"volume": "volume"},
     "wedge": {"volume": "volume"},
-    "hexahedron": {"volume": "volume", "aspect_ratio": "max_edge_ratio", "skewness": "skew", "jacobian": "jacobian"},
+    "hexahedron": {
+        "volume": "volume",
+        "aspect_ratio": "max_edge_ratio",
+        "skewness": "skew",
+        "jacobian": "jacobian",
+    },
 }
 # the rest is reached cell by cell, through VTK's static functions
 STATIC = {
     "triangle": {"skewness": "TriangleEquiangleSkew"},
     "tetra": {"skewness": "TetEquiangleSkew"},
     "pyramid": {"skewness": "PyramidEquiangleSkew", "jacobian": "PyramidJacobian"},
-    "wedge": {"skewness": "WedgeEquiangleSkew", "jacobian": "WedgeJacobian", "aspect_ratio": "WedgeEdgeRatio"},
+    "wedge": {
+        "skewness": "WedgeEquiangleSkew",
+        "jacobian": "WedgeJacobian",
+        "aspect_ratio": "WedgeEdgeRatio",
+    },
 }
 KINDS = tuple(IDEAL)
 
@@ -47,7 +61,9 @@ def scattered(kind: str, count: int = 40, seed: int = 0, spread: float = 0.15) -
     ideal = np.array(IDEAL[kind], dtype=float)
     d = ideal.shape[1]
     corners = ideal + random.uniform(-spread, spread, (count, len(ideal), d))
-    corners = corners @ (np.eye(d) + random.uniform(-0.2, 0.2, (count, d, d))) + random.uniform(-3, 3, (count, 1, d))
+    corners = corners @ (np.eye(d) + random.uniform(-0.2, 0.2, (count, d, d))) + random.uniform(
+        -3, 3, (count, 1, d)
+    )
     corners[0] = ideal
     return jm.Mesh(corners.reshape(-1, d), {kind: np.arange(count * len(ideal)).reshape(count, -1)})
 
@@ -79,14 +95,19 @@ def volumes(mesh: jm.Mesh) -> np.ndarray:
 def test_measures_are_those_of_verdict(kind):
     mesh = scattered(kind)
     report, grid = jm.quality(mesh), grid_of(mesh)
-    measured = {name: grid.cell_quality(measure, null_value=np.nan)[measure] for name, measure in VERDICT[kind].items()}
+    measured = {
+        name: grid.cell_quality(measure, null_value=np.nan)[measure]
+        for name, measure in VERDICT[kind].items()
+    }
     expected = {name: np.array(values) for name, values in measured.items()}
     for name, function in STATIC.get(kind, {}).items():
         measure = getattr(vtkMeshQuality, function)
         expected[name] = np.array([measure(grid.GetCell(i)) for i in range(grid.n_cells)])
     assert int(report.inverted) == 0
     for name, values in expected.items():
-        np.testing.assert_allclose(getattr(report, name), values, rtol=2e-12, atol=2e-12, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(report, name), values, rtol=2e-12, atol=2e-12, err_msg=name
+        )
 
 
 @pytest.mark.parametrize("kind", ["triangle", "quad"])
@@ -97,7 +118,9 @@ def test_surfaces_in_3d_are_measured_as_verdict_does(kind):
     mesh = jm.Mesh(points, flat.cells)
     report, grid = jm.quality(mesh), grid_of(mesh)
     for name, measure in VERDICT[kind].items():
-        np.testing.assert_allclose(getattr(report, name), grid.cell_quality(measure)[measure], rtol=2e-12, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(report, name), grid.cell_quality(measure)[measure], rtol=2e-12, err_msg=name
+        )
     turned = jm.quality(mesh, points @ np.diag([-1.0, 1.0, -1.0]))
     assert int(turned.inverted) == 0
     np.testing.assert_allclose(turned.area, report.area, rtol=1e-12)
@@ -108,7 +131,9 @@ def test_aspect_ratio_of_a_pyramid():
     x = mesh.points[mesh.cells["pyramid"]]
     pairs = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)]
     lengths = np.stack([np.linalg.norm(x[:, a] - x[:, b], axis=1) for a, b in pairs])
-    np.testing.assert_allclose(jm.quality(mesh).aspect_ratio, lengths.max(axis=0) / lengths.min(axis=0), rtol=1e-13)
+    np.testing.assert_allclose(
+        jm.quality(mesh).aspect_ratio, lengths.max(axis=0) / lengths.min(axis=0), rtol=1e-13
+    )
 
 
 @pytest.mark.parametrize("kind", ["quad", "hexahedron", "wedge", "tetra", "pyramid"])
@@ -116,7 +141,9 @@ def test_non_orthogonality_by_faces(kind):
     """That of typed cells, traced, and that of arbitrary faces on the host are one number, however cells are numbered."""
     mesh = reflected(cases.naca0015(points=1000) if kind == "quad" else cases.bricks(kind, cells=3))
     points = np.asarray(mesh.points)
-    sheared = np.array([[1, 0.3, 0.1], [0, 1.2, -0.2], [0.4, 0, 0.7]])[: points.shape[1], : points.shape[1]]
+    sheared = np.array([[1, 0.3, 0.1], [0, 1.2, -0.2], [0.4, 0, 0.7]])[
+        : points.shape[1], : points.shape[1]
+    ]
     moved = (points + 0.3 * points**2 * (kind != "quad")) @ sheared.T  # faces stay flat
     expected = jm.face_quality(mesh.moved(moved)).non_orthogonality
     assert expected.max() > 30
@@ -153,7 +180,9 @@ def test_both_reports_answer_alike():
             assert float(report.min(name)) == values.min()
             assert float(report.max(name)) == values.max()
             worst = np.asarray(getattr(report, name))[report.worst(3, by=name)]
-            np.testing.assert_array_equal(worst, np.sort(values)[:3] if "volume" in name else np.sort(values)[:-4:-1])
+            np.testing.assert_array_equal(
+                worst, np.sort(values)[:3] if "volume" in name else np.sort(values)[:-4:-1]
+            )
         weight = np.abs(np.asarray(report.volume)[report.counted])
         mean = np.average(np.asarray(report.skewness)[report.counted], weights=weight)
         assert float(report.mean("skewness")) == pytest.approx(mean, rel=1e-12)
@@ -162,9 +191,7 @@ def test_both_reports_answer_alike():
         assert np.asarray(report.is_inverted)[report.worst(inverted)].all()
         first = int(np.flatnonzero(report.is_inverted)[0])
         where = re.escape(", ".join(f"{x:.3g}" for x in np.asarray(report.centroid)[first]))
-        message = (
-            f"{inverted} of {report.count} cells are inverted, first cell {first} near .{where}.*jm.inspect.plan, u"
-        )
+        message = f"{inverted} of {report.count} cells are inverted, first cell {first} near .{where}.*jm.inspect.plan, u"
         with pytest.raises(ValueError, match=message):
             report.raise_if_inverted()
         with pytest.raises(ValueError, match="no measure is called 'beauty'; there are skewness"):
@@ -180,7 +207,13 @@ def test_face_quality_prints_a_table():
     first, _, *rows = str(measured).splitlines()
     assert first == f"{len(measured.volume)} cells: {measured.is_inverted.sum()} inverted"
     assert repr(measured) == f"FaceQuality({len(measured.volume)} cells)"
-    assert [row.split()[0] for row in rows] == ["skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid"]
+    assert [row.split()[0] for row in rows] == [
+        "skewness",
+        "aspect_ratio",
+        "non_orthogonality",
+        "volume",
+        "pyramid",
+    ]
     for row in rows:
         name, least, mean, most, cell, *place = row.split()
         values = getattr(measured, name)
@@ -189,43 +222,66 @@ def test_face_quality_prints_a_table():
         found = [float(least), float(mean), float(most)]
         np.testing.assert_allclose(found, [values.min(), expected, values.max()], rtol=5e-3)
         assert int(cell) == (values.argmin() if name in ("volume", "pyramid") else values.argmax())
-        np.testing.assert_allclose(eval(" ".join(place)), measured.centroid[int(cell)], rtol=5e-3, atol=1e-3)
+        np.testing.assert_allclose(
+            eval(" ".join(place)), measured.centroid[int(cell)], rtol=5e-3, atol=1e-3
+        )
     moved = np.where(np.arange(len(points))[:, None] == 0, np.nan, points)
     assert "nan" in str(jm.face_quality(mesh, moved))
 
 
 def test_centre_of_unequal_cells():
     """Two trapezoids (and prisms over them), one above the other: the centres are the closed form's."""
-    low, high = np.array([[0, 0], [4, 0], [3, 1], [0, 1]]), np.array([[0, 1], [3, 1], [1, 3], [0, 3]])
+    low, high = (
+        np.array([[0, 0], [4, 0], [3, 1], [0, 1]]),
+        np.array([[0, 1], [3, 1], [1, 3], [0, 3]]),
+    )
     centre = [(4**2 + 4 * 3 + 3**2) / (3 * (4 + 3)), (4 + 2 * 3) / (3 * (4 + 3))]
     above = [(3**2 + 3 + 1) / (3 * (3 + 1)), 1 + 2 * (3 + 2) / (3 * (3 + 1))]
     angle = np.degrees(np.arctan2(abs(above[0] - centre[0]), above[1] - centre[1]))
     flat = np.vstack([low, high[2:]]).astype(float)
     cells = np.array([[0, 1, 2, 3], [3, 2, 4, 5]])
     solid = np.vstack([np.column_stack([flat, np.full(6, z)]) for z in (0.0, 1.0)])
-    meshes = [jm.Mesh(flat, {"quad": cells}), jm.Mesh(solid, {"hexahedron": np.hstack([cells, cells + 6])})]
+    meshes = [
+        jm.Mesh(flat, {"quad": cells}),
+        jm.Mesh(solid, {"hexahedron": np.hstack([cells, cells + 6])}),
+    ]
     for mesh in meshes:
         np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, angle, rtol=1e-12)
 
 
 def test_mixed_types_in_one_mesh():
     """A pyramid on a cube, two tetrahedra on it, a wedge beside it, and a boundary quad: neighbours across types."""
-    points = np.array([*IDEAL["hexahedron"], [0.5, 0.5, 2], [2, 0.5, 1.5], [2, 0.5, 0], [2, 0.5, 1]], dtype=float)
+    points = np.array(
+        [*IDEAL["hexahedron"], [0.5, 0.5, 2], [2, 0.5, 1.5], [2, 0.5, 0], [2, 0.5, 1]], dtype=float
+    )
     cells = {"quad": [[0, 3, 2, 1]], "hexahedron": [range(8)], "pyramid": [[4, 5, 6, 7, 8]]}
     mesh = jm.Mesh(points, cells | {"tetra": [[5, 6, 8, 9]], "wedge": [[1, 10, 2, 5, 11, 6]]})
     report, order = jm.quality(mesh), list(mesh.cells)
     neighbour = neighbours(mesh.cells)[0]
     at = np.cumsum([0, *(len(FACES[kind]) for kind in order)])
-    pairs = {kind: {order[j] for j in neighbour[at[i] : at[i + 1]] if j >= 0} for i, kind in enumerate(order)}
-    expected = {"quad": set(), "hexahedron": {"pyramid", "wedge"}, "pyramid": {"hexahedron", "tetra"}}
+    pairs = {
+        kind: {order[j] for j in neighbour[at[i] : at[i + 1]] if j >= 0}
+        for i, kind in enumerate(order)
+    }
+    expected = {
+        "quad": set(),
+        "hexahedron": {"pyramid", "wedge"},
+        "pyramid": {"hexahedron", "tetra"},
+    }
     assert pairs == expected | {"tetra": {"pyramid"}, "wedge": {"hexahedron"}}
     assert int(report.inverted) == 0
     for kind, volume in {"quad": 1, "hexahedron": 1, "pyramid": 1 / 3, "wedge": 0.5}.items():
-        np.testing.assert_allclose(report.volume[order.index(kind)], volume, rtol=1e-14, err_msg=kind)
+        np.testing.assert_allclose(
+            report.volume[order.index(kind)], volume, rtol=1e-14, err_msg=kind
+        )
     # the boundary quad has an entry, but does not count
     assert float(report.max("volume")) == pytest.approx(1)
-    skewness, weight = (np.delete(each, order.index("quad")) for each in (report.skewness, report.volume))
-    assert float(report.mean_skewness) == pytest.approx(np.average(skewness, weights=weight), rel=1e-14)
+    skewness, weight = (
+        np.delete(each, order.index("quad")) for each in (report.skewness, report.volume)
+    )
+    assert float(report.mean_skewness) == pytest.approx(
+        np.average(skewness, weights=weight), rel=1e-14
+    )
     assert order.index("quad") not in report.worst(4).tolist()
 
 
@@ -256,7 +312,9 @@ def test_cells_that_were_bad_from_the_start_are_not_inverted():
         "collapsed too": [4, 1, 4, 0],
         "two nodes in one place": [1, 6, 2, 2],
     }
-    own = np.arange(len(quads))[:, None] * len(points)  # cells apart: no neighbour tells that one is folded
+    own = np.arange(len(quads))[:, None] * len(
+        points
+    )  # cells apart: no neighbour tells that one is folded
     mesh = jm.Mesh(np.tile(points, (len(quads), 1)), {"quad": np.array(list(quads.values())) + own})
     points = np.asarray(mesh.points)
     assert int(jm.quality(mesh, points).inverted) == 0
@@ -279,7 +337,12 @@ def test_non_convex_quads_and_hexahedra_are_found_by_their_corners():
     assert float(report.volume_ratio[0]) > 0
     assert report.is_inverted.tolist() == [True, False, False, False]
     assert float(report.jacobian[0]) == pytest.approx(0.4 * 0.4 - 0.6 * 0.6)
-    assert jm.quality(jm.Mesh(moved, {"quad": cells})).is_inverted.tolist() == [True, False, False, False]
+    assert jm.quality(jm.Mesh(moved, {"quad": cells})).is_inverted.tolist() == [
+        True,
+        False,
+        False,
+        False,
+    ]
     points, cells = box((1, 1, 1))
     moved = points.copy()
     moved[0] = [0.75, 0.75, 0.75]
@@ -294,13 +357,17 @@ def test_a_mesh_alone_is_judged_whatever_its_numbering():
     assert int(jm.quality(mesh).inverted) == 0
     inner = np.setdiff1d(np.arange(len(mesh.points)), np.unique(Delaunay(mesh.points).convex_hull))
     points = np.array(mesh.points)
-    points[inner] = points[inner].mean(axis=0) + 0.4 * (points[inner[::-1]] - points[inner].mean(axis=0))
+    points[inner] = points[inner].mean(axis=0) + 0.4 * (
+        points[inner[::-1]] - points[inner].mean(axis=0)
+    )
     alone, relative = jm.quality(mesh.moved(points)), jm.quality(mesh, points)
     assert int(relative.inverted) > 0
     np.testing.assert_array_equal(alone.is_inverted, relative.is_inverted)
     # two parts of opposite handedness, far from each other
     quads, cells = box((3, 2))
-    parts = jm.Mesh(np.vstack([quads, quads + 10]), {"quad": np.vstack([cells, cells[:, ::-1] + len(quads)])})
+    parts = jm.Mesh(
+        np.vstack([quads, quads + 10]), {"quad": np.vstack([cells, cells[:, ::-1] + len(quads)])}
+    )
     assert int(jm.quality(parts).inverted) == 0
 
 
@@ -326,7 +393,12 @@ def test_neighbours_are_those_of_scipy_and_the_same_when_traced():
     assert not flipped[neighbour < 0].any()
     # a face of three cells belongs to none of them
     fan = {"triangle": np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [1, 2, 5]])}
-    assert neighbours(fan)[0].reshape(4, 3).tolist() == [[-1, 3, -1], [-1, -1, -1], [-1, -1, -1], [0, -1, -1]]
+    assert neighbours(fan)[0].reshape(4, 3).tolist() == [
+        [-1, 3, -1],
+        [-1, -1, -1],
+        [-1, -1, -1],
+        [0, -1, -1],
+    ]
 
 
 def test_gradients_are_those_of_differences():
@@ -342,9 +414,13 @@ def test_gradients_are_those_of_differences():
         return jnp.stack([weight @ getattr(report, name) for name in MEASURES])
 
     direction, step, function = random.normal(size=points.shape), 1e-6, jax.jit(weighted)
-    difference = (function(points + step * direction) - function(points - step * direction)) / (2 * step)
+    difference = (function(points + step * direction) - function(points - step * direction)) / (
+        2 * step
+    )
     gradient = jax.jit(jax.jacrev(weighted))(points)
-    np.testing.assert_allclose(jnp.sum(gradient * direction[None], axis=(1, 2)), difference, rtol=1e-5)
+    np.testing.assert_allclose(
+        jnp.sum(gradient * direction[None], axis=(1, 2)), difference, rtol=1e-5
+    )
 
 
 @over("kind", ["quad"], nightly=[kind for kind in KINDS if kind != "quad"])
@@ -353,28 +429,49 @@ def test_what_the_host_measures_is_what_traces_batches_and_meshes_as_arguments_d
     points = shaken(mesh, 0.05, 2)
     for measure in (jm.quality, lambda mesh, points: jm.quality(mesh.moved(points))):
         host, traced = measure(mesh, points), jax.jit(functools.partial(measure, mesh))(points)
-        batched = jax.jit(jax.vmap(functools.partial(measure, mesh)))(np.stack([mesh.points, points]))
+        batched = jax.jit(jax.vmap(functools.partial(measure, mesh)))(
+            np.stack([mesh.points, points])
+        )
         assert batched.inverted.shape == (2,)
-        for found in (traced, jax.jit(measure)(mesh, points), jax.tree.map(lambda a: a[1], batched)):
+        for found in (
+            traced,
+            jax.jit(measure)(mesh, points),
+            jax.tree.map(lambda a: a[1], batched),
+        ):
             for name in (*MEASURES, "is_inverted", "is_degenerate", "centroid"):
                 at = f"{name} {kind}"
-                np.testing.assert_allclose(getattr(found, name), getattr(host, name), rtol=1e-9, atol=1e-9, err_msg=at)
+                np.testing.assert_allclose(
+                    getattr(found, name), getattr(host, name), rtol=1e-9, atol=1e-9, err_msg=at
+                )
             for name in ("inverted", "mean_skewness", "max_aspect_ratio", "min_jacobian_ratio"):
-                assert float(getattr(found, name)) == pytest.approx(float(getattr(host, name)), rel=1e-9)
+                assert float(getattr(found, name)) == pytest.approx(
+                    float(getattr(host, name)), rel=1e-9
+                )
 
 
 @pytest.mark.nightly
 def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
     """20 quads in two blocks, 32 triangles in three and a part; the oracle is all of them together."""
     points, quads = box((6, 6))
-    cells = {"quad": quads[:20], "triangle": np.concatenate([quads[20:, [0, 1, 2]], quads[20:, [0, 2, 3]]])}
+    cells = {
+        "quad": quads[:20],
+        "triangle": np.concatenate([quads[20:, [0, 1, 2]], quads[20:, [0, 2, 3]]]),
+    }
     mesh = jm.Mesh(points, cells)
     rng = np.random.default_rng(3)
-    moved, weights = jnp.asarray(points + 0.05 * rng.normal(size=points.shape)), rng.normal(size=(4, 52))
+    moved, weights = (
+        jnp.asarray(points + 0.05 * rng.normal(size=points.shape)),
+        rng.normal(size=(4, 52)),
+    )
 
     def objective(points):
         report, smooth = jm.quality(mesh, points), jm.smooth_quality(mesh, points)
-        values = (report.skewness, report.non_orthogonality, report.jacobian_ratio, smooth.aspect_ratio)
+        values = (
+            report.skewness,
+            report.non_orthogonality,
+            report.jacobian_ratio,
+            smooth.aspect_ratio,
+        )
         return sum(jnp.vdot(w, value) for w, value in zip(weights, values, strict=True))
 
     def found():
@@ -392,9 +489,15 @@ def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
 
 def test_float32_in_float32_out():
     mesh = scattered("quad")
-    report, smooth = (measure(mesh, mesh.points.astype(np.float32)) for measure in (jm.quality, jm.smooth_quality))
+    report, smooth = (
+        measure(mesh, mesh.points.astype(np.float32)) for measure in (jm.quality, jm.smooth_quality)
+    )
     assert smooth.aspect_ratio.dtype == np.float32
-    assert all(leaf.dtype == np.float32 for leaf in jax.tree.leaves(report) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    assert all(
+        leaf.dtype == np.float32
+        for leaf in jax.tree.leaves(report)
+        if jnp.issubdtype(leaf.dtype, jnp.floating)
+    )
     np.testing.assert_allclose(report.skewness, jm.quality(mesh).skewness, atol=1e-5)
 
 
@@ -413,7 +516,10 @@ def test_the_table_fits_a_terminal():
     report = jm.quality(mesh, mesh.points - [0, 0, 1e-4])
     text = str(report)
     assert max(map(len, text.splitlines())) <= 80
-    assert text.splitlines()[0] == f"{len(mesh.cells['tetra'])} tetra: 0 inverted, 0 degenerate from the start"
+    assert (
+        text.splitlines()[0]
+        == f"{len(mesh.cells['tetra'])} tetra: 0 inverted, 0 degenerate from the start"
+    )
     assert [line.split()[0] for line in text.splitlines()[2:]] == list(MEASURES)
     assert "volume_ratio" not in str(jm.quality(mesh))
     several = jax.tree.map(lambda values: jnp.stack([values, values, values]), report)

@@ -19,8 +19,20 @@ from jaxmorph._quality.report import MEASURES
 SOLIDS = tuple(IDEAL)
 SURFACES = ("triangle in 3-D", "quad in 3-D", "line")
 EXTREMES = (
-    *("mean_skewness", "mean_aspect_ratio", "mean_non_orthogonality", "max_skewness", "max_aspect_ratio"),
-    *("max_non_orthogonality", "min_volume", "min_jacobian", "min_volume_ratio", "min_jacobian_ratio"),
+    *(
+        "mean_skewness",
+        "mean_aspect_ratio",
+        "mean_non_orthogonality",
+        "max_skewness",
+        "max_aspect_ratio",
+    ),
+    *(
+        "max_non_orthogonality",
+        "min_volume",
+        "min_jacobian",
+        "min_volume_ratio",
+        "min_jacobian_ratio",
+    ),
 )
 CHEAP = ("triangle", "quad", "line")
 """Those that compile in seconds, for which forward mode, and the measures of a mesh alone, are tried too."""
@@ -53,15 +65,25 @@ def states(mesh, axis):
     folded = points.copy()
     folded[:, axis] = np.abs(points[:, axis])
     smooth = {"sound": sound, "inverted": inverted + noise}
-    rough = {"ideal": points, "flat": flat, "merged": merged, "folded": folded, "one place": 0 * points}
+    rough = {
+        "ideal": points,
+        "flat": flat,
+        "merged": merged,
+        "folded": folded,
+        "one place": 0 * points,
+    }
     return smooth, rough | {"needle": needle, "small": 1e-9 * sound}
 
 
 def by_quality(mesh, points, alone):
     """Every number of a report relative to the undeformed mesh, and of the mesh alone."""
-    reports = {"relative": jm.quality(mesh, points)} | ({"alone": jm.quality(mesh.moved(points))} if alone else {})
+    reports = {"relative": jm.quality(mesh, points)} | (
+        {"alone": jm.quality(mesh.moved(points))} if alone else {}
+    )
     names = (*MEASURES, *EXTREMES, "centroid")
-    return {f"{name}, {key}": getattr(report, name) for key, report in reports.items() for name in names}
+    return {
+        f"{name}, {key}": getattr(report, name) for key, report in reports.items() for name in names
+    }
 
 
 def by_smooth_measures(mesh, points, solid):
@@ -77,10 +99,15 @@ def test_component_by_component(name):
     quickly = functools.partial(jax.jit, compiler_options=QUICK)
 
     def measures(points):
-        return by_quality(mesh, points, name in CHEAP) | by_smooth_measures(mesh, points, name in SOLIDS)
+        return by_quality(mesh, points, name in CHEAP) | by_smooth_measures(
+            mesh, points, name in SOLIDS
+        )
 
     measured = quickly(measures)
-    ways = [quickly(jax.jacrev(measures)), *([quickly(jax.jacfwd(measures))] if name in CHEAP else [])]
+    ways = [
+        quickly(jax.jacrev(measures)),
+        *([quickly(jax.jacfwd(measures))] if name in CHEAP else []),
+    ]
     sound, rough = states(mesh, axis)
     compared = sound | {"ideal": rough["ideal"]}  # smooth measures have derivatives there
     for state, points in compared.items():
@@ -90,9 +117,14 @@ def test_component_by_component(name):
                 continue
             scale = max(1.0, np.abs(expected).max())
             for found in jacobians:
-                np.testing.assert_allclose(found[key], expected, rtol=0, atol=1e-8 * scale, err_msg=f"{key}, {state}")
+                np.testing.assert_allclose(
+                    found[key], expected, rtol=0, atol=1e-8 * scale, err_msg=f"{key}, {state}"
+                )
     for (state, points), dtype in itertools.product(rough.items(), (np.float64, np.float32)):
-        values, jacobians = measured(points.astype(dtype)), [way(points.astype(dtype)) for way in ways]
+        values, jacobians = (
+            measured(points.astype(dtype)),
+            [way(points.astype(dtype)) for way in ways],
+        )
         for key, value in values.items():
             assert not np.isnan(value).any(), (key, state, dtype)
             assert all(np.isfinite(found[key]).all() for found in jacobians), (key, state, dtype)
@@ -102,14 +134,23 @@ def report_of(aspect_ratio, volume):
     """A report of triangles by their aspect ratio and volume."""
     some, flags = jnp.ones_like(volume), jnp.zeros(len(volume), bool)
     return jm.QualityReport(
-        volume, some, aspect_ratio, *[some] * 4, flags, flags, jnp.zeros((len(volume), 2)), (("triangle", len(volume)),)
+        volume,
+        some,
+        aspect_ratio,
+        *[some] * 4,
+        flags,
+        flags,
+        jnp.zeros((len(volume), 2)),
+        (("triangle", len(volume)),),
     )
 
 
 def test_means_of_cells_without_volume():
     """A flat cell counts for nothing; an infinite value elsewhere, or NaN, is told; derivatives stay finite."""
     ratio = jnp.array([2.0, np.inf, 4.0])
-    of = jax.jit(jax.value_and_grad(lambda *columns: report_of(*columns).mean_aspect_ratio, argnums=(0, 1)))
+    of = jax.jit(
+        jax.value_and_grad(lambda *columns: report_of(*columns).mean_aspect_ratio, argnums=(0, 1))
+    )
     value, slopes = of(ratio, jnp.array([1.0, 0.0, 3.0]))
     assert float(value) == 3.5
     np.testing.assert_allclose(slopes[0], [0.25, 0, 0.75], rtol=1e-15)
@@ -128,7 +169,9 @@ def test_derivatives_of_maxima():
     np.testing.assert_array_equal(smallest(values, 1), np.min(values, axis=1))
     slope = jax.jacrev(largest)(values)
     np.testing.assert_array_equal(np.sum(slope, axis=1), np.eye(3))
-    np.testing.assert_array_equal(slope[[0, 1, 2], :, [0, 1, 2]], [[0, 1, 0], [0.5, 0.5, 0], [1, 0, 0]])
+    np.testing.assert_array_equal(
+        slope[[0, 1, 2], :, [0, 1, 2]], [[0, 1, 0], [0.5, 0.5, 0], [1, 0, 0]]
+    )
     twice = jax.jit(jax.hessian(lambda x: largest(x**2)))(jnp.array([1.0, -3.0, 2.0]))
     np.testing.assert_array_equal(twice, np.diag([0.0, 2, 0]))
 

@@ -27,12 +27,18 @@ SCIPY = [  # SciPy writes phi(epsilon r), with epsilon = 1 / R, and its multiqua
 ]
 
 
-@over("basis degree options dimension", [SCIPY[0], SCIPY[2], SCIPY[6]], nightly=[SCIPY[1], *SCIPY[3:6]])
+@over(
+    "basis degree options dimension",
+    [SCIPY[0], SCIPY[2], SCIPY[6]],
+    nightly=[SCIPY[1], *SCIPY[3:6]],
+)
 def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
     mesh = body(dimension)
     u, values = surface_values(mesh)
     moved = moved_by(mesh, full(basis, degree), u)
-    expected = RBFInterpolator(mesh.points[mesh.boundary], values, smoothing=0, **options)(mesh.points)
+    expected = RBFInterpolator(mesh.points[mesh.boundary], values, smoothing=0, **options)(
+        mesh.points
+    )
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
 
@@ -41,7 +47,9 @@ def test_wendland_equals_a_dense_solve(degree):
     mesh = body(2)
     u, values = surface_values(mesh)
     moved = moved_by(mesh, full(jm.WendlandC2(1.7), degree), u)
-    expected = dense(mesh.points, mesh.points[mesh.boundary], values, lambda r: wendland(r, 1.7), degree)
+    expected = dense(
+        mesh.points, mesh.points[mesh.boundary], values, lambda r: wendland(r, 1.7), degree
+    )
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
 
@@ -55,7 +63,9 @@ def test_refitted_steps_equal_dense_solves_on_the_moved_mesh(steps):
     _, moved = jm.march(plan, path)
     expected = mesh.points
     for _ in range(steps):
-        step = dense(expected, expected[mesh.boundary], 5 * values / steps, lambda r: wendland(r, 1.7), None)
+        step = dense(
+            expected, expected[mesh.boundary], 5 * values / steps, lambda r: wendland(r, 1.7), None
+        )
         expected = expected + step
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-10)
 
@@ -66,10 +76,14 @@ def test_a_reduced_interpolation_is_one_of_its_sources():
     u, values = surface_values(mesh)
     moving, fixed = jm.KDTree(3), jm.KDTree(2, jm.GaussPoints())
     moved = moved_by(mesh, jm.RBF(reduction=moving, fixed_reduction=fixed), u)
-    chosen = np.concatenate([moving(mesh.points[mesh.moving]), len(mesh.moving) + fixed(mesh.points[mesh.fixed])])
+    chosen = np.concatenate(
+        [moving(mesh.points[mesh.moving]), len(mesh.moving) + fixed(mesh.points[mesh.fixed])]
+    )
     assert 8 < len(chosen) < len(mesh.boundary) / 2
     sources = mesh.points[mesh.boundary][chosen]
-    expected = RBFInterpolator(sources, values[chosen], kernel="thin_plate_spline", degree=1)(mesh.points)
+    expected = RBFInterpolator(sources, values[chosen], kernel="thin_plate_spline", degree=1)(
+        mesh.points
+    )
     np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
 
 
@@ -80,7 +94,10 @@ def test_far_from_the_origin_and_in_other_units():
     near = moved_by(mesh, method, u) - mesh.points
     for length, shift, allowed in ((1, 1e6, 1e-8), (1e-4, 0, 1e-12), (1e5, 3e5, 1e-12)):
         points = mesh.points * length + shift
-        moved = jm.deform(jm.prepare(points, mesh.moving, mesh.fixed, method=method), u * length) - points
+        moved = (
+            jm.deform(jm.prepare(points, mesh.moving, mesh.fixed, method=method), u * length)
+            - points
+        )
         np.testing.assert_allclose(moved / length, near, rtol=0, atol=allowed)
 
 
@@ -107,7 +124,9 @@ def test_sources_that_do_not_span_space(dimension):
     points = np.concatenate([flat @ turn, rng.normal(size=(10, dimension))])
     with pytest.raises(ValueError, match=rf"40 sources do not span {dimension} dimensions"):
         jm.prepare(points, np.arange(40), method=full(jm.ThinPlateSpline(), 1))
-    plan = jm.prepare(points, np.arange(40), method=full(jm.WendlandC2(3.0), 0))  # a constant needs no span
+    plan = jm.prepare(
+        points, np.arange(40), method=full(jm.WendlandC2(3.0), 0)
+    )  # a constant needs no span
     np.testing.assert_allclose(jm.deform(plan, np.ones((40, dimension))), points + 1, atol=1e-10)
 
 
@@ -121,13 +140,17 @@ def test_a_degree_that_does_not_exist_or_does_not_suffice():
 @pytest.mark.parametrize(("far", "near"), [(3, 5), (2.5, 4.2)])
 def test_the_weights_are_lukes(far, near):
     mesh, rng = body(2), np.random.default_rng(0)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(float(far), float(near)))
+    plan = jm.prepare(
+        mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(float(far), float(near))
+    )
     u = rng.normal(size=(len(mesh.moving), 2))
     surface = mesh.points[mesh.boundary]
     length = np.linalg.norm(surface - mesh.points[mesh.moving].mean(axis=0), axis=1).max()
     apart = np.linalg.norm(mesh.points[mesh.inner][:, None] - surface[None], axis=2)
     weights = (length / apart) ** far + (0.25 * length / apart) ** near
-    expected = weights @ np.concatenate([u, np.zeros((len(mesh.fixed), 2))]) / weights.sum(axis=1)[:, None]
+    expected = (
+        weights @ np.concatenate([u, np.zeros((len(mesh.fixed), 2))]) / weights.sum(axis=1)[:, None]
+    )
     moved = jm.deform(plan, u) - mesh.points
     np.testing.assert_allclose(moved[mesh.inner], expected, rtol=0, atol=1e-12)
 
@@ -159,7 +182,9 @@ def test_derivatives_of_turning_nodes_at_rest():
         difference = (jm.deform(plan, u + 1e-7 * v) - jm.deform(plan, u - 1e-7 * v)) / 2e-7
         pushed = jax.jvp(lambda u: jm.deform(plan, u), (jnp.asarray(u),), (jnp.asarray(v),))[1]
         np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-5 * np.abs(difference).max())
-        np.testing.assert_allclose(np.vdot(pushed, w), np.vdot(v, jm.pullback(plan, u, w)), rtol=1e-9)
+        np.testing.assert_allclose(
+            np.vdot(pushed, w), np.vdot(v, jm.pullback(plan, u, w)), rtol=1e-9
+        )
     assert (jm.deform(plan, 0 * v) == mesh.points).all()
 
 
@@ -180,7 +205,9 @@ def test_steep_weights_stay_finite_in_float32():
 
 def classic(solver=None, basis=None, **options):
     every = jm.AllPoints()
-    return jm.RBF(jm.ThinPlateSpline() if basis is None else basis, every, every, solver=solver, **options)
+    return jm.RBF(
+        jm.ThinPlateSpline() if basis is None else basis, every, every, solver=solver, **options
+    )
 
 
 def box(side):
@@ -225,7 +252,10 @@ def test_the_default_tolerance_against_the_dense_solve_on_flat_sides():
     points, moving = box(9)
     u = motion(points[moving])
     weights = np.random.default_rng(0).normal(size=points.shape)
-    solvers, fixed = (jm.Direct(), jm.Iterative(neighbours=20, dense=40)), np.arange(len(moving), len(points))
+    solvers, fixed = (
+        (jm.Direct(), jm.Iterative(neighbours=20, dense=40)),
+        np.arange(len(moving), len(points)),
+    )
     plans = [jm.prepare(points, moving, fixed, method=classic(solver)) for solver in solvers]
     exact, found = (np.asarray(jm.deform(plan, u)) for plan in plans)
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9 * np.abs(u).max())
@@ -252,7 +282,9 @@ def test_bases_against_the_dense_solve(basis, options):
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
 
     def gradient(plan):
-        return jax.grad(lambda points: jnp.sum(jnp.sin(3 * jm.deform(jm.refit(plan, points), u))))(plan.points)
+        return jax.grad(lambda points: jnp.sum(jnp.sin(3 * jm.deform(jm.refit(plan, points), u))))(
+            plan.points
+        )
 
     exact, found = map(gradient, plans)
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7 * np.abs(exact).max())
@@ -276,11 +308,15 @@ def test_many_sources_are_solved_by_iterations(monkeypatch, tmp_path):
 def test_what_does_not_converge_is_told():
     mesh = body(2)
     u = motion(mesh.points[mesh.moving])
-    with pytest.raises(ValueError, match=r"62 sources is too ill-conditioned for Iterative.*Try a smaller `radius`"):
+    with pytest.raises(
+        ValueError, match=r"62 sources is too ill-conditioned for Iterative.*Try a smaller `radius`"
+    ):
         planned(mesh, iterative(jm.Gaussian(30.0), degree=None))
     plan = planned(mesh, iterative(jm.ThinPlateSpline()))
     flat = mesh.points.copy()
-    flat[mesh.boundary] = flat[mesh.boundary[0]]  # all sources at one place: no such system has a solution
+    flat[mesh.boundary] = flat[
+        mesh.boundary[0]
+    ]  # all sources at one place: no such system has a solution
     with pytest.raises(ValueError, match="the plan's solve is not finite at the new base points"):
         jm.refit(plan, flat)
     moved = np.asarray(jax.jit(lambda base: jm.deform(jm.refit(plan, base), u))(flat))
@@ -298,7 +334,14 @@ def test_single_precision_has_a_tolerance_that_it_can_reach():
     points, wall = mesh.astype(np.float32), np.arange(len(moving))
     u = (0.1 * np.sin(3 * mesh[wall][:, [1, 2, 0]])).astype(np.float32)
     near = [
-        np.asarray(jm.deform(jm.prepare(points, wall, np.arange(len(wall), len(mesh) - 3), method=classic(solver)), u))
+        np.asarray(
+            jm.deform(
+                jm.prepare(
+                    points, wall, np.arange(len(wall), len(mesh) - 3), method=classic(solver)
+                ),
+                u,
+            )
+        )
         for solver in (jm.Iterative(dense=50), jm.Direct())
     ]
     np.testing.assert_allclose(near[0], near[1], atol=1e-4)
@@ -307,6 +350,8 @@ def test_single_precision_has_a_tolerance_that_it_can_reach():
 @pytest.mark.slow
 def test_one_source_is_solved_as_the_dense_solve_does():
     points = np.array([[0.0, 0], [1, 0], [0, 1], [0.3, 0.4]])
-    methods = [classic(solver, jm.WendlandC2(2.0), degree=0) for solver in (jm.Iterative(), jm.Direct())]
+    methods = [
+        classic(solver, jm.WendlandC2(2.0), degree=0) for solver in (jm.Iterative(), jm.Direct())
+    ]
     moved = [jm.deform(jm.prepare(points, [0], method=method), [[0.1, 0.2]]) for method in methods]
     np.testing.assert_allclose(moved[0], moved[1], atol=1e-14)

@@ -20,7 +20,9 @@ def reference(points, leaves, local):
     while len(boxes) < leaves:
         fullest = max(boxes, key=len)
         boxes.remove(fullest)
-        sides = [max(p[k] for p in fullest) - min(p[k] for p in fullest) for k in range(len(points[0]))]
+        sides = [
+            max(p[k] for p in fullest) - min(p[k] for p in fullest) for k in range(len(points[0]))
+        ]
         along = sorted(fullest, key=lambda p: p[sides.index(max(sides))])
         boxes += [along[: (len(along) + 1) // 2], along[(len(along) + 1) // 2 :]]
     found = set()
@@ -42,7 +44,9 @@ LOCAL = {
 @pytest.mark.parametrize("search", LOCAL, ids=lambda search: type(search).__name__)
 @pytest.mark.parametrize(("dimension", "leaves"), [(2, 1), (2, 2), (2, 8), (3, 1), (3, 4), (3, 16)])
 def test_against_the_reference(search, dimension, leaves):
-    points = np.random.default_rng(dimension * leaves).normal(size=(64, dimension)) ** 3  # dense in the middle
+    points = (
+        np.random.default_rng(dimension * leaves).normal(size=(64, dimension)) ** 3
+    )  # dense in the middle
     chosen = jm.KDTree(leaves, search, separation=0.0)(points)
     assert chosen.tolist() == reference(points, leaves, LOCAL[search](dimension))
 
@@ -97,7 +101,9 @@ def test_boxes_are_split_until_small_enough():
     assert counts.max() > 20
     boxes, counts = members(jm.KDTree(64, smallest_box=0.5))
     assert len(boxes) <= 64
-    assert (np.ptp(boxes, axis=1).max(axis=1)[counts > 20] <= 0.5).all()  # only these are left whole
+    assert (
+        np.ptp(boxes, axis=1).max(axis=1)[counts > 20] <= 0.5
+    ).all()  # only these are left whole
     assert len(members(jm.KDTree(13))[0]) == 13
     assert len(jm.KDTree(1000).boxes(points)) == 500  # one point each, then it ends
 
@@ -105,9 +111,15 @@ def test_boxes_are_split_until_small_enough():
 def test_limits_on_leaves_at_equality():
     """A box as long as `smallest_box` is whole; one as long as `largest_box`, or as full as `points_per_leaf`, is not split."""
     points = np.stack([np.linspace(0, 1, 8), np.zeros(8)], axis=1)
-    for name, whole, split in (("smallest_box", 1.0, 0.999), ("largest_box", 1.0, 0.999), ("points_per_leaf", 8, 4)):
+    for name, whole, split in (
+        ("smallest_box", 1.0, 0.999),
+        ("largest_box", 1.0, 0.999),
+        ("points_per_leaf", 8, 4),
+    ):
         least = {"leaves": 2} if name == "smallest_box" else {}
-        assert [len(jm.KDTree(**{name: limit}, **least).boxes(points)) for limit in (whole, split)] == [1, 2], name
+        assert [
+            len(jm.KDTree(**{name: limit}, **least).boxes(points)) for limit in (whole, split)
+        ] == [1, 2], name
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -126,7 +138,9 @@ def test_points_coincide_within_a_few_units_in_the_last_place(dtype, size):
 @pytest.mark.parametrize("make", [jm.KDTree, jm.FarthestPoints, jm.Greedy])
 def test_separation(make):
     """Sources keep their distance; where farthest points stop, no other point is farther from them."""
-    points = np.concatenate([np.random.default_rng(2).normal(size=(200, 2)), [[0.0, 0.0], [1e-9, 0.0]]])
+    points = np.concatenate(
+        [np.random.default_rng(2).normal(size=(200, 2)), [[0.0, 0.0], [1e-9, 0.0]]]
+    )
     wide, least = make(64, separation=0.05)(points), 0.05 * np.linalg.norm(np.ptp(points, axis=0))
     assert pdist(points[wide]).min() > least
     assert 10 < len(wide) < len(make(64, separation=0.0)(points))
@@ -170,7 +184,9 @@ def test_tree_with_about_so_many_sources():
     points = mesh.points[mesh.patch("airfoil")]
     for count in (6, 20, 45):
         leaves = jm.KDTree.with_sources(count, points).leaves
-        missed = {k: abs(len(jm.KDTree(k, extremes=True)(points)) - count) for k in range(1, count + 1)}
+        missed = {
+            k: abs(len(jm.KDTree(k, extremes=True)(points)) - count) for k in range(1, count + 1)
+        }
         assert missed[leaves] <= min(missed.values()) + 1
     least = len(jm.KDTree(1, extremes=True)(points))
     assert len(jm.KDTree.with_sources(least, points)(points)) == least

@@ -82,6 +82,10 @@ def test_polyhedra_have_faces_of_their_own():
     sides = [[k, (k + 1) % 5, (k + 1) % 5 + 5, k + 5] for k in range(5)]
     faces = [[4, 3, 2, 1, 0], [5, 6, 7, 8, 9], *sides]
     stream = [len(faces), *(entry for face in faces for entry in (len(face), *face))]
-    grid = pyvista.UnstructuredGrid(np.array([len(stream), *stream]), np.array([42], np.uint8), points)
-    with pytest.raises(ValueError, match=r"has polyhedra or polygons: jm.boundary_faces\(mesh\) lists"):
+    grid = pyvista.UnstructuredGrid(
+        np.array([len(stream), *stream]), np.array([42], np.uint8), points
+    )
+    with pytest.raises(
+        ValueError, match=r"has polyhedra or polygons: jm.boundary_faces\(mesh\) lists"
+    ):
         jm.Mesh.from_pyvista(grid).skin()

@@ -14,9 +14,27 @@ from benchmarks import faults
 ROOT = pathlib.Path(__file__).parents[1]
 
 FLAT = (
-    *("C-grid 0015", "C-grid 4412, thin cells", "C-grid 0012, sharp", "C-grid 0006, sharp", "O-grid, sharp"),
-    *("O-grid, circle", "three round bodies", "a round body beside a held one", "pins between walls"),
-    *("rod in a sleeve", "channel", "cascade", "nozzle, axis held", "nozzle, axis slides", "flap on a wall"),
+    *(
+        "C-grid 0015",
+        "C-grid 4412, thin cells",
+        "C-grid 0012, sharp",
+        "C-grid 0006, sharp",
+        "O-grid, sharp",
+    ),
+    *(
+        "O-grid, circle",
+        "three round bodies",
+        "a round body beside a held one",
+        "pins between walls",
+    ),
+    *(
+        "rod in a sleeve",
+        "channel",
+        "cascade",
+        "nozzle, axis held",
+        "nozzle, axis slides",
+        "flap on a wall",
+    ),
     *("hinged tail", "thin plate", "triangles, sharp airfoil"),
 )
 SOLID = ("extruded circle, 3 over 1", "wing", "box, tetra", "sphere", "rod on a held floor")
@@ -43,7 +61,10 @@ def named(rows, name):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=pytest.mark.slow if name in OFTEN else pytest.mark.nightly) for name in (*FLAT, *SOLID)],
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in OFTEN else pytest.mark.nightly)
+        for name in (*FLAT, *SOLID)
+    ],
 )
 def test_the_default_never_loses(rows, name):
     """It inverts no cell where one of the others inverts none, and keeps 0.85 of their best smallest Jacobian ratio."""
@@ -79,11 +100,15 @@ def test_points_alone_are_interpolated():
 def test_too_few_sources_are_told_with_a_number_that_is_enough(rows):
     case = named(rows, "extruded circle, 3 over 1")
     u = case.motions["lobes 6"](case.base, 1.0)
-    few = case.prepared(jm.SurfaceReconstruction(jm.FittedRBF(jm.RBF(reduction=jm.KDTree(4)))), True)
+    few = case.prepared(
+        jm.SurfaceReconstruction(jm.FittedRBF(jm.RBF(reduction=jm.KDTree(4)))), True
+    )
     seen = jm.inspect(few, u)
     assert seen.missed > 1 / 3
     assert f"KDTree({seen.leaves}, extremes=True)" in str(seen)
-    enough = jm.SurfaceReconstruction(jm.FittedRBF(jm.RBF(reduction=jm.KDTree(seen.leaves, extremes=True))))
+    enough = jm.SurfaceReconstruction(
+        jm.FittedRBF(jm.RBF(reduction=jm.KDTree(seen.leaves, extremes=True)))
+    )
     again = jm.inspect(case.prepared(enough, True), u)
     assert again.missed < 1 / 3
     assert again.leaves is None

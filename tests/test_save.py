@@ -43,14 +43,24 @@ def power():
 
 def planned(method, symmetry=(), dtype=np.float64):
     one = body(2)
-    return jm.prepare(one.points.astype(dtype), one.moving, one.fixed, method=method, symmetry=symmetry)
+    return jm.prepare(
+        one.points.astype(dtype), one.moving, one.fixed, method=method, symmetry=symmetry
+    )
 
 
 GAUSS = jm.GaussPoints()
 METHODS = {
     "default": (lambda: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2)), ()),
-    "greedy": (lambda: jm.RBF(jm.WendlandC2(3), jm.Greedy(9, np.ones((2, 31, 2))), jm.AllPoints()), ()),
-    "gauss": (lambda: jm.RBF(jm.Multiquadric(0.1), jm.KDTree(np.int64(4), GAUSS, extremes=True), degree=0), ()),
+    "greedy": (
+        lambda: jm.RBF(jm.WendlandC2(3), jm.Greedy(9, np.ones((2, 31, 2))), jm.AllPoints()),
+        (),
+    ),
+    "gauss": (
+        lambda: jm.RBF(
+            jm.Multiquadric(0.1), jm.KDTree(np.int64(4), GAUSS, extremes=True), degree=0
+        ),
+        (),
+    ),
     "own basis": (lambda: jm.RBF(power(), jm.AllPoints(), jm.AllPoints()), (Power, Law)),
 }
 
@@ -70,11 +80,18 @@ def test_a_loaded_plan_is_the_same_to_the_last_bit(tmp_path, name):
     again = jm.load(tmp_path / "a.plan", classes)
     leaves, structure = jax.tree.flatten(plan)
     found, same = jax.tree.flatten(again)
-    if name not in ("greedy", "own basis"):  # a Greedy is compared by identity, dictionaries and arrays have no hash
+    if name not in (
+        "greedy",
+        "own basis",
+    ):  # a Greedy is compared by identity, dictionaries and arrays have no hash
         assert same == structure
     assert str(same) == str(structure)
     for a, b in zip(leaves, found, strict=True):
-        assert (type(a), a.dtype, getattr(a, "weak_type", None)) == (type(b), b.dtype, getattr(b, "weak_type", None))
+        assert (type(a), a.dtype, getattr(a, "weak_type", None)) == (
+            type(b),
+            b.dtype,
+            getattr(b, "weak_type", None),
+        )
         np.testing.assert_array_equal(a, b)
     u = motion(body(2).points[body(2).moving])
     np.testing.assert_array_equal(jm.deform(again, u), jm.deform(plan, u))
@@ -101,7 +118,9 @@ def test_steps_symmetry_and_single_precision(tmp_path):
     points = np.concatenate([body(2).points, [[-9.0, -9], [-9, 9], [9, -9], [9, 9]]])
     far = [*range(len(points) - 4, len(points))]
     plane = jm.Plane([0, 1], [0, -9.0])
-    plan = jm.prepare(points.astype(np.float32), body(2).moving, far, method=jm.DelaunayGraph(), symmetry=plane)
+    plan = jm.prepare(
+        points.astype(np.float32), body(2).moving, far, method=jm.DelaunayGraph(), symmetry=plane
+    )
     u = motion(points[body(2).moving])
     path = np.stack([0.3 * u, u]).astype(np.float32)
     plans, end = jm.march(plan, path)
@@ -130,8 +149,14 @@ UNSAVED = [
         lambda plan: by(plan, jm.RBF(Callable(np.exp), degree=None)),
         r"plan.method.basis.phi is a ufunc, which a plan file cannot",
     ),
-    (lambda plan: by(plan, jm.RBF(OTHER())), r"plan.method.basis is of a class WendlandC2 that is not jaxmorph's"),
-    (lambda plan: jm.shard(plan, jax.devices()[:1]), r"is laid over devices: save the plan that `prepare` returned"),
+    (
+        lambda plan: by(plan, jm.RBF(OTHER())),
+        r"plan.method.basis is of a class WendlandC2 that is not jaxmorph's",
+    ),
+    (
+        lambda plan: jm.shard(plan, jax.devices()[:1]),
+        r"is laid over devices: save the plan that `prepare` returned",
+    ),
     (lambda plan: plan.method, r"must be a Plan .*not a DelaunayGraph"),
 ]
 
@@ -222,7 +247,10 @@ def test_nothing_in_a_file_is_run(tmp_path):
 @pytest.mark.parametrize(
     ("classes", "words"),
     [
-        ((), r"the class 'Power' is unknown; pass your own class as load\(path, classes=\(Power,\)\)"),
+        (
+            (),
+            r"the class 'Power' is unknown; pass your own class as load\(path, classes=\(Power,\)\)",
+        ),
         ((type("RBF", (jm.RBF,), {}),), "two classes are called RBF"),
         ((print,), "`classes` must be a list, each a class"),
     ],

@@ -20,13 +20,23 @@ ONE_PARAMETER = {
     "rotate": (lambda x, a: shapes.rotate(x, a, ABOUT[x.shape[1]], AXIS[x.shape[1]]), 0.0, 0.7),
     "translate": (lambda x, a: shapes.translate(x, a * jnp.array(ALONG[x.shape[1]])), 0.0, 0.3),
     "scale": (lambda x, a: shapes.scale(x, a, ABOUT[x.shape[1]]), 1.0, 1.7),
-    "bend": (lambda x, a: shapes.bend(x, a, ABOUT[x.shape[1]], ALONG[x.shape[1]], 1.3, AXIS[x.shape[1]]), 0.0, 0.9),
+    "bend": (
+        lambda x, a: shapes.bend(x, a, ABOUT[x.shape[1]], ALONG[x.shape[1]], 1.3, AXIS[x.shape[1]]),
+        0.0,
+        0.9,
+    ),
     "twist": (lambda x, a: shapes.twist(x, a, ABOUT[3], AXIS[3], 1.3), 0.0, 0.9),
 }
-ALL = [("twist", 3), *((name, d) for name in ("rotate", "scale", "bend", "translate") for d in (2, 3))]
+ALL = [
+    ("twist", 3),
+    *((name, d) for name in ("rotate", "scale", "bend", "translate") for d in (2, 3)),
+]
 CASES, SLOPES = (
     runs(fast, nightly=[case for case in ALL if case not in fast])
-    for fast in ([("rotate", 2), ("scale", 2), ("bend", 2), ("twist", 3)], [("rotate", 3), ("scale", 2)])
+    for fast in (
+        [("rotate", 2), ("scale", 2), ("bend", 2), ("twist", 3)],
+        [("rotate", 3), ("scale", 2)],
+    )
 )
 
 
@@ -38,7 +48,9 @@ def cloud(d, count=40):
 def test_derivatives_equal_differences(name, d):
     (shape, neutral, value), x = ONE_PARAMETER[name], cloud(d)
     moved = lambda a: shape(x, a)  # noqa: E731
-    slopes = jax.jit(lambda a: (jax.jacfwd(moved)(a), jax.jacrev(moved)(a), jax.jacfwd(jax.jacrev(moved))(a)))
+    slopes = jax.jit(
+        lambda a: (jax.jacfwd(moved)(a), jax.jacrev(moved)(a), jax.jacfwd(jax.jacrev(moved))(a))
+    )
     for at in (neutral, value):
         forward, back, second = slopes(at)
         np.testing.assert_allclose(forward, jacobian(moved, at, 1e-2), atol=1e-9)
@@ -70,19 +82,25 @@ def test_rotation_is_scipys():
 
 def test_each_position_may_turn_by_its_own_angle():
     x, angles = cloud(2), np.linspace(-1, 1, 40)
-    expected = np.concatenate([shapes.rotate(x[i : i + 1], angle, ABOUT[2]) for i, angle in enumerate(angles)])
+    expected = np.concatenate(
+        [shapes.rotate(x[i : i + 1], angle, ABOUT[2]) for i, angle in enumerate(angles)]
+    )
     np.testing.assert_allclose(shapes.rotate(x, angles, ABOUT[2]), expected, atol=1e-15)
 
 
 def test_scaling_by_one_number_and_by_several():
     np.testing.assert_allclose(shapes.scale(cloud(2), 3, [0, 0]), 3 * cloud(2), rtol=1e-15)
-    np.testing.assert_allclose(shapes.scale(cloud(2), [1, 2], [0, 1]), cloud(2) * [1, 2] - [0, 1], atol=1e-14)
+    np.testing.assert_allclose(
+        shapes.scale(cloud(2), [1, 2], [0, 1]), cloud(2) * [1, 2] - [0, 1], atol=1e-14
+    )
 
 
 def test_twist_turns_sections_in_proportion():
     x = np.array([[1.0, 0, -1], [1, 0, 0], [1, 0, 0.5], [1, 0, 1], [1, 0, 4]])
     turned = shapes.twist(x, np.pi, [0, 0, 0], [0, 0, 2], 1.0)
-    np.testing.assert_allclose(turned, [[1, 0, -1], [1, 0, 0], [0, 1, 0.5], [-1, 0, 1], [-1, 0, 4]], atol=1e-15)
+    np.testing.assert_allclose(
+        turned, [[1, 0, -1], [1, 0, 0], [0, 1, 0.5], [-1, 0, 1], [-1, 0, 4]], atol=1e-15
+    )
 
 
 @over("d", [2], nightly=[3])
@@ -100,7 +118,9 @@ def test_bending_makes_an_arc_of_the_same_length(d):
 
 def test_displacement_is_what_deform_takes(tmp_path):
     mesh = write_ring(tmp_path / "ring.su2")
-    plan = jm.prepare(mesh.points, mesh.patch("wall"), mesh.patch("far"), method=jm.InverseDistance())
+    plan = jm.prepare(
+        mesh.points, mesh.patch("wall"), mesh.patch("far"), method=jm.InverseDistance()
+    )
 
     def turned(x, a):
         return shapes.rotate(x, a, [0.0, 0.0])
@@ -109,7 +129,9 @@ def test_displacement_is_what_deform_takes(tmp_path):
     wall = mesh.points[:24]
     np.testing.assert_allclose(points[:24], turned(wall, 0.1), atol=1e-14)
     slope = jax.jacfwd(lambda a: jm.deform(plan, shapes.displacement(turned, plan, a)))(0.1)[:24]
-    np.testing.assert_allclose(slope, np.stack([-points[:24, 1], points[:24, 0]], axis=1), atol=1e-12)
+    np.testing.assert_allclose(
+        slope, np.stack([-points[:24, 1], points[:24, 0]], axis=1), atol=1e-12
+    )
     with pytest.raises(ValueError, match=r"\(24, 2\) into \(1, 2\)"):
         shapes.displacement(lambda x, a: x[:1], plan, 0.1)
 

@@ -49,7 +49,9 @@ def test_linear_shapes_and_their_transposes(name):
 def test_a_bump_is_hicks_and_hennes():
     x = np.column_stack([np.linspace(-0.2, 1.2, 29), np.zeros(29)])
     t = np.clip(x[:, 0], 1e-300, 1)
-    bump = np.where((x[:, 0] > 0) & (x[:, 0] < 1), np.sin(np.pi * t ** (np.log(0.5) / np.log(0.3))) ** 2, 0)
+    bump = np.where(
+        (x[:, 0] > 0) & (x[:, 0] < 1), np.sin(np.pi * t ** (np.log(0.5) / np.log(0.3))) ** 2, 0
+    )
     moved = shapes.HicksHenne([0.3], 2.0)(x, [0.07])
     np.testing.assert_allclose(moved, x + np.column_stack([0 * t, 0.07 * bump]), atol=1e-15)
     chord = shapes.Chord([1, 1], [1, 3])  # twice as long, upwards: up is to the left
@@ -62,7 +64,9 @@ def test_the_curve_is_scipys_spline():
     lengths = np.append(0, np.cumsum(np.linalg.norm(np.diff(AIRFOIL, axis=0), axis=1)))
     control = np.random.default_rng(0).normal(size=(6, 2))
     spline = BSpline(np.array([0, 0, 0, 0, 1 / 3, 2 / 3, 1, 1, 1, 1]), control, 3)
-    np.testing.assert_allclose(LINEAR["curve"].at(AIRFOIL)(control), spline(lengths / lengths[-1]), atol=1e-13)
+    np.testing.assert_allclose(
+        LINEAR["curve"].at(AIRFOIL)(control), spline(lengths / lengths[-1]), atol=1e-13
+    )
 
 
 @pytest.mark.nightly
@@ -72,9 +76,14 @@ def test_one_naca_airfoil_becomes_another(given):
     np.testing.assert_array_equal(shape(x, shape.neutral()), x)
     for other in ((0.04, 0.4, 0.15), (0.03, 0.6, 0.09)):
         np.testing.assert_allclose(shape(x, other), naca(*other), atol=2e-13)
-    p, away = np.array([0.04, 0.4, 0.15]), np.abs(x[:, 0] - 0.4) > 1e-3  # where the second derivative jumps
+    p, away = (
+        np.array([0.04, 0.4, 0.15]),
+        np.abs(x[:, 0] - 0.4) > 1e-3,
+    )  # where the second derivative jumps
     expected = jacobian(lambda p: naca(*p), p, 1e-4)
-    np.testing.assert_allclose(jax.jacfwd(lambda p: shape(x, p))(p)[away], expected[away], atol=1e-8)
+    np.testing.assert_allclose(
+        jax.jacfwd(lambda p: shape(x, p))(p)[away], expected[away], atol=1e-8
+    )
 
 
 @pytest.mark.nightly
@@ -103,7 +112,9 @@ def test_fits_find_the_parameters_of_linear_and_other_shapes():
     assert (int(result.rank), result.count) == (1, 2)
     np.testing.assert_allclose(result.parameters, [0.15, 0.15], atol=1e-12)
     turned = shapes.rotate(AIRFOIL, 0.4, [0.25, 0.0])
-    result = shapes.fit(lambda x, a: shapes.rotate(x, a, [0.25, 0.0]), AIRFOIL, turned, jnp.array(0.0))
+    result = shapes.fit(
+        lambda x, a: shapes.rotate(x, a, [0.25, 0.0]), AIRFOIL, turned, jnp.array(0.0)
+    )
     np.testing.assert_allclose(result.parameters, 0.4, atol=1e-9)
     assert float(result.max_residual) < 1e-9
 
@@ -120,7 +131,10 @@ def test_frozen_linked_and_mirrored_control_points():
     # one control of the left column for both, (1, 1) and (1, 2) free, and (2, 1) and (2, 2) on the plane across alone
     assert linked.matrix.shape == (30, 2 + 4 + 2)
     x = np.random.default_rng(0).uniform([0, 0], [1, 1], (20, 2))
-    moved, image = linked(x, random_like(linked.neutral())), linked(x * [-1, 1], random_like(linked.neutral()))
+    moved, image = (
+        linked(x, random_like(linked.neutral())),
+        linked(x * [-1, 1], random_like(linked.neutral())),
+    )
     np.testing.assert_allclose(np.asarray(image) * [-1, 1], moved, atol=1e-14)
 
 
@@ -146,22 +160,35 @@ def test_stations_are_interpolated(cubic):
     shape = shapes.ReferenceAxis(PLANFORM.points, cubic=cubic)
     x, values = wing(), np.array([0.3, -0.2, 0.5])
     y = np.clip(x[:, 1], 0, 2)
-    expected = CubicSpline([0, 1, 2], values, bc_type="natural")(y) if cubic else np.interp(y, [0, 1, 2], values)
+    expected = (
+        CubicSpline([0, 1, 2], values, bc_type="natural")(y)
+        if cubic
+        else np.interp(y, [0, 1, 2], values)
+    )
     np.testing.assert_allclose(shape.weights(jnp.asarray(x)) @ values, expected, atol=1e-14)
-    np.testing.assert_allclose(shape(x, {"dihedral": values}) - x, expected[:, None] * [[0, 0, 1]], atol=1e-14)
+    np.testing.assert_allclose(
+        shape(x, {"dihedral": values}) - x, expected[:, None] * [[0, 0, 1]], atol=1e-14
+    )
     np.testing.assert_array_equal(shape(x, shape.neutral()), x)
 
 
 def test_a_planform_twists_and_scales_sections_about_its_axis():
     x, y = wing(), None
     y = np.clip(x[:, 1], 0, 2)
-    centre = np.stack([np.interp(y, [0, 1, 2], np.asarray(PLANFORM.points)[:, k]) for k in range(3)], axis=1)
+    centre = np.stack(
+        [np.interp(y, [0, 1, 2], np.asarray(PLANFORM.points)[:, k]) for k in range(3)], axis=1
+    )
     centre[:, 1] = x[:, 1]
-    twist, chord = np.interp(y, [0, 1, 2], [0.0, 0.1, 0.4]), np.interp(y, [0, 1, 2], [1.0, 0.8, 0.5])
+    twist, chord = (
+        np.interp(y, [0, 1, 2], [0.0, 0.1, 0.4]),
+        np.interp(y, [0, 1, 2], [1.0, 0.8, 0.5]),
+    )
     turns = Rotation.from_rotvec(twist[:, None] * [[0, 1, 0]])
     expected = centre + turns.apply(chord[:, None] * (x - centre))
     expected += np.interp(y, [0, 1, 2], [0, 0.1, 0.3])[:, None] * [1, 0, 0]
-    moved = PLANFORM(x, {"twist": [0.0, 0.1, 0.4], "chord": [1.0, 0.8, 0.5], "sweep": [0.0, 0.1, 0.3]})
+    moved = PLANFORM(
+        x, {"twist": [0.0, 0.1, 0.4], "chord": [1.0, 0.8, 0.5], "sweep": [0.0, 0.1, 0.3]}
+    )
     np.testing.assert_allclose(moved, expected, atol=1e-14)
     slope = jax.jacrev(lambda t: PLANFORM(x, {"twist": t}))(jnp.zeros(3))
     arm = x - centre
@@ -174,7 +201,10 @@ test_bad_input_is_refused = refusals(
     (lambda: shapes.HicksHenne([0.5])(AIRFOIL, [0.1, 0.2]), "parameters have shape"),
     (lambda: shapes.HicksHenne([0.5])(wing(), [0.1]), "a chord in 2-D"),
     (lambda: shapes.Chord([0, 0, 0], [1, 0, 0]), "`up` is missing"),
-    (lambda: shapes.BSplineCurve(AIRFOIL[[0, 1, 1, 2]], 4), "1 nodes stand on the one before, first 2"),
+    (
+        lambda: shapes.BSplineCurve(AIRFOIL[[0, 1, 1, 2]], 4),
+        "1 nodes stand on the one before, first 2",
+    ),
     (lambda: shapes.BSplineCurve(AIRFOIL, 3), "degree is 1 to count - 1"),
     (lambda: LINEAR["curve"].at(AIRFOIL[:5]), "is for positions"),
     (lambda: shapes.Modes(AIRFOIL), "expected"),

@@ -22,7 +22,9 @@ def weights(t, count, degree):
     if degree == count - 1:
         k = np.arange(count)
         return comb(degree, k) * t[:, None] ** k * (1 - t[:, None]) ** (degree - k)
-    knots = np.concatenate([np.zeros(degree), np.linspace(0, 1, count - degree + 1), np.ones(degree)])
+    knots = np.concatenate(
+        [np.zeros(degree), np.linspace(0, 1, count - degree + 1), np.ones(degree)]
+    )
     return BSpline.design_matrix(t, knots, degree).toarray()
 
 
@@ -68,19 +70,29 @@ def test_the_transpose_and_derivatives(name):
     origin, axes, counts, degree = BOXES[name]
     box, rng = shapes.FreeForm(origin, axes, counts, degree=degree), np.random.default_rng(2)
     x, d = cloud(len(counts), SLAB + 1500), len(counts)
-    control, other, cotangent = (rng.normal(size=shape) for shape in ((*counts, d), (*counts, d), x.shape))
+    control, other, cotangent = (
+        rng.normal(size=shape) for shape in ((*counts, d), (*counts, d), x.shape)
+    )
     operator = box.at(x)
     back = jax.vjp(operator, control)[1](cotangent)[0]
-    np.testing.assert_allclose(np.vdot(operator(other), cotangent), np.vdot(other, back), rtol=1e-11)
-    np.testing.assert_allclose(jax.grad(lambda c: jnp.vdot(box(x, c), cotangent))(control), back, atol=1e-11)
+    np.testing.assert_allclose(
+        np.vdot(operator(other), cotangent), np.vdot(other, back), rtol=1e-11
+    )
+    np.testing.assert_allclose(
+        jax.grad(lambda c: jnp.vdot(box(x, c), cotangent))(control), back, atol=1e-11
+    )
     several = jax.vmap(operator)(jnp.stack([control, other]))
     np.testing.assert_allclose(several[1], operator(other), atol=1e-13)
     squares = jax.jvp(jax.grad(lambda c: jnp.sum(operator(c) ** 2)), (control,), (other,))[1]
-    np.testing.assert_allclose(squares, 2 * jax.vjp(operator, control)[1](operator(other))[0], atol=1e-10)
+    np.testing.assert_allclose(
+        squares, 2 * jax.vjp(operator, control)[1](operator(other))[0], atol=1e-10
+    )
     h = 1e-6
     slope = jax.jvp(lambda x: box(x, control), (x,), (cotangent,))[1]
     t = np.asarray(box.coordinates(jnp.asarray(x)))
-    smooth = (np.abs(t % 1) > 1e-3).all(axis=1) & (np.abs(t * (np.array(counts) - box.degrees) % 1) > 1e-3).all(axis=1)
+    smooth = (np.abs(t % 1) > 1e-3).all(axis=1) & (
+        np.abs(t * (np.array(counts) - box.degrees) % 1) > 1e-3
+    ).all(axis=1)
     differences = (box(x + h * cotangent, control) - box(x - h * cotangent, control)) / (2 * h)
     np.testing.assert_allclose(slope[smooth], differences[smooth], atol=1e-6)
 
@@ -91,7 +103,9 @@ def test_a_box_around_points_holds_them_all():
         shift = np.ones((*box.counts, d))
         np.testing.assert_allclose(box(cloud(d), shift), cloud(d) + 1, atol=1e-14)
         low, high = np.asarray(box.lattice())[(0,) * d], np.asarray(box.lattice())[(-1,) * d]
-        np.testing.assert_allclose([low, high], [cloud(d).min(axis=0), cloud(d).max(axis=0)], atol=1e-14)
+        np.testing.assert_allclose(
+            [low, high], [cloud(d).min(axis=0), cloud(d).max(axis=0)], atol=1e-14
+        )
 
 
 @pytest.mark.nightly
@@ -123,7 +137,10 @@ test_bad_input_is_refused = refusals(
     (lambda: unit(4, 4, continuity=1), "no control"),
     (lambda: shapes.FreeForm.around(np.zeros((5, 2)), (2, 2)), "flat"),
     (lambda: shapes.FreeForm.around(np.zeros((0, 2)), (2, 2)), "no rows"),
-    (lambda: shapes.FreeForm.around([[0, 0], [np.nan, 1]], (2, 2)), "1 of 2 rows of `points` .* first row 1"),
+    (
+        lambda: shapes.FreeForm.around([[0, 0], [np.nan, 1]], (2, 2)),
+        "1 of 2 rows of `points` .* first row 1",
+    ),
     (lambda: unit(4, 4).raise_if_outside([[0, 1], [0, 2]]), r"1 of 2 .* row 1 at \(0, 2"),
     (lambda: shapes.fit(unit(2, 2), cloud(2) + 9, cloud(2)), "none of 8 parameters"),
     (lambda: shapes.fit(unit(2, 2), [[0, 0]], [[0, 1]]).raise_if_singular(), "6 of 8"),
@@ -145,7 +162,9 @@ def test_paraview_reads_the_lattice(tmp_path):
         grid = pyvista.read(tmp_path / "box.vts")
         assert grid.dimensions == (*box.counts, 1)[:3]
         expected = np.asarray(box.lattice(control)).reshape(*grid.dimensions, d)
-        np.testing.assert_array_equal(grid.points[:, :d], expected.transpose(2, 1, 0, 3).reshape(-1, d))
+        np.testing.assert_array_equal(
+            grid.points[:, :d], expected.transpose(2, 1, 0, 3).reshape(-1, d)
+        )
     with pytest.raises(ValueError, match=r"should end in \.vts"):
         io.write_lattice(tmp_path / "box.vtk", box.lattice())
     with pytest.raises(ValueError, match="`points` has shape"):
@@ -155,7 +174,10 @@ def test_paraview_reads_the_lattice(tmp_path):
 @pytest.mark.parametrize("degree", [1, 2, None])
 def test_faces_and_corners_belong_to_the_box(degree):
     """Coordinates are 0 and 1 to the last bit, where a function beyond the last knot would be NaN."""
-    box, x = shapes.FreeForm([0, 0], np.eye(2), (5, 4), degree=degree), lattice([0.0, 0.5, 1], [0.0, 0.5, 1])
+    box, x = (
+        shapes.FreeForm([0, 0], np.eye(2), (5, 4), degree=degree),
+        lattice([0.0, 0.5, 1], [0.0, 0.5, 1]),
+    )
     control = np.random.default_rng(0).normal(size=(5, 4, 2))
     moved, slope = jax.jvp(lambda x: box(x, control), (x,), (np.ones_like(x),))
     by_scipy = expected(x, np.zeros(2), np.eye(2), box.counts, box.degrees, control)[0]

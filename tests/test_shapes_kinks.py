@@ -51,13 +51,19 @@ def test_the_border_of_a_box_has_the_derivative_of_its_inside(name):
 @pytest.mark.nightly
 def test_what_is_far_from_a_box_has_finite_derivatives():
     box = shapes.FreeForm([0.0, 0.0], np.eye(2), (13, 3))
-    slope = jax.jacfwd(lambda x: box(x, np.ones((13, 3, 2))))(jnp.array([[1e40, 0.5], [-1e40, 1e40]]))
+    slope = jax.jacfwd(lambda x: box(x, np.ones((13, 3, 2))))(
+        jnp.array([[1e40, 0.5], [-1e40, 1e40]])
+    )
     np.testing.assert_array_equal(slope, np.eye(4).reshape(2, 2, 2, 2))
 
 
 AXIS = shapes.ReferenceAxis([[0.25, 0, 0], [0.45, 1, 0.1], [0.75, 2, 0.2]])
 CUBIC = shapes.ReferenceAxis(AXIS.points, cubic=True)
-PLANFORM = {"twist": np.array([0.3, -0.2, 0.4]), "chord": np.array([1.2, 0.8, 0.5]), "sweep": np.array([0.1, 0.2, 0.5])}
+PLANFORM = {
+    "twist": np.array([0.3, -0.2, 0.4]),
+    "chord": np.array([1.2, 0.8, 0.5]),
+    "sweep": np.array([0.1, 0.2, 0.5]),
+}
 
 
 @over(
@@ -98,7 +104,9 @@ def test_the_whole_naca_family_is_exact_at_its_nodes():
 @pytest.mark.nightly
 def test_second_derivatives_of_naca_are_differences_of_the_first():
     shape, x = shapes.NACA4(0.04, 0.4, 0.12), naca(0.04, 0.4, 0.12, count=13)
-    x = x[(np.abs(x[:, 0] - 0.4) > 0.02) & (x[:, 0] > 0.01)]  # the mean line's second derivative jumps at its crest
+    x = x[
+        (np.abs(x[:, 0] - 0.4) > 0.02) & (x[:, 0] > 0.01)
+    ]  # the mean line's second derivative jumps at its crest
     weights = np.random.default_rng(0).normal(size=x.shape)
 
     def measure(numbers):
@@ -107,7 +115,9 @@ def test_second_derivatives_of_naca_are_differences_of_the_first():
 
     start = np.zeros(5)
     differences = jacobian(jax.jit(jax.grad(measure)), start, 1e-4)
-    np.testing.assert_allclose(jax.jit(jax.hessian(measure))(start), differences, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        jax.jit(jax.hessian(measure))(start), differences, rtol=1e-6, atol=1e-6
+    )
 
 
 @pytest.mark.nightly
@@ -123,10 +133,16 @@ def test_round_off_changes_neither_stations_nor_the_nose():
     for seed in range(10):
         rng = np.random.default_rng(seed)
         noisy = np.nextafter(x, rng.choice([-np.inf, np.inf], x.shape))
-        np.testing.assert_array_equal(shapes.Stations.on(noisy, segments, lines, [0.0, 1.0]).faces, stations.faces)
+        np.testing.assert_array_equal(
+            shapes.Stations.on(noisy, segments, lines, [0.0, 1.0]).faces, stations.faces
+        )
         with pytest.raises(ValueError, match="1 of 1 lines miss"):
-            shapes.Stations.on(noisy, segments, [[noisy[8, 0], 0.0]], [0.0, 1.0])  # touches the sharp tail
-        np.testing.assert_allclose(shapes.leading_edge_radius(noisy[1:], loop, 7, 2), radius, rtol=1e-9)
+            shapes.Stations.on(
+                noisy, segments, [[noisy[8, 0], 0.0]], [0.0, 1.0]
+            )  # touches the sharp tail
+        np.testing.assert_allclose(
+            shapes.leading_edge_radius(noisy[1:], loop, 7, 2), radius, rtol=1e-9
+        )
 
 
 def test_a_box_turned_by_a_right_angle_is_mirrored():

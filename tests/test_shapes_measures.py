@@ -36,19 +36,29 @@ MEASURES = {
 }
 
 
-@over("name", [name for name in MEASURES if name not in ("radius", "thickness-3")], nightly=["radius", "thickness-3"])
+@over(
+    "name",
+    [name for name in MEASURES if name not in ("radius", "thickness-3")],
+    nightly=["radius", "thickness-3"],
+)
 def test_derivatives_equal_differences(name):
     measure, x = MEASURES[name]
     direction = 0.1 * np.column_stack([np.sin(3 * x[:, k] + k) for k in range(x.shape[1])])
     along = lambda h: measure(x + h * direction)  # noqa: E731
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(along))(0.0), jacobian(along, 0.0, 2e-4), rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(
+        jax.jit(jax.jacfwd(along))(0.0), jacobian(along, 0.0, 2e-4), rtol=1e-7, atol=1e-7
+    )
 
 
 def test_closed_forms_of_an_ellipse():
     """Inscribed polygons have n/(2 pi) sin(2 pi / n) of the ellipse's area; curvatures converge with the second order."""
     a, b = 0.5, 0.06
-    np.testing.assert_allclose(shapes.area(ELLIPSE, LOOP), a * b * COUNT / 2 * np.sin(2 * np.pi / COUNT), rtol=1e-13)
-    np.testing.assert_allclose(shapes.area(ELLIPSE, LOOP[::-1]), -shapes.area(ELLIPSE, LOOP), rtol=1e-13)
+    np.testing.assert_allclose(
+        shapes.area(ELLIPSE, LOOP), a * b * COUNT / 2 * np.sin(2 * np.pi / COUNT), rtol=1e-13
+    )
+    np.testing.assert_allclose(
+        shapes.area(ELLIPSE, LOOP[::-1]), -shapes.area(ELLIPSE, LOOP), rtol=1e-13
+    )
     np.testing.assert_allclose(shapes.centroid(ELLIPSE, LOOP), [0.5, 0], atol=1e-14)
     np.testing.assert_allclose(shapes.chord(ELLIPSE, 200, 0), 1, rtol=1e-14)
     speed = np.sqrt(a**2 * np.sin(ANGLE) ** 2 + b**2 * np.cos(ANGLE) ** 2)
@@ -62,12 +72,18 @@ def test_closed_forms_of_an_ellipse():
 def test_closed_forms_of_a_naca_airfoil():
     x = naca(0.0, 0.4, 0.12, count=401, last=0.1036)
     lower = np.arange(401, 801)  # from behind the nose to the tail
-    loop = np.concatenate([lower, np.arange(400, -1, -1)[1:]])  # nose last; the tail of both sides is one place
+    loop = np.concatenate(
+        [lower, np.arange(400, -1, -1)[1:]]
+    )  # nose last; the tail of both sides is one place
     integral = 0.2969 * 2 / 3 - 0.126 / 2 - 0.3516 / 3 + 0.2843 / 4 - 0.1036 / 5
     np.testing.assert_allclose(shapes.area(x, loop), 2 * 5 * 0.12 * integral, rtol=1e-4)
-    np.testing.assert_allclose(shapes.leading_edge_radius(x, loop, 800, 2), 1.1019 * 0.12**2, rtol=0.01)
+    np.testing.assert_allclose(
+        shapes.leading_edge_radius(x, loop, 800, 2), 1.1019 * 0.12**2, rtol=0.01
+    )
     slope = 5 * 0.12 * (0.2969 / 2 - 0.126 - 2 * 0.3516 + 3 * 0.2843 - 4 * 0.1036)
-    np.testing.assert_allclose(shapes.trailing_edge_angle(x, [398, 400], [798, 800]), 2 * np.arctan(-slope), rtol=1e-3)
+    np.testing.assert_allclose(
+        shapes.trailing_edge_angle(x, [398, 400], [798, 800]), 2 * np.arctan(-slope), rtol=1e-3
+    )
 
 
 def test_volumes_of_boxes_and_balls():
@@ -90,14 +106,18 @@ def test_volumes_of_boxes_and_balls():
 def test_the_loop_of_a_patch(tmp_path):
     mesh = write_ring(tmp_path / "ring.su2")
     loop = shapes.wall_loop(mesh, "wall")
-    np.testing.assert_allclose(shapes.area(mesh.points, loop), 12 * np.sin(2 * np.pi / 24), rtol=1e-13)
+    np.testing.assert_allclose(
+        shapes.area(mesh.points, loop), 12 * np.sin(2 * np.pi / 24), rtol=1e-13
+    )
     with pytest.raises(ValueError, match="is no closed loop: 2 ends"):
         shapes.wall_loop(type(mesh)(mesh.points, mesh.cells, {"part": np.arange(9)}), "part")
 
 
 def test_thickness_follows_a_moved_wall():
     moved = shapes.scale(ELLIPSE, [1.0, 1.5], [0.0, 0.0])
-    np.testing.assert_allclose(shapes.thickness(moved, LINES), 1.5 * shapes.thickness(ELLIPSE, LINES), rtol=1e-12)
+    np.testing.assert_allclose(
+        shapes.thickness(moved, LINES), 1.5 * shapes.thickness(ELLIPSE, LINES), rtol=1e-12
+    )
 
 
 test_bad_input_is_refused = refusals(
@@ -105,7 +125,10 @@ test_bad_input_is_refused = refusals(
     (lambda: shapes.volume(ELLIPSE, FACES), "expected"),
     (lambda: shapes.leading_edge_radius(ELLIPSE, LOOP, 500), "must be in the loop"),
     (lambda: shapes.trailing_edge_angle(ELLIPSE, 3, [1, 2]), "two nodes each"),
-    (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]), "1 of 2 lines miss the body, first row 1"),
+    (
+        lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]),
+        "1 of 2 lines miss the body, first row 1",
+    ),
     (lambda: on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
     (lambda: on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), r"walls in 2-D have \(k, 2\)"),
     (lambda: on(ELLIPSE, SEGMENTS + 1, [[0.5, 0]], [0, 1]), "ids in `faces`"),

@@ -12,7 +12,11 @@ from jaxmorph import cases, io, shapes
 
 def cusped(count=65, gap=0.0, spacing=np.pi):
     """A section like the RAE 2822: thin, cusped and cambered behind. The upper side comes first, from the nose, then the lower."""
-    x = 0.5 * (1 - np.cos(np.linspace(0, np.pi, count))) if spacing == np.pi else np.linspace(0, 1, count) ** 1.5
+    x = (
+        0.5 * (1 - np.cos(np.linspace(0, np.pi, count)))
+        if spacing == np.pi
+        else np.linspace(0, 1, count) ** 1.5
+    )
     half = 0.155 * np.sqrt(x) * (1 - x) ** 1.5 + 0.5 * gap * x
     line = 0.11 * x**3 * (1 - x)
     lower = np.column_stack([x, line - half])[1 : None if gap else -1]
@@ -22,9 +26,14 @@ def cusped(count=65, gap=0.0, spacing=np.pi):
 def extruded(section, layers=3):
     """Nodes of a wing with a section, and its quads."""
     count = len(section)
-    points = np.concatenate([np.column_stack([section[:, 0], np.full(count, y), section[:, 1]]) for y in range(layers)])
+    points = np.concatenate(
+        [np.column_stack([section[:, 0], np.full(count, y), section[:, 1]]) for y in range(layers)]
+    )
     here, ahead = np.arange(count), np.roll(np.arange(count), -1)
-    quads = [np.column_stack([here, ahead, ahead + count, here + count]) + k * count for k in range(layers - 1)]
+    quads = [
+        np.column_stack([here, ahead, ahead + count, here + count]) + k * count
+        for k in range(layers - 1)
+    ]
     return points, np.concatenate(quads)
 
 

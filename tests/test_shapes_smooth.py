@@ -52,8 +52,12 @@ def test_the_transpose_and_derivatives():
     smooth, back = np.asarray(smoother.apply(u)), smoother.sensitivities(g)
     np.testing.assert_allclose(np.vdot(smooth, g), np.vdot(u, back), rtol=1e-12)
     np.testing.assert_array_equal(smooth[[0, 7]], 0)
-    np.testing.assert_allclose(jax.grad(lambda u: jnp.vdot(smoother.apply(u), g))(jnp.asarray(u)), back, atol=1e-13)
-    np.testing.assert_allclose(jax.jvp(smoother.apply, (u,), (g,))[1], smoother.apply(g), atol=1e-13)
+    np.testing.assert_allclose(
+        jax.grad(lambda u: jnp.vdot(smoother.apply(u), g))(jnp.asarray(u)), back, atol=1e-13
+    )
+    np.testing.assert_allclose(
+        jax.jvp(smoother.apply, (u,), (g,))[1], smoother.apply(g), atol=1e-13
+    )
     several = jax.jit(jax.vmap(smoother.apply))(np.stack([u, g, u - g]))
     np.testing.assert_allclose(several[2], smooth - smoother.apply(g), atol=1e-13)
     np.testing.assert_array_equal(smoother(points, smoother.neutral()), points)

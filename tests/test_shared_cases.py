@@ -19,8 +19,16 @@ FILES = {
     "brick": "brick-tets/brick_tets.su2",
 }
 MOVING = {"viscous": "airfoil", "euler": "airfoil", "brick": "z_m"}
-FIXED = {"viscous": "farfield", "euler": "farfield", "brick": "z_p"}  # the sides of the brick follow
-METHODS = {"default": None, "paper": jm.SurfaceReconstruction.published(), "graph": jm.DelaunayGraph()}
+FIXED = {
+    "viscous": "farfield",
+    "euler": "farfield",
+    "brick": "z_p",
+}  # the sides of the brick follow
+METHODS = {
+    "default": None,
+    "paper": jm.SurfaceReconstruction.published(),
+    "graph": jm.DelaunayGraph(),
+}
 
 
 @functools.cache
@@ -31,7 +39,9 @@ def mesh_of(name):
 @functools.cache
 def plan_of(name, method):
     mesh = mesh_of(name)
-    return jm.prepare(mesh.points, mesh.patch(MOVING[name]), mesh.patch(FIXED[name]), method=METHODS[method])
+    return jm.prepare(
+        mesh.points, mesh.patch(MOVING[name]), mesh.patch(FIXED[name]), method=METHODS[method]
+    )
 
 
 def turned(base, *degrees):
@@ -51,16 +61,24 @@ AIRFOIL = {
     "bend 0.1": lambda base: lifted(base, 0.1 * base[:, 0] ** 2),
     "bend 0.2": lambda base: lifted(base, 0.2 * base[:, 0] ** 2),
     "heave": lambda base: lifted(base, 0.1 + 0 * base[:, 0]),
-    "bump": lambda base: lifted(base, 0.03 * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2)) * (base[:, 1] > 0)),
+    "bump": lambda base: lifted(
+        base, 0.03 * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2)) * (base[:, 1] > 0)
+    ),
 }
 BRICK = {  # 2 x 1 x 1
     "bend 0.1": lambda base: lifted(base, 0.2 * (base[:, 0] / 2) ** 2),
     "bend 0.2": lambda base: lifted(base, 0.4 * (base[:, 0] / 2) ** 2),
     "heave": lambda base: lifted(base, 0.2 + 0 * base[:, 0]),
-    "bump": lambda base: lifted(base, 0.2 * np.exp(-((base[:, 0] / 2 - 0.5) ** 2 + (base[:, 1] - 0.5) ** 2) / 0.05)),
-    "twist": lambda base: lifted(base, np.tan(np.deg2rad(30)) * (base[:, 1] - 0.5) * base[:, 0] / 2),
+    "bump": lambda base: lifted(
+        base, 0.2 * np.exp(-((base[:, 0] / 2 - 0.5) ** 2 + (base[:, 1] - 0.5) ** 2) / 0.05)
+    ),
+    "twist": lambda base: lifted(
+        base, np.tan(np.deg2rad(30)) * (base[:, 1] - 0.5) * base[:, 0] / 2
+    ),
 }
-RUNS = [(name, motion) for name in ("viscous", "euler") for motion in AIRFOIL] + [("brick", motion) for motion in BRICK]
+RUNS = [(name, motion) for name in ("viscous", "euler") for motion in AIRFOIL] + [
+    ("brick", motion) for motion in BRICK
+]
 
 
 def smallest_corner_ratio(mesh, points):
@@ -69,7 +87,9 @@ def smallest_corner_ratio(mesh, points):
     for kind, cells in mesh.cells.items():
         if kind == "line" or (kind in ("triangle", "quad") and points.shape[1] == 3):
             continue
-        now, then = (np.linalg.det(edges_at_corners(kind, at[cells])) for at in (points, mesh.points))
+        now, then = (
+            np.linalg.det(edges_at_corners(kind, at[cells])) for at in (points, mesh.points)
+        )
         sign = np.sign(then[:, :1])
         ratios.append((sign * now).min(axis=1) / (sign * then).min(axis=1))
     return min(ratio.min() for ratio in ratios)
@@ -107,5 +127,7 @@ def test_flat_faces_that_follow_stay_flat():
         points = np.asarray(jm.deform(plan_of("brick", method), path[0]))
         for side in ("x_m", "x_p", "y_m", "y_p"):
             axis, ids = "xyz".index(side[0]), mesh.patch(side)
-            np.testing.assert_allclose(points[ids, axis], mesh.points[ids, axis], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(
+                points[ids, axis], mesh.points[ids, axis], rtol=0, atol=1e-12
+            )
         assert smallest_corner_ratio(mesh, points) > 0.4

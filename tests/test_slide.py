@@ -38,9 +38,13 @@ def check_derivatives(plan, u, rtol=1e-6):
     push = jax.jit(lambda u: jm.velocity(plan, u, v))
     for at in (u, 0 * u):
         pushed, h = np.asarray(push(jnp.asarray(at))), 1e-6
-        difference = (np.asarray(jm.deform(plan, at + h * v)) - np.asarray(jm.deform(plan, at - h * v))) / (2 * h)
+        difference = (
+            np.asarray(jm.deform(plan, at + h * v)) - np.asarray(jm.deform(plan, at - h * v))
+        ) / (2 * h)
         np.testing.assert_allclose(pushed, difference, rtol=0, atol=rtol * np.abs(pushed).max())
-        np.testing.assert_allclose(np.vdot(jm.pullback(plan, at, w), v), np.vdot(w, pushed), rtol=1e-8)
+        np.testing.assert_allclose(
+            np.vdot(jm.pullback(plan, at, w), v), np.vdot(w, pushed), rtol=1e-8
+        )
 
 
 @pytest.mark.slow
@@ -62,9 +66,14 @@ def test_a_block_in_a_box_of_sliding_sides():
     assert (moved[corners] == points[corners]).all()
     assert (moved[plan.moving] == block + u).all()
     held = jm.deform(jm.prepare(mesh, "hole", sides, method=TPS), u)
-    assert jm.quality(mesh, moved).min_jacobian_ratio > jm.quality(mesh, held).min_jacobian_ratio + 0.05
+    assert (
+        jm.quality(mesh, moved).min_jacobian_ratio
+        > jm.quality(mesh, held).min_jacobian_ratio + 0.05
+    )
     check_linear(plan, u)
-    named = [jm.Slide(mesh.patch(name), jm.Plane.through(points, mesh.patch(name))) for name in sides]
+    named = [
+        jm.Slide(mesh.patch(name), jm.Plane.through(points, mesh.patch(name))) for name in sides
+    ]
     again = jm.prepare(points, mesh.patch("hole"), sliding=named, method=TPS)
     assert (jm.deform(again, u) == moved).all()
     assert not jm.inspect(plan, 0.1 * u, mesh=mesh).warnings
@@ -107,7 +116,9 @@ def test_the_root_of_a_wing_travels_along_its_body():
     plan = jm.prepare(mesh, wing, outer, sliding=slide)
     moved = np.asarray(jm.deform(plan, u))
     np.testing.assert_allclose(np.linalg.norm(moved[body, 1:], axis=1), 1, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(moved[wing[~is_root]], (points[wing] + u)[~is_root], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        moved[wing[~is_root]], (points[wing] + u)[~is_root], rtol=0, atol=1e-15
+    )
     root = points[wing[is_root]] + u[is_root]  # straight to the cylinder
     root[:, 1:] /= np.linalg.norm(root[:, 1:], axis=1, keepdims=True)
     np.testing.assert_allclose(moved[wing[is_root]], root, rtol=0, atol=1e-14)
@@ -125,7 +136,9 @@ def test_steps_along_a_shroud():
     plan = jm.prepare(boundary, method=TPS)
     u = wrung(mesh.points, plan.moving)
     for end in check_steps(plan, np.stack([u / 2, u])):
-        np.testing.assert_allclose(np.linalg.norm(end[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            np.linalg.norm(end[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-12
+        )
     check_parts(boundary, plan, u, size=40)
 
 
@@ -142,20 +155,29 @@ def test_a_polygon_and_a_circle():
     on_faces = jm.prepare(mesh, "inner", sliding="outer", method=TPS)
     moved = np.asarray(jm.deform(on_faces, u))
     polygon = mesh.points[mesh.patch("outer")]
-    off = closest(np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1), moved[mesh.patch("outer")])[2]
+    off = closest(
+        np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1), moved[mesh.patch("outer")]
+    )[2]
     assert off.max() < 1e-14
     assert np.abs(moved - mesh.points)[mesh.patch("outer")].max() > 0.2
     assert (jm.deform(on_faces, 0 * u) == mesh.points).all()
-    check_derivatives(on_faces, 0.9 * u, rtol=6e-2)  # a kink at each node: there the mean of both sides
+    check_derivatives(
+        on_faces, 0.9 * u, rtol=6e-2
+    )  # a kink at each node: there the mean of both sides
     on_circle = jm.prepare(mesh, "inner", sliding=jm.Slide("outer", jm.Revolution()), method=TPS)
     exact = np.asarray(jm.deform(on_circle, u))
-    np.testing.assert_allclose(np.linalg.norm(exact[mesh.patch("outer")], axis=1), 2, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        np.linalg.norm(exact[mesh.patch("outer")], axis=1), 2, rtol=0, atol=1e-13
+    )
     assert np.abs(exact - moved).max() < 0.05
     other = mesh.moved(similar(mesh.points))
     refitted = jm.deform(jm.refit(on_faces, other.points), u)
     fresh = jm.deform(jm.prepare(other, "inner", sliding="outer", method=TPS), u)
     np.testing.assert_allclose(refitted, fresh, rtol=0, atol=1e-13)
-    with pytest.raises(ValueError, match=r"16 of 16 nodes of sliding patches have left their surface at the new base"):
+    with pytest.raises(
+        ValueError,
+        match=r"16 of 16 nodes of sliding patches have left their surface at the new base",
+    ):
         jm.refit(on_circle, other.points)
 
 
@@ -164,13 +186,21 @@ def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
     mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
     around, lines = mesh.patch(*sides), boundary_faces(mesh.cells, len(mesh.points))
     parts = walls_of_patch(jm.Slide("around"), around, mesh.points, lines)
-    assert {frozenset(nodes) for _, nodes in parts} == {frozenset(mesh.patch(name)) for name in sides}
-    assert set(tracks_of(parts, (), mesh.points)[1]) == set(np.flatnonzero((np.abs(mesh.points) == 4).all(axis=1)))
+    assert {frozenset(nodes) for _, nodes in parts} == {
+        frozenset(mesh.patch(name)) for name in sides
+    }
+    assert set(tracks_of(parts, (), mesh.points)[1]) == set(
+        np.flatnonzero((np.abs(mesh.points) == 4).all(axis=1))
+    )
     radius, angle = np.meshgrid(np.arange(3) / 2, np.arange(6) * np.pi / 3)
-    disc = np.stack([0 * radius, radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 3)
+    disc = np.stack([0 * radius, radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(
+        -1, 3
+    )
     for height, stays in ((1, np.arange(0, 18, 3)), (0, [])):
         points = disc + height * np.linalg.norm(disc, axis=1)[:, None] * np.eye(3)[:1]
-        walls = walls_of_patch(jm.Slide(np.arange(18), jm.Revolution((1, 0, 0))), np.arange(18), points, None)
+        walls = walls_of_patch(
+            jm.Slide(np.arange(18), jm.Revolution((1, 0, 0))), np.arange(18), points, None
+        )
         np.testing.assert_array_equal(tracks_of(walls, (), points)[1], stays)
 
 
@@ -236,7 +266,10 @@ def duct():
 @pytest.mark.nightly
 def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     """Of a stretched base `refit` makes what `prepare` does; it says which node has left a side or the symmetry plane."""
-    mesh, boundary = box_with_hole(), {"sliding": ["left", "right", "top"], "symmetry": jm.Plane((0, 1), (0, -4))}
+    mesh, boundary = (
+        box_with_hole(),
+        {"sliding": ["left", "right", "top"], "symmetry": jm.Plane((0, 1), (0, -4))},
+    )
     plan, other = jm.prepare(mesh, "hole", method=TPS, **boundary), mesh.moved(mesh.points * [2, 1])
     u = 0.2 * np.sin(other.points[plan.moving] + np.array([0.3, 1.0]))
     moved = np.asarray(jm.deform(jm.refit(plan, other.points), u))
@@ -244,7 +277,10 @@ def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-13)
     judged = jm.boundary_quality(jm.refit(plan, other.points), moved)
     assert (judged.off_plane, judged.off_surface, judged.mismatch) == (0, 0, 0)
-    told = {"top": "nodes of sliding patches have left", "bottom": "nodes have left their symmetry plane"}
+    told = {
+        "top": "nodes of sliding patches have left",
+        "bottom": "nodes have left their symmetry plane",
+    }
     for side, message in told.items():
         torn = np.array(other.points)
         node = mesh.patch(side)[3]
@@ -261,18 +297,26 @@ def test_walls_and_translations_follow_the_base():
     """Of another base `refit` makes what `prepare` does; pairs that match bit for bit go on to."""
     mesh, (left, right), wrapped = duct()
     corners = np.flatnonzero((np.abs(mesh.points) == 3).all(axis=1))
-    plan, other = jm.prepare(mesh, "hole", corners, method=TPS, **wrapped), mesh.moved(similar(mesh.points))
+    plan, other = (
+        jm.prepare(mesh, "hole", corners, method=TPS, **wrapped),
+        mesh.moved(similar(mesh.points)),
+    )
     u = 0.2 * np.sin(other.points[plan.moving] + np.array([0.3, 1.0]))
     fresh = jm.prepare(other, "hole", corners, method=TPS, **wrapped)
     expected = np.asarray(jm.deform(fresh, u))
-    np.testing.assert_allclose(jm.deform(jm.refit(plan, other.points), u), expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        jm.deform(jm.refit(plan, other.points), u), expected, rtol=0, atol=1e-13
+    )
     assert np.abs(expected - other.points)[plan.guided].max() > 1e-3
     moved = np.asarray(jm.deform(jm.refit(plan, mesh.points), u))
     np.testing.assert_allclose(moved, jm.deform(plan, u), rtol=0, atol=1e-14)
     assert (moved[right] == moved[left] + np.array([6, 0])).all()
     torn = np.array(mesh.points)
     torn[right[np.abs(torn[right, 1]) < 2], 1] *= 1.1
-    with pytest.raises(ValueError, match=r"2 of 7 periodic pairs do not match after their transform at the new base"):
+    with pytest.raises(
+        ValueError,
+        match=r"2 of 7 periodic pairs do not match after their transform at the new base",
+    ):
         jm.refit(plan, torn)
 
 
@@ -312,7 +356,11 @@ def quarter():
     patches = {"hub": ids[0], "shroud": ids[-1], "first": ids[:, 0], "last": ids[:, -1]}
     patches |= {"low": ids[..., 0], "high": ids[..., -1]}
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-    return jm.Mesh(points, {"hexahedron": blocks(ids)}, {name: nodes.ravel() for name, nodes in patches.items()})
+    return jm.Mesh(
+        points,
+        {"hexahedron": blocks(ids)},
+        {name: nodes.ravel() for name, nodes in patches.items()},
+    )
 
 
 @functools.partial(jax.jit, compiler_options=UNTUNED)  # most of the time is compilation
@@ -326,26 +374,43 @@ def pushed(plan, u, v):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", [name for name, dimension in NAMES if dimension == 3 and name not in ALIKE])
+@pytest.mark.parametrize(
+    "name", [name for name, dimension in NAMES if dimension == 3 and name not in ALIKE]
+)
 def test_methods_between_a_shroud_lids_and_periodic_sides(name, tmp_path):
     """In 3-D, whatever the method: nodes stay on the cylinder, the planes, and a quarter turn from their partner."""
     mesh, method = quarter(), BY_NAME[name].make(1.0)
     points, hub, first, last = np.asarray(mesh.points), *map(mesh.patch, ("hub", "first", "last"))
     slides = [jm.Slide("shroud", AXIS), "low", "high"]
-    plan = jm.prepare(mesh, "hub", method=method, sliding=slides, periodic=jm.Periodic("first", "last", axis=(0, 0, 1)))
+    plan = jm.prepare(
+        mesh,
+        "hub",
+        method=method,
+        sliding=slides,
+        periodic=jm.Periodic("first", "last", axis=(0, 0, 1)),
+    )
     x, y, z = points[hub].T
     angle, radius = np.arctan2(y, x), 1 + 0.1 * (x**2 * y**2) * z
     turned = angle + 0.2 * z
-    target = np.stack([radius * np.cos(turned), radius * np.sin(turned), z + 0.1 * np.sin(np.pi * z)], axis=1)
+    target = np.stack(
+        [radius * np.cos(turned), radius * np.sin(turned), z + 0.1 * np.sin(np.pi * z)], axis=1
+    )
     u = target - points[hub]
 
     def check_walls(moved, levels):
-        np.testing.assert_allclose(np.linalg.norm(moved[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            np.linalg.norm(moved[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-14
+        )
         for lid, level in zip(("low", "high"), levels, strict=True):
             np.testing.assert_allclose(moved[mesh.patch(lid), 2], level, rtol=0, atol=1e-15)
-        np.testing.assert_allclose(moved[last], moved[first] @ turn(np.pi / 2, 3).T, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            moved[last], moved[first] @ turn(np.pi / 2, 3).T, rtol=0, atol=1e-14
+        )
 
-    v, w = np.random.default_rng(0).normal(size=u.shape), np.random.default_rng(1).normal(size=points.shape)
+    v, w = (
+        np.random.default_rng(0).normal(size=u.shape),
+        np.random.default_rng(1).normal(size=points.shape),
+    )
     moved, nothing, h = np.asarray(tried(plan, u, w)[0]), 0 * u, 1e-5
     check_walls(moved, (0, 1))
     assert np.abs(moved - points)[plan.guided].max() > 0.01

@@ -34,7 +34,9 @@ def test_a_wing_moves_along_a_fuselage_of_faces():
     moved = np.asarray(jm.deform(plan, u))
     x, y, z = moved[body].T
     around = np.hypot(y / (1.3 * (1 - 0.1 * x)), z / (1 - 0.1 * x - 0.05 * x**2))
-    assert np.abs(around - 1).max() < 5e-3  # a chord across the wing's thickness is 0.002 below the surface
+    assert (
+        np.abs(around - 1).max() < 5e-3
+    )  # a chord across the wing's thickness is 0.002 below the surface
     cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
     quads = boundary_faces(cells, len(points))["quad"]
     quads = quads[np.isin(quads, body).all(axis=1)]
@@ -44,8 +46,12 @@ def test_a_wing_moves_along_a_fuselage_of_faces():
     assert off[~stood].max() < 1e-14
     assert stood.any()
     is_root = np.isin(wing, root)
-    np.testing.assert_allclose(moved[wing[~is_root]], (points[wing] + u)[~is_root], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(moved[root, :2], (points[root] + [0.16, 0.02, 0])[:, :2], rtol=0, atol=0.01)
+    np.testing.assert_allclose(
+        moved[wing[~is_root]], (points[wing] + u)[~is_root], rtol=0, atol=1e-15
+    )
+    np.testing.assert_allclose(
+        moved[root, :2], (points[root] + [0.16, 0.02, 0])[:, :2], rtol=0, atol=0.01
+    )
     held = jm.deform(jm.prepare(mesh, "blade", (*outer, "hub")), u)
     report, before = jm.quality(mesh, moved), jm.quality(mesh, held)
     assert int(report.inverted) == 0
@@ -64,12 +70,19 @@ def test_holes_below_moving_bodies_are_filled(hole):
     assert areas.sum() == pytest.approx(25)
     assert len(filled(faces, vertices, np.zeros(36, dtype=bool))) == len(faces)
     lines, moves = np.array([[0, 1], [1, 2], [3, 4]]), np.array([False, True, True, True, False])
-    assert filled(lines, vertices[[0, 6, 12, 18, 24], :2], moves).tolist() == [[0, 1], [1, 2], [3, 4], [2, 3]]
+    assert filled(lines, vertices[[0, 6, 12, 18, 24], :2], moves).tolist() == [
+        [0, 1],
+        [1, 2],
+        [3, 4],
+        [2, 3],
+    ]
 
 
 def airfoil():
     """A neighbour, a box of 0.5 by 0.25, a quarter above the upper side of an airfoil: a polyline of 32 pieces."""
-    mesh = cases.bodies({"neighbour": (-0.5, 0.0, 0.25, 0.5)}, box=(-2.0, 2.0, 0.0, 2.0), spacing=0.125)
+    mesh = cases.bodies(
+        {"neighbour": (-0.5, 0.0, 0.25, 0.5)}, box=(-2.0, 2.0, 0.0, 2.0), spacing=0.125
+    )
     x, y = np.asarray(mesh.points).T
     patches = {"wall": y == 0, "outer": (y == 2) | (np.abs(x) == 2)}
     points = np.stack([x, y + 0.3 * (1 - x**2 / 4) * (1 - y / 2)], axis=1)
@@ -100,7 +113,9 @@ def test_a_block_behind_a_neighbour_slides_along_an_airfoil():
 def test_ends_of_a_wall_are_no_holes():
     """Half a ring, a cap of a sphere and a tube keep their open rims, though they move; two gaps of a floor are closed in order."""
     lines = np.stack([np.arange(8), np.arange(1, 9)], axis=1)
-    assert len(filled(lines, on_circle(np.linspace(0, np.pi, 9)), np.isin(np.arange(9), [0, 8]))) == 8
+    assert (
+        len(filled(lines, on_circle(np.linspace(0, np.pi, 9)), np.isin(np.arange(9), [0, 8]))) == 8
+    )
     floor = np.stack([np.arange(12.0), 0.2 * np.sin(np.arange(12.0))], axis=1)
     lines = np.stack([np.arange(11), np.arange(1, 12)], axis=1)
     standing = np.isin(np.arange(11), [2, 3, 7])

@@ -33,8 +33,12 @@ def test_a_circle():
     wall, x = straight(np.zeros(2), ORIGIN[:2], 0, 3), start(2)
     projected = np.asarray(Track(ROWS, (wall,)).project(x))
     arm = np.asarray(x) - ORIGIN[:2]
-    np.testing.assert_allclose(projected, ORIGIN[:2] + 3 * arm / np.linalg.norm(arm, axis=1)[:, None], rtol=1e-14)
-    np.testing.assert_allclose(wall.distance(x), np.abs(np.linalg.norm(arm, axis=1) - 3), rtol=1e-13)
+    np.testing.assert_allclose(
+        projected, ORIGIN[:2] + 3 * arm / np.linalg.norm(arm, axis=1)[:, None], rtol=1e-14
+    )
+    np.testing.assert_allclose(
+        wall.distance(x), np.abs(np.linalg.norm(arm, axis=1) - 3), rtol=1e-13
+    )
     assert not wall.has_end(np.asarray(x)).any()
     assert wall.at(x) is wall
 
@@ -69,10 +73,16 @@ def faceted(d):
     """A bent strip: a line of 6 pieces in 2-D, 2 x 3 quads cut into triangles in 3-D."""
     if d == 2:
         t = np.linspace(0, 2, 7)
-        vertices, faces = np.stack([t, np.sin(2 * t)], axis=1), np.stack([np.arange(6), np.arange(1, 7)], axis=1)
+        vertices, faces = (
+            np.stack([t, np.sin(2 * t)], axis=1),
+            np.stack([np.arange(6), np.arange(1, 7)], axis=1),
+        )
     else:
         s, t = lattice(np.linspace(0, 1, 3), np.linspace(0, 2, 4)).T
-        vertices, quads = np.stack([s, t, np.sin(2 * t) + s**2], axis=1), blocks(np.arange(12).reshape(3, 4))
+        vertices, quads = (
+            np.stack([s, t, np.sin(2 * t) + s**2], axis=1),
+            blocks(np.arange(12).reshape(3, 4)),
+        )
         faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return Faceted.of(np.arange(len(vertices)), vertices, faces)
 
@@ -82,13 +92,20 @@ def test_faces_are_reached_at_their_nearest_point(d):
     """It is that of a search over all faces, with weights of their corners."""
     wall = faceted(d)
     vertices, faces = np.asarray(wall.vertices), np.asarray(wall.faces)
-    x = np.concatenate([vertices[:7] + 0.1 * np.random.default_rng(0).normal(size=(7, d)), vertices])
+    x = np.concatenate(
+        [vertices[:7] + 0.1 * np.random.default_rng(0).normal(size=(7, d)), vertices]
+    )
     places, normals = (np.asarray(each) for each in eqx.filter_jit(wall.nearest)(jnp.asarray(x)))
     chosen, weights, nearest = closest(vertices[faces], x)
     np.testing.assert_allclose(np.linalg.norm(x - places, axis=1), nearest, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(places, np.einsum("kc,kcd->kd", weights, vertices[faces][chosen]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        places, np.einsum("kc,kcd->kd", weights, vertices[faces][chosen]), rtol=0, atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-13)
     assert (np.asarray(wall.at(jnp.asarray(vertices + 5.0)).vertices) == vertices + 5.0).all()
-    assert wall.has_end(np.stack([vertices[0], vertices[faces[0]].mean(axis=0)])).tolist() == [True, False]
+    assert wall.has_end(np.stack([vertices[0], vertices[faces[0]].mean(axis=0)])).tolist() == [
+        True,
+        False,
+    ]
     order = np.argsort(wall.renumbered(np.arange(len(vertices))[::-1]).nodes)
     assert (order == np.arange(len(vertices))[::-1]).all()

@@ -55,7 +55,9 @@ def test_a_plane_stays_a_plane_and_a_thin_plate_its_faces():
     for parts in (faces, np.concatenate([faces, faces[:, ::-1]])):
         places, normals = reached(wall(SmoothFaces, flat, parts), x)
         np.testing.assert_allclose(places, x * [1, 1, 0], rtol=0, atol=1e-15)
-        np.testing.assert_allclose(np.abs(normals), np.broadcast_to([0, 0, 1], x.shape), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            np.abs(normals), np.broadcast_to([0, 0, 1], x.shape), rtol=0, atol=1e-14
+        )
 
 
 @pytest.mark.nightly
@@ -79,7 +81,9 @@ def test_spheres_and_cylinders_are_met():
     surface = wall(SmoothFaces, tube, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
     places = next(reached(surface, x))
     off, sagitta = np.abs(np.linalg.norm(places[:, :2], axis=1) - 1), 1 - np.cos(0.125)
-    inside = (np.abs(s[:, 0] - 0.75) < 0.5) & (np.abs(s[:, 1] - 0.5) < 1 / 6)  # of the cells at the rims
+    inside = (np.abs(s[:, 0] - 0.75) < 0.5) & (
+        np.abs(s[:, 1] - 0.5) < 1 / 6
+    )  # of the cells at the rims
     assert inside.sum() > 5
     assert off[inside].max() < 0.05 * sagitta
     assert off.max() < sagitta
@@ -92,7 +96,9 @@ def slid(order):
     points = np.asarray(mesh.points)
     radius, angle = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
     if order > 1:  # nodes of straight edges go onto their circles
-        size = np.array([1, 1.25, 1.5, 1.75, 2])[np.abs(radius[:, None] - [1, 1.25, 1.5, 1.75, 2]).argmin(axis=1)]
+        size = np.array([1, 1.25, 1.5, 1.75, 2])[
+            np.abs(radius[:, None] - [1, 1.25, 1.5, 1.75, 2]).argmin(axis=1)
+        ]
         points, radius = on_circle(angle) * size[:, None], size
         mesh = mesh.moved(points)
     moved = angle + 0.15 * (radius - 1) * np.sin(2 * angle)

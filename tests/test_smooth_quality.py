@@ -44,10 +44,16 @@ def test_derivatives_are_those_of_differences(kind, size):
     @jax.jit
     def objective(points):
         found = jm.smooth_quality(mesh, points)
-        return sum(jnp.vdot(w, getattr(found, name)) for w, name in zip(weights, MEASURES, strict=True))
+        return sum(
+            jnp.vdot(w, getattr(found, name)) for w, name in zip(weights, MEASURES, strict=True)
+        )
 
-    difference = (objective(points + step * tangent) - objective(points - step * tangent)) / (2 * step)
-    np.testing.assert_allclose(np.vdot(jax.grad(objective)(points), tangent), difference, rtol=1e-5, atol=1e-6)
+    difference = (objective(points + step * tangent) - objective(points - step * tangent)) / (
+        2 * step
+    )
+    np.testing.assert_allclose(
+        np.vdot(jax.grad(objective)(points), tangent), difference, rtol=1e-5, atol=1e-6
+    )
 
 
 @over("kind", ["triangle"], nightly=["quad", "tetra"])

@@ -22,7 +22,9 @@ def turned(mesh, steps=STEPS, angle=0.5):
     wall = mesh.points[mesh.moving]
     centre, axis = np.zeros(wall.shape[1]), None if wall.shape[1] == 2 else [0, 0, 1]
     shares = np.arange(1, steps + 1) / steps
-    return np.stack([jm.shapes.rotate(wall, angle * s, centre, axis) - wall + s * motion(wall) for s in shares])
+    return np.stack(
+        [jm.shapes.rotate(wall, angle * s, centre, axis) - wall + s * motion(wall) for s in shares]
+    )
 
 
 METHODS = {
@@ -48,11 +50,21 @@ def marched(name, rebuild, dimension=2):
     return jm.march(planned(name, dimension), turned(body(dimension)), rebuild=rebuild)
 
 
-CASES = [("few", False), ("few", True), ("near-wall", False), ("delaunay", True), ("full", False), ("reduced", False)]
+CASES = [
+    ("few", False),
+    ("few", True),
+    ("near-wall", False),
+    ("delaunay", True),
+    ("full", False),
+    ("reduced", False),
+]
 BREADTH = {"near-wall", "full", "few"}
 every_march = pytest.mark.parametrize(
     ("name", "rebuild"),
-    [pytest.param(*case, marks=[pytest.mark.nightly] if case[0] in BREADTH else []) for case in CASES],
+    [
+        pytest.param(*case, marks=[pytest.mark.nightly] if case[0] in BREADTH else [])
+        for case in CASES
+    ],
     ids=[f"{name}{'-rebuilt' * again}" for name, again in CASES],
 )
 
@@ -72,18 +84,26 @@ def test_the_surface_arrives_and_the_far_field_stays(name, rebuild):
     if name == "reduced":
         assert 1e-6 < np.abs(points[mesh.moving] - mesh.points[mesh.moving] - path[-1]).max() < 0.5
         return
-    np.testing.assert_allclose(points[mesh.moving], mesh.points[mesh.moving] + path[-1], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        points[mesh.moving], mesh.points[mesh.moving] + path[-1], rtol=0, atol=1e-14
+    )
     assert (np.asarray(points[mesh.fixed]) == mesh.points[mesh.fixed]).all()
 
 
-@over("name dimension", [("delaunay", 2)], nightly=[("delaunay", 3), ("multiscale", 2), ("compact", 2), ("local", 2)])
+@over(
+    "name dimension",
+    [("delaunay", 2)],
+    nightly=[("delaunay", 3), ("multiscale", 2), ("compact", 2), ("local", 2)],
+)
 def test_steps_of_a_correction_equal_one(name, dimension):
     """It stands on the undeformed mesh: the path does not matter, nor the number of steps."""
     mesh = body(dimension)
     path = turned(mesh, steps=5)
     plan = planned(name, dimension)
     _, points = jm.march(plan, path)
-    np.testing.assert_allclose(points, jm.deform(plan, path[-1]), rtol=0, atol=4e-15 * np.abs(mesh.points).max())
+    np.testing.assert_allclose(
+        points, jm.deform(plan, path[-1]), rtol=0, atol=4e-15 * np.abs(mesh.points).max()
+    )
 
 
 def test_steps_by_hand():
@@ -97,7 +117,9 @@ def test_steps_by_hand():
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("name", "rebuild"), [("few", False), pytest.param("few", True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "rebuild"), [("few", False), pytest.param("few", True, marks=pytest.mark.slow)]
+)
 def test_gradients_of_replay(name, rebuild):
     """With respect to the whole path and to the base points, the ids as they were recorded."""
     mesh, path = body(2), turned(body(2))
@@ -108,7 +130,9 @@ def test_gradients_of_replay(name, rebuild):
     def objective(path, points, plans):
         def scalar(arguments):
             path, points = arguments
-            return jnp.sum(weights * jnp.sin(jm.replay((jm.refit(plans[0], points), *plans[1:]), path)))
+            return jnp.sum(
+                weights * jnp.sin(jm.replay((jm.refit(plans[0], points), *plans[1:]), path))
+            )
 
         return jax.value_and_grad(scalar)((path, points))
 
@@ -119,7 +143,9 @@ def test_gradients_of_replay(name, rebuild):
         ahead, behind = ([path, mesh.points] for _ in range(2))
         ahead[argument], behind[argument] = at + step, at - step
         difference = (objective(*ahead, plans)[0] - objective(*behind, plans)[0]) / 2
-        np.testing.assert_allclose(np.vdot(gradient[argument], step), difference, rtol=1e-5, atol=1e-12)
+        np.testing.assert_allclose(
+            np.vdot(gradient[argument], step), difference, rtol=1e-5, atol=1e-12
+        )
 
 
 def test_what_is_not_a_path():
@@ -149,7 +175,9 @@ def test_rebuilt_steps_with_the_mesh_are_those_of_prepare(method):
     """Each step's plan is what `prepare` makes of the moved mesh, cells and boundary faces included; replayed as well."""
     mesh = cases.bodies({"body": (-1.0, 1.0, -1.0, 1.0)}, box=(-4.0, 4.0, -4.0, 4.0), spacing=1.0)
     base = mesh.points[mesh.patch("body")]
-    path = np.stack([np.asarray(jm.shapes.rotate(base, angle, about=(0.0, 0.0))) - base for angle in (0.2, 0.5)])
+    path = np.stack(
+        [np.asarray(jm.shapes.rotate(base, angle, about=(0.0, 0.0))) - base for angle in (0.2, 0.5)]
+    )
     plan = jm.prepare(mesh, "body", "farfield", method=method)
     plans, points = jm.march(plan, path, rebuild=True, mesh=mesh)
     first = jm.deform(plan, path[0])
@@ -173,4 +201,6 @@ def test_delaunay_steps_with_kept_ids_equal_one(dimension):
     path = turned(mesh, steps=5)
     plan = planned("delaunay", dimension)
     _, points = jm.march(plan, path)
-    np.testing.assert_allclose(points, jm.deform(plan, path[-1]), rtol=0, atol=2e-15 * np.abs(mesh.points).max() * 2)
+    np.testing.assert_allclose(
+        points, jm.deform(plan, path[-1]), rtol=0, atol=2e-15 * np.abs(mesh.points).max() * 2
+    )

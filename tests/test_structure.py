@@ -82,7 +82,11 @@ def imports(file: pathlib.Path, types: bool = True) -> list[Import]:
     package = file.relative_to(ROOT).with_suffix("").parts[:-1]
     tree, listed, hidden = tree_of(file), [], set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING") and not types:
+        if (
+            isinstance(node, ast.If)
+            and ast.unparse(node.test).endswith("TYPE_CHECKING")
+            and not types
+        ):
             hidden |= {id(inner) for inner in ast.walk(node)}
     for node in ast.walk(tree):
         if id(node) in hidden:
@@ -95,22 +99,40 @@ def imports(file: pathlib.Path, types: bool = True) -> list[Import]:
             for alias in node.names:
                 inner = PACKAGE.parent / module.replace(".", "/") / alias.name
                 is_module = inner.is_dir() or inner.with_suffix(".py").exists()
-                listed.append(Import(module_of(file), f"{module}.{alias.name}" if is_module else module, alias.name))
+                listed.append(
+                    Import(
+                        module_of(file),
+                        f"{module}.{alias.name}" if is_module else module,
+                        alias.name,
+                    )
+                )
     return listed
 
 
 def own_imports() -> list[Import]:
-    return [each for file in FILES for each in imports(file) if each.module.split(".")[0] == "jaxmorph"]
+    return [
+        each for file in FILES for each in imports(file) if each.module.split(".")[0] == "jaxmorph"
+    ]
 
 
 def imports_between_rooms() -> list[Import]:
-    return [each for each in own_imports() if each.rooms[0] != each.rooms[1] and each.importer != "jaxmorph"]
+    return [
+        each
+        for each in own_imports()
+        if each.rooms[0] != each.rooms[1] and each.importer != "jaxmorph"
+    ]
 
 
-@pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="no checkout of git")
+@pytest.mark.skipif(
+    not (ROOT / ".git").exists() or shutil.which("git") is None, reason="no checkout of git"
+)
 def test_the_top_level_holds_what_it_is_meant_to():
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    top = {name.partition("/")[0] for name in listed.split("\0") if name and not name.startswith(".")}
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    top = {
+        name.partition("/")[0] for name in listed.split("\0") if name and not name.startswith(".")
+    }
     assert top == TOP
 
 
@@ -136,7 +158,11 @@ BORDER = {
 
 
 def test_outer_rooms_import_public_names_alone():
-    outer = [each for each in imports_between_rooms() if each.rooms[0] in OUTER and each.rooms[1] != "_demo"]
+    outer = [
+        each
+        for each in imports_between_rooms()
+        if each.rooms[0] in OUTER and each.rooms[1] != "_demo"
+    ]
     inner = {(each.rooms[0], each.module.removeprefix("jaxmorph.")) for each in outer}
     assert {(importer, module) for importer, module in inner if is_private(module)} == BORDER
 
@@ -157,7 +183,9 @@ def test_a_class_has_one_home():
 
 def test_no_room_uses_private_names_of_another():
     for each in imports_between_rooms():
-        private = [name for name in (*each.module.split(".")[2:], each.name or "") if name.startswith("_")]
+        private = [
+            name for name in (*each.module.split(".")[2:], each.name or "") if name.startswith("_")
+        ]
         assert {*private} <= {*FLOOR}, each
 
 
@@ -175,8 +203,18 @@ def test_the_host_knows_neither_jax_nor_the_rest():
     files = [file for file in FILES if room(module_of(file)) == "_host"]
     assert len(files) > 3
     for file in files:
-        foreign = {each.module.split(".")[0] for each in imports(file) if room(each.module) != "_host"}
-        assert not foreign & {"jaxmorph", "jax", "jaxlib", "equinox", "jaxtyping", "lineax", "optimistix"}, file
+        foreign = {
+            each.module.split(".")[0] for each in imports(file) if room(each.module) != "_host"
+        }
+        assert not foreign & {
+            "jaxmorph",
+            "jax",
+            "jaxlib",
+            "equinox",
+            "jaxtyping",
+            "lineax",
+            "optimistix",
+        }, file
 
 
 def test_the_driver_knows_no_method_but_the_abstract_one():
@@ -193,7 +231,9 @@ def test_nobody_outside_the_driver_unpacks_a_plan():
     for file in FILES:
         if room(module_of(file)) != "_plan":
             nodes = ast.walk(tree_of(file))
-            assert not halves & {ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)}, file
+            assert not halves & {
+                ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)
+            }, file
 
 
 def test_options_of_jax_belong_to_the_user():
@@ -208,7 +248,11 @@ def test_options_of_jax_belong_to_the_user():
 def test_no_test_imports_a_test():
     """What several need stands in `meshes`, `oracles`, `cases` and the writers of formats."""
     tests = [file for folder in ("tests", "benchmarks") for file in (ROOT / folder).rglob("*.py")]
-    wrong = [file.name for file in tests if re.search(r"^\s*(from|import) test_", file.read_text(), re.MULTILINE)]
+    wrong = [
+        file.name
+        for file in tests
+        if re.search(r"^\s*(from|import) test_", file.read_text(), re.MULTILINE)
+    ]
     assert len(tests) > 100
     assert not wrong
 
@@ -221,7 +265,10 @@ def sentences(text: str) -> list[str]:
     """Lists the sentences of a docstring: no code, formulas or tables; each entry of a list is a paragraph."""
     text = re.sub(r"```.*?```|\$\$.*?\$\$|\\\[.*?\\\]", "\n\n", text, flags=re.DOTALL)
     text = re.sub(r"`[^`]*`", "Code", text)
-    lines = ["" if line.startswith((">>>", "...", "|")) else line for line in map(str.strip, text.split("\n"))]
+    lines = [
+        "" if line.startswith((">>>", "...", "|")) else line
+        for line in map(str.strip, text.split("\n"))
+    ]
     lines = [f"\n\n{line}" if re.match(r"[-*+] |\d+\. ", line) else line for line in lines]
     found = []
     for paragraph in re.split(r"\n\s*\n", "\n".join(lines)):
@@ -232,7 +279,9 @@ def sentences(text: str) -> list[str]:
 def docstrings(file: pathlib.Path) -> list[ast.Constant]:
     """Lists the docstrings of a file, also those below constants."""
     nodes = [node.value for node in ast.walk(tree_of(file)) if isinstance(node, ast.Expr)]
-    return [node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    return [
+        node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
 
 
 def test_sentences_of_docstrings_are_short():
@@ -242,7 +291,9 @@ def test_sentences_of_docstrings_are_short():
             for sentence in sentences(node.value):
                 count = sum(bool(re.search(r"[A-Za-z]", word)) for word in sentence.split())
                 if count > LONGEST:
-                    wrong.append(f"{file.relative_to(ROOT)}:{node.lineno}: {count} words: {sentence}")
+                    wrong.append(
+                        f"{file.relative_to(ROOT)}:{node.lineno}: {count} words: {sentence}"
+                    )
     assert not wrong, "\n".join(wrong)
 
 
@@ -254,7 +305,9 @@ def test_prose_is_narrow():
         prose = {at for at, line in enumerate(lines, start=1) if line.lstrip().startswith("#")}
         for node in docstrings(file):
             prose |= set(range(node.lineno, node.end_lineno + 1))
-        wide += [f"{file.relative_to(ROOT)}:{at}" for at in sorted(prose) if len(lines[at - 1]) > 100]
+        wide += [
+            f"{file.relative_to(ROOT)}:{at}" for at in sorted(prose) if len(lines[at - 1]) > 100
+        ]
     assert not wide, "\n".join(wide)
 
 

@@ -15,7 +15,20 @@ from jaxmorph.cli import main
 from jaxmorph.io import _text
 
 POINTS = np.array([[0, 0], [1.5, 0.25], [2, 0], [0, 1.0000000000000002], [1, 1], [2, 1]])
-WORDS = ["0.0", "0.0", "1.5", "0.25", "2e0", "0.0", "0.0", "1.0000000000000002", "1.0", "1.0", "2.00", "1.0E+00"]
+WORDS = [
+    "0.0",
+    "0.0",
+    "1.5",
+    "0.25",
+    "2e0",
+    "0.0",
+    "0.0",
+    "1.0000000000000002",
+    "1.0",
+    "1.0",
+    "2.00",
+    "1.0E+00",
+]
 
 VARIANTS = {
     "plain": PLAIN,
@@ -51,12 +64,17 @@ def test_every_way_to_write_a_file_is_read_and_given_back(tmp_path, variant):
         "quad": [[0, 1, 4, 3]],
         "triangle": [[1, 2, 4], [2, 5, 4]],
     }
-    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {"lower": [0, 1, 2], "upper": [3, 4, 5]}
+    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {
+        "lower": [0, 1, 2],
+        "upper": [3, 4, 5],
+    }
     points = np.random.default_rng(0).normal(size=(6, 2)) * 10.0 ** np.arange(-12, 0).reshape(6, 2)
     points[1] = mesh.points[1]
     at = text.index("NPOIN")
     expected = text[:at]
-    for value, old, word in zip(points.ravel().tolist(), POINTS.ravel().tolist(), WORDS, strict=True):
+    for value, old, word in zip(
+        points.ravel().tolist(), POINTS.ravel().tolist(), WORDS, strict=True
+    ):
         start = text.index(word, at)
         expected += text[at:start] + (word if value == old else repr(value))
         at = start + len(word)
@@ -131,7 +149,9 @@ def test_every_element_type_and_send_receive(tmp_path):
 
 def test_a_mesh_of_no_file_gets_markers_from_its_patches(tmp_path):
     mesh = io.read(written(tmp_path / "in.su2", SOLIDS))
-    generated = jm.Mesh(mesh.points, mesh.cells, {"floor": mesh.patch("floor"), "roof": [4, 5, 6, 7, 9, 10]})
+    generated = jm.Mesh(
+        mesh.points, mesh.cells, {"floor": mesh.patch("floor"), "roof": [4, 5, 6, 7, 9, 10]}
+    )
     io.write(tmp_path / "out.su2", generated)
     text = (tmp_path / "out.su2").read_text()
     # the sides inside, between pyramid, tetrahedron, hexahedron and wedge, are no boundary although the roof has their nodes
@@ -150,7 +170,11 @@ def test_a_mesh_of_no_file_gets_markers_from_its_patches(tmp_path):
 def test_an_edge_that_two_patches_could_have_goes_to_the_smaller(tmp_path):
     points = np.array([[0.0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]])
     walls = {"walls": range(6), "inlet": [0, 3], "outlet": [2, 5]}
-    mesh = jm.Mesh(points, {"quad": [[0, 1, 4, 3], [1, 2, 5, 4]]}, {name: list(ids) for name, ids in walls.items()})
+    mesh = jm.Mesh(
+        points,
+        {"quad": [[0, 1, 4, 3], [1, 2, 5, 4]]},
+        {name: list(ids) for name, ids in walls.items()},
+    )
     io.write(tmp_path / "out.su2", mesh)
     text = (tmp_path / "out.su2").read_text()
     assert "MARKER_TAG= walls\nMARKER_ELEMS= 4\n" in text
@@ -164,44 +188,91 @@ def test_an_edge_that_two_patches_could_have_goes_to_the_smaller(tmp_path):
 ONE = "NDIME= 2\nNELEM= 0\nNPOIN= 1\n{}\nNMARK= 0\n"
 BAD = {
     "no mesh": ("", "no NDIME="),
-    "small letters": (PLAIN.replace("NDIME", "ndime"), "no NDIME= in this file; SU2's keywords are in capitals"),
+    "small letters": (
+        PLAIN.replace("NDIME", "ndime"),
+        "no NDIME= in this file; SU2's keywords are in capitals",
+    ),
     "dimension": (PLAIN.replace("NDIME= 2", "NDIME= 4"), "line 1: NDIME= must be 2 or 3, found 4"),
-    "count is no number": (PLAIN.replace("NELEM= 3", "NELEM= many"), "line 2: NELEM= must be .* found 'many'"),
+    "count is no number": (
+        PLAIN.replace("NELEM= 3", "NELEM= many"),
+        "line 2: NELEM= must be .* found 'many'",
+    ),
     "zones": ("NZONE= 2\n" + PLAIN, "line 1: NZONE= 2, but 0 zones are in the file"),
     "unmarked zones": (PLAIN + PLAIN, "line 22: a second NDIME="),
     "too few points": (PLAIN.replace("2e0 0.0 2\n", ""), "line 6: NPOIN= 6, but 5 rows of points"),
-    "too few elements": (PLAIN.replace("NELEM= 3", "NELEM= 4"), "line 2: NELEM= 4, but 3 rows of elements"),
+    "too few elements": (
+        PLAIN.replace("NELEM= 3", "NELEM= 4"),
+        "line 2: NELEM= 4, but 3 rows of elements",
+    ),
     "cut short": (PLAIN[: PLAIN.index("3 3 4 0")], "line 19: MARKER_ELEMS= 2, but 0 rows"),
-    "markers missing": (PLAIN[: PLAIN.index("MARKER_TAG= upper")], "line 13: NMARK= 2, but 1 markers"),
-    "tag without elements": (PLAIN.replace("MARKER_ELEMS= 2\n3 0 1\n3 1 2\n", ""), "line 14: MARKER_ELEMS= expected"),
-    "missing coordinate": (PLAIN.replace("2e0 0.0 2", "2e0"), "line 9: a point of 2 coordinates, .* found 1 numbers"),
+    "markers missing": (
+        PLAIN[: PLAIN.index("MARKER_TAG= upper")],
+        "line 13: NMARK= 2, but 1 markers",
+    ),
+    "tag without elements": (
+        PLAIN.replace("MARKER_ELEMS= 2\n3 0 1\n3 1 2\n", ""),
+        "line 14: MARKER_ELEMS= expected",
+    ),
+    "missing coordinate": (
+        PLAIN.replace("2e0 0.0 2", "2e0"),
+        "line 9: a point of 2 coordinates, .* found 1 numbers",
+    ),
     "word": (PLAIN.replace("2e0 0.0 2", "2e0 abc 2"), "line 9: found 'abc' in place of a number"),
-    "glued numbers": (PLAIN.replace("2e0 0.0 2", "2e0 0.0-2 2"), "line 9: found '0.0-2' in place of a number"),
-    "not finite": (PLAIN.replace("2e0 0.0 2", "2e0 nan 2"), r"line 9: .* found point 2 at \[2.0, nan"),
-    "real as id": (PLAIN.replace("5 1 2 4 1", "5 1 2.5 4 1"), "line 4: found '2.5' in place of an integer"),
+    "glued numbers": (
+        PLAIN.replace("2e0 0.0 2", "2e0 0.0-2 2"),
+        "line 9: found '0.0-2' in place of a number",
+    ),
+    "not finite": (
+        PLAIN.replace("2e0 0.0 2", "2e0 nan 2"),
+        r"line 9: .* found point 2 at \[2.0, nan",
+    ),
+    "real as id": (
+        PLAIN.replace("5 1 2 4 1", "5 1 2.5 4 1"),
+        "line 4: found '2.5' in place of an integer",
+    ),
     "type": (PLAIN.replace("5 1 2 4 1", "6 1 2 4 1"), "line 4: element type 6 is not known"),
     "corner missing": (
         PLAIN.replace("5 1 2 4 1", "5 1 2"),
         "line 4: an element of type 5 has 3 nodes: 4 numbers and an index",
     ),
-    "node out of range": (PLAIN.replace("5 1 2 4 1", "5 1 2 6 1"), "line 4: there are nodes 0 to 5, and others here"),
-    "one coordinate more": (PLAIN.replace("2e0 0.0 2", "2e0 0.0 7 2"), "line 9: .* found 4 numbers"),
-    "three coordinates": (PLAIN.replace("1.5 0.25 1", "1.5 0.25 1.5"), r"found point 1 at \[1.5, 0.25, 1.5\]"),
+    "node out of range": (
+        PLAIN.replace("5 1 2 4 1", "5 1 2 6 1"),
+        "line 4: there are nodes 0 to 5, and others here",
+    ),
+    "one coordinate more": (
+        PLAIN.replace("2e0 0.0 2", "2e0 0.0 7 2"),
+        "line 9: .* found 4 numbers",
+    ),
+    "three coordinates": (
+        PLAIN.replace("1.5 0.25 1", "1.5 0.25 1.5"),
+        r"found point 1 at \[1.5, 0.25, 1.5\]",
+    ),
     "one node more": (
         PLAIN.replace("5 1 2 4 1", "5 1 2 4 3 1"),
         "line 4: an element of type 5 has 3 nodes: 4 numbers and an index",
     ),
-    "one node more without index": (PLAIN.replace("3 0 1\n", "3 0 1 2\n"), "a.* element of type 3 has 2 nodes"),
-    "three numbers more": (ONE.format("0.0 0.0 0 0 0"), "line 4: a point of 2 coordinates, .* found 5 numbers"),
+    "one node more without index": (
+        PLAIN.replace("3 0 1\n", "3 0 1 2\n"),
+        "a.* element of type 3 has 2 nodes",
+    ),
+    "three numbers more": (
+        ONE.format("0.0 0.0 0 0 0"),
+        "line 4: a point of 2 coordinates, .* found 5 numbers",
+    ),
     "a coordinate alone": (ONE.format("0.0"), "2 coordinates, .* found 1 numbers"),
     "two numbers more on all elements": (
-        PLAIN.replace("9 0 1 4 3 0", "9 0 1 4 3 7 0").replace("4 1\n5 2 5 4 2", "4 7 1\n5 2 5 4 7 2"),
+        PLAIN.replace("9 0 1 4 3 0", "9 0 1 4 3 7 0").replace(
+            "4 1\n5 2 5 4 2", "4 7 1\n5 2 5 4 7 2"
+        ),
         "line 3: an element of type 9 has 4 nodes: 5 numbers and an index",
     ),
     "more markers": (PLAIN.replace("NMARK= 2", "NMARK= 1"), "line 13: NMARK= 1, but 2 markers"),
     "fewer markers": (PLAIN.replace("NMARK= 2", "NMARK= 3"), "NMARK= 3, but 2 markers"),
     "cut before the markers": (PLAIN[: PLAIN.index("NMARK")], "no NMARK= in this file"),
-    "no points": (ONE.replace("1\n{}", "0"), "line 3: NPOIN= must be followed by a whole number, found '0'"),
+    "no points": (
+        ONE.replace("1\n{}", "0"),
+        "line 3: NPOIN= must be followed by a whole number, found '0'",
+    ),
     "bytes": ("\x00\x01\x02" * 100, "no NDIME="),
 }
 
@@ -221,7 +292,9 @@ def test_a_box_is_read_and_goes_back_with_its_control_points_moved(tmp_path, end
     mesh = io.read(written(tmp_path / "in.su2", text))
     (box,) = io.boxes(mesh)
     assert (box.name, box.shape.counts, box.shape.box.degrees) == ("MAIN_BOX", (3, 2), (2, 1))
-    np.testing.assert_array_equal(box.shape.given_corners, [[-0.5, -0.5], [2.5, -0.5], [2.5, 1.5], [-0.5, 1.25]])
+    np.testing.assert_array_equal(
+        box.shape.given_corners, [[-0.5, -0.5], [2.5, -0.5], [2.5, 1.5], [-0.5, 1.25]]
+    )
     np.testing.assert_allclose(box.control[2, 1], [0.21, 1.0], atol=1e-15)
     assert box.surface["lower"][0].tolist() == [0, 1]
     np.testing.assert_array_equal(box.surface["upper"][1], [[0.5, 0.7]])
@@ -234,14 +307,20 @@ def test_a_box_is_read_and_goes_back_with_its_control_points_moved(tmp_path, end
     np.testing.assert_array_equal(after.control, moved.control)
     assert all(np.array_equal(a, b) for key in box.surface
                for a, b in zip(after.surface[key], box.surface[key], strict=True))  # fmt: skip
-    assert (tmp_path / "out.su2").read_bytes().count(b"\r\n") == (text.count("\n") if end == "\r\n" else 0)
+    assert (tmp_path / "out.su2").read_bytes().count(b"\r\n") == (
+        text.count("\n") if end == "\r\n" else 0
+    )
     io.write(tmp_path / "none.su2", io.with_boxes(mesh, []))
     assert (tmp_path / "none.su2").read_bytes() == PLAIN.replace("\n", end).encode()
 
 
 def test_a_box_ahead_of_the_points_leaves_them_in_their_place(tmp_path):
     box = BOX.format(control=CONTROL)
-    mesh = io.read(written(tmp_path / "in.su2", PLAIN[: PLAIN.index("NELEM")] + box + PLAIN[PLAIN.index("NELEM") :]))
+    mesh = io.read(
+        written(
+            tmp_path / "in.su2", PLAIN[: PLAIN.index("NELEM")] + box + PLAIN[PLAIN.index("NELEM") :]
+        )
+    )
     (box,) = io.boxes(mesh)
     pair = [box, dataclasses.replace(box, name="B")]
     io.write(tmp_path / "out.su2", io.with_boxes(mesh.moved(mesh.points * 2), pair))
@@ -252,12 +331,18 @@ def test_a_box_ahead_of_the_points_leaves_them_in_their_place(tmp_path):
 
 @pytest.mark.slow
 def test_splines_and_boxes_in_3d(tmp_path):
-    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1.2, 1], [0, 1, 1.0]])
-    cube = "NDIME= 3\nNELEM= 1\n12 0 1 2 3 4 5 6 7\nNPOIN= 8\n" + "".join("{} {} {}\n".format(*at) for at in corners)
+    corners = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1.2, 1], [0, 1, 1.0]]
+    )
+    cube = "NDIME= 3\nNELEM= 1\n12 0 1 2 3 4 5 6 7\nNPOIN= 8\n" + "".join(
+        "{} {} {}\n".format(*at) for at in corners
+    )
     mesh = io.read(written(tmp_path / "in.su2", cube + "NMARK= 0\n"))
     shape = shapes.Hexahedron(corners, (4, 3, 2), degree=(2, 1, 1))
     control = np.random.default_rng(0).normal(size=(4, 3, 2, 3))
-    (box,) = io.boxes(rewritten(tmp_path / "out.su2", io.with_boxes(mesh, [io.Box("WING", shape, control)])))
+    (box,) = io.boxes(
+        rewritten(tmp_path / "out.su2", io.with_boxes(mesh, [io.Box("WING", shape, control)]))
+    )
     assert box.shape.box.degrees == (2, 1, 1)
     np.testing.assert_array_equal(box.control, control)
     np.testing.assert_array_equal(box.shape.given_corners, corners)
@@ -287,14 +372,22 @@ def test_boxes_of_other_meshes(tmp_path):
     assert io.boxes(mesh) == ()
     (box,) = io.boxes(io.read(written(tmp_path / "box.su2", PLAIN + BOX.format(control=CONTROL))))
     all_refused(
-        (lambda: io.with_boxes(dataclasses.replace(mesh, source=None), [box]), "not read from an SU2 file"),
+        (
+            lambda: io.with_boxes(dataclasses.replace(mesh, source=None), [box]),
+            "not read from an SU2 file",
+        ),
         (lambda: io.with_boxes(mesh, [box, box]), "name of another"),
-        (lambda: io.with_boxes(mesh, [dataclasses.replace(box, control=box.control[:2])]), r"\(3, 2, 2\)"),
+        (
+            lambda: io.with_boxes(mesh, [dataclasses.replace(box, control=box.control[:2])]),
+            r"\(3, 2, 2\)",
+        ),
     )
 
 
 def test_info_shows_boxes(tmp_path, capsys):
-    assert main(["info", str(written(tmp_path / "box.su2", PLAIN + BOX.format(control=CONTROL)))]) == 0
+    assert (
+        main(["info", str(written(tmp_path / "box.su2", PLAIN + BOX.format(control=CONTROL)))]) == 0
+    )
     assert "MAIN_BOX  degrees 2 x 1," in capsys.readouterr().out
 
 

@@ -35,13 +35,19 @@ def folder(tmp_path_factory):
     x = np.asarray(brick.points)
     top = np.flatnonzero(x[:, 2] == 1)
     sides = np.setdiff1d(np.flatnonzero((x[:, :2] % 1 == 0).any(axis=1) & (x[:, 2] > 0)), [])
-    io.write(folder / "brick.su2", jm.Mesh(x, brick.cells, {**brick.patches, "top": top, "sides": sides}))
+    io.write(
+        folder / "brick.su2", jm.Mesh(x, brick.cells, {**brick.patches, "top": top, "sides": sides})
+    )
     names = {"floor": (2, 0), "lid": (2, 1), "wall": (0, 0), "side": (1, 0)}
     sides = {name: np.flatnonzero(x[:, axis] == place) for name, (axis, place) in names.items()}
     io.write(folder / "room.su2", jm.Mesh(x, brick.cells, sides))
-    inner = [corner for corner in brick.cells["hexahedron"][21] if x[corner, 1] == 0.5]  # a marker within the mesh
+    inner = [
+        corner for corner in brick.cells["hexahedron"][21] if x[corner, 1] == 0.5
+    ]  # a marker within the mesh
     text = (folder / "room.su2").read_text().replace("NMARK= 4", "NMARK= 5")
-    (folder / "room.su2").write_text(text + f"MARKER_TAG= cut\nMARKER_ELEMS= 1\n9 {' '.join(map(str, inner))}\n")
+    (folder / "room.su2").write_text(
+        text + f"MARKER_TAG= cut\nMARKER_ELEMS= 1\n9 {' '.join(map(str, inner))}\n"
+    )
     return folder
 
 
@@ -69,10 +75,14 @@ def turned(points, a, b, degrees):
 
 def test_rigid_kinds_add_what_each_does_to_the_wall_as_it_was(folder):
     param = "(0.1, 0.2, 0.3); (0.25, 0.1, 0, 0.5, 0.3, 1); (1.0)"
-    case = config(folder, "TRANSLATION, ROTATION, SCALE", param, "0.5, 12, 1.1", mesh="brick", marker="floor")
+    case = config(
+        folder, "TRANSLATION, ROTATION, SCALE", param, "0.5, 12, 1.1", mesh="brick", marker="floor"
+    )
     x, after = moved(case)
     spin = turned(x, np.array([0.25, 0.1, 0]), np.array([0.5, 0.3, 1]), 12) - x
-    np.testing.assert_allclose(after, x + 0.5 * np.array([0.1, 0.2, 0.3]) + spin + 0.1 * x, atol=1e-14)
+    np.testing.assert_allclose(
+        after, x + 0.5 * np.array([0.1, 0.2, 0.3]) + spin + 0.1 * x, atol=1e-14
+    )
     np.testing.assert_array_equal(case.shape(x, case.shape.neutral()), x)
     assert (case.fixed, case.steps) == (("top", "sides"), 1)
     flat = config(folder, "ROTATION", "(0.25, 0.1, 0, 0.25, 0.1, 1)", "12")
@@ -95,18 +105,37 @@ def su2_loop(x, up, kind, numbers, value):
         elif kind == "CST":
             side, k, n = int(numbers[0]), numbers[1] - 1, numbers[2] - 1
             t = max(0.0, t)
-            share = math.factorial(n) / (math.factorial(k) * math.factorial(n - k)) * t**k * (1 - t) ** (n - k)
+            share = (
+                math.factorial(n)
+                / (math.factorial(k) * math.factorial(n - k))
+                * t**k
+                * (1 - t) ** (n - k)
+            )
             if up[row] > 0 if side else up[row] < 0:
                 moves[row, 1] = value * math.sqrt(t) * (1 - t) * share
         elif kind == "HICKS_HENNE":
             side, place = numbers
             t = max(0.0, t)
-            bump = math.sin(math.pi * t ** (math.log10(0.5) / math.log10(place))) ** 3 if t > 1e-15 else 0.0
+            bump = (
+                math.sin(math.pi * t ** (math.log10(0.5) / math.log10(place))) ** 3
+                if t > 1e-15
+                else 0.0
+            )
             moves[row, 1] = value * bump * ((up[row] > 0) if side else -1 * (up[row] < 0))
         elif kind == "NACA_4DIGITS":  # those of 2412
-            mean = 0.02 / 0.16 * (0.8 * t - t**2) if t < 0.4 else 0.02 / 0.36 * (0.2 + 0.8 * t - t**2)
-            half = 0.6 * (0.2969 * max(t, 0) ** 0.5 - 0.126 * t - 0.3516 * t**2 + 0.2843 * t**3 - 0.1036 * t**4)
-            moves[row, 1] = mean + half - y if up[row] > 0 else mean - half - y if up[row] < 0 else 0
+            mean = (
+                0.02 / 0.16 * (0.8 * t - t**2) if t < 0.4 else 0.02 / 0.36 * (0.2 + 0.8 * t - t**2)
+            )
+            half = 0.6 * (
+                0.2969 * max(t, 0) ** 0.5
+                - 0.126 * t
+                - 0.3516 * t**2
+                + 0.2843 * t**3
+                - 0.1036 * t**4
+            )
+            moves[row, 1] = (
+                mean + half - y if up[row] > 0 else mean - half - y if up[row] < 0 else 0
+            )
         elif kind == "PARABOLIC":
             centre, thick = numbers[0], numbers[1] / 100
             arc = thick * (t * t - t) / (2.0 * (centre * centre - centre))
@@ -117,18 +146,31 @@ def su2_loop(x, up, kind, numbers, value):
 @pytest.mark.parametrize(
     "listed",
     [
-        [("HICKS_HENNE", (1, 0.3), 0.01), ("HICKS_HENNE", (0, 0.6), 0.02), ("HICKS_HENNE", (1, 0.3), 0.005)],
-        [("SURFACE_BUMP", (0.2, 0.7, 0.4), 0.02), ("CST", (0, 5, 7), 0.03), ("CST", (1, 2, 6), 0.05)],
+        [
+            ("HICKS_HENNE", (1, 0.3), 0.01),
+            ("HICKS_HENNE", (0, 0.6), 0.02),
+            ("HICKS_HENNE", (1, 0.3), 0.005),
+        ],
+        [
+            ("SURFACE_BUMP", (0.2, 0.7, 0.4), 0.02),
+            ("CST", (0, 5, 7), 0.03),
+            ("CST", (1, 2, 6), 0.05),
+        ],
         [("PARABOLIC", (0.5, 12), 1.0)],
         [("NACA_4DIGITS", (2, 4, 12), 1.0)],
     ],
 )
 def test_kinds_that_look_at_x(folder, listed):
     param = "; ".join(str(numbers) for _, numbers, _ in listed)
-    kinds, values = ", ".join(kind for kind, *_ in listed), ", ".join(str(value) for *_, value in listed)
+    kinds, values = (
+        ", ".join(kind for kind, *_ in listed),
+        ", ".join(str(value) for *_, value in listed),
+    )
     case = config(folder, kinds, param, values)
     (x, after), up = moved(case), shapes.wall_normals(case.mesh, "airfoil")[:, 1]
-    np.testing.assert_allclose(after, x + sum(su2_loop(x, up, *each) for each in listed), atol=1e-15)
+    np.testing.assert_allclose(
+        after, x + sum(su2_loop(x, up, *each) for each in listed), atol=1e-15
+    )
     assert np.abs(after - x).max() > 0.005
     assert case.names == tuple(f"{kind}[{k}]" for k, (kind, *_) in enumerate(listed))
     slope = shapes.project(case.shape, x, case.parameters, np.ones_like(x))
@@ -144,7 +186,13 @@ def test_bumps_of_the_camber_line(folder):
     mesh, angle, shift = io.read(folder / "airfoil.su2"), np.deg2rad(8), np.array([0.3, -0.2])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # nose up
     io.write(folder / "pitched.su2", mesh.moved(np.asarray(mesh.points) @ turn.T + shift))
-    case = config(folder, "HICKS_HENNE_CAMBER, HICKS_HENNE_CAMBER", "(0.3); (0.8)", "0.02, 0.01", mesh="pitched")
+    case = config(
+        folder,
+        "HICKS_HENNE_CAMBER, HICKS_HENNE_CAMBER",
+        "(0.3); (0.8)",
+        "0.02, 0.01",
+        mesh="pitched",
+    )
     x, after = moved(case)
     tail = x[np.argmax(x[:, 0])]
     nose = x[np.argmax(np.linalg.norm(x - tail, axis=1))]
@@ -153,7 +201,11 @@ def test_bumps_of_the_camber_line(folder):
     up = np.zeros(len(x))
     for row, t in enumerate(np.maximum((x - nose) @ along, 0)):
         for place, value in ((0.3, 0.02), (0.8, 0.01)):
-            bump = math.sin(math.pi * t ** (math.log10(0.5) / math.log10(place))) ** 3 if t > 1e-15 else 0.0
+            bump = (
+                math.sin(math.pi * t ** (math.log10(0.5) / math.log10(place))) ** 3
+                if t > 1e-15
+                else 0.0
+            )
             up[row] += value * bump * (t <= 0.99)
     np.testing.assert_allclose(after - x, up[:, None] * np.array([-along[1], along[0]]), atol=1e-14)
     assert up.max() > 0.019
@@ -169,7 +221,9 @@ def test_whole_meshes_move(folder):
     ):  # fmt: skip
         case = config(folder, kind, param, value, more="MARKER_SYM= farfield\n", marker="")
         assert (set(case.moving), case.fixed, case.symmetry) == (set(mesh.patches), (), ())
-        plan = jm.prepare(case.mesh, case.moving, case.fixed, symmetry=case.symmetry, method=jm.RBF.classic())
+        plan = jm.prepare(
+            case.mesh, case.moving, case.fixed, symmetry=case.symmetry, method=jm.RBF.classic()
+        )
         points = jm.deform(plan, shapes.displacement(case.shape, plan, case.parameters))
         np.testing.assert_allclose(points, expected(np.asarray(mesh.points)), atol=1e-9)
 
@@ -179,7 +233,9 @@ def test_walls_stay_in_symmetry_planes(folder):
     more = "MARKER_SYM= ( wall, side )\nMARKER_INTERNAL= ( cut )\n"
     case = config(folder, "TRANSLATION", "(1, 2, 3)", "0.01", more, "room", "floor, wall")
     x, after = moved(case)
-    expected = np.array([0.01, 0.02, 0.03]) * np.column_stack([x[:, 0] > 0, x[:, 1] > 0, np.ones(len(x))])
+    expected = np.array([0.01, 0.02, 0.03]) * np.column_stack(
+        [x[:, 0] > 0, x[:, 1] > 0, np.ones(len(x))]
+    )
     np.testing.assert_allclose(after - x, expected, atol=1e-16)
     assert (case.moving, case.symmetry, case.fixed) == (("floor", "wall"), ("side",), ("lid",))
 
@@ -195,14 +251,19 @@ def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
         u, v, w = (k / (n - 1) for k, n in zip(place, counts, strict=True))
         around = [(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v]
         shares = [a * b for b in (1 - w, w) for a in around]
-        start[place] = sum(share * np.array(corner) for share, corner in zip(shares, corners, strict=True))
+        start[place] = sum(
+            share * np.array(corner) for share, corner in zip(shares, corners, strict=True)
+        )
     control, d = start.copy(), 2 if flat else 3
 
     def stays(*index):
         return any(k in planes for k, planes in zip(index, fixed, strict=False))
 
     for kind, numbers, values in listed:
-        value, ends = values[0], np.split(np.array(numbers[-6:], float), 2) if len(numbers) > 5 else None
+        value, ends = (
+            values[0],
+            np.split(np.array(numbers[-6:], float), 2) if len(numbers) > 5 else None,
+        )
         if kind.startswith("FFD_CONTROL_POINT"):
             way = np.zeros(3)
             way[:d] = np.array(numbers[d:]) * value if len(values) == 1 else values
@@ -214,7 +275,9 @@ def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
                 control[place] += way if named and not held else 0
         elif kind.startswith(("FFD_CAMBER", "FFD_THICKNESS")):
             for side in (0, 1) if flat or not (stays(*numbers, 0) or stays(*numbers, 1)) else ():
-                control[(*numbers, side)][..., d - 1] += -value if "THICK" in kind and side == 0 else value
+                control[(*numbers, side)][..., d - 1] += (
+                    -value if "THICK" in kind and side == 0 else value
+                )
         elif kind == "FFD_GULL":
             control[:, numbers[0], :, 2] += 0 if stays(-1, numbers[0]) else value
         elif kind == "FFD_NACELLE":
@@ -222,7 +285,9 @@ def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
             for theta in dict.fromkeys([j, counts[1] - 1 - j]):
                 if stays(i, theta, k):
                     break
-                control[slice(None) if i == -1 else i, theta, k] += value * np.array([way[0], 0, way[1]])
+                control[slice(None) if i == -1 else i, theta, k] += value * np.array(
+                    [way[0], 0, way[1]]
+                )
         elif kind in ("FFD_CONTROL_SURFACE", "FFD_ROTATION"):
             part, sign = (control[:-2, 2:-2], -1) if "SURFACE" in kind else (control, 1)
             part[...] = turned(part, *ends, sign * value)
@@ -230,7 +295,12 @@ def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
             j, (a, b) = numbers[0], ends
             share = (control[0, j, 0, 1] - a[1]) / (b[1] - a[1])
             about = a + share * (b - a)
-            spun = turned(control[:, j], about, about + np.array([0, 1, 0]), np.rad2deg(math.atan(value / length)))
+            spun = turned(
+                control[:, j],
+                about,
+                about + np.array([0, 1, 0]),
+                np.rad2deg(math.atan(value / length)),
+            )
             for i, k in itertools.product(range(counts[0]), range(counts[2])):
                 if 0 <= share <= 1 and not stays(i, j, k):
                     control[i, j, k] = spun[i, k]
@@ -261,7 +331,9 @@ def check_box(case, listed, **options):
     np.testing.assert_allclose(after, expected, atol=1e-13)
     assert np.abs(after - x).max() > 1e-3
     (written,) = case.moved_boxes
-    np.testing.assert_allclose(written.control, control[..., :3] if d == 3 else control[:, :, 0, :2], atol=1e-13)
+    np.testing.assert_allclose(
+        written.control, control[..., :3] if d == 3 else control[:, :, 0, :2], atol=1e-13
+    )
 
 
 def test_boxes_in_2d(folder):
@@ -316,11 +388,18 @@ def test_wings_gulls_and_nacelles(folder):
 @pytest.mark.nightly
 def test_a_box_of_splines_gives_the_wall_at_rest(folder):
     """Coordinates in the box are those at which the lattice at rest gives the wall: else SU2 would move it by nothing."""
-    more = solid(WHOLE, degrees="(5, 4, 2)", more="FFD_BLENDING= BSPLINE_UNIFORM\nFFD_BSPLINE_ORDER= 4, 3, 2\n")
+    more = solid(
+        WHOLE,
+        degrees="(5, 4, 2)",
+        more="FFD_BLENDING= BSPLINE_UNIFORM\nFFD_BSPLINE_ORDER= 4, 3, 2\n",
+    )
     case = config(folder, "FFD_CAMBER", "(BOX, 1, 1)", "0.1", more, mesh="brick", marker="floor")
     (box,) = case.boxes
     nodes, places = box.surface["floor"]
-    knots = [np.clip(np.arange(-p, n + 1) / (n - p), 0, 1) for n, p in zip((6, 5, 3), (3, 2, 1), strict=True)]
+    knots = [
+        np.clip(np.arange(-p, n + 1) / (n - p), 0, 1)
+        for n, p in zip((6, 5, 3), (3, 2, 1), strict=True)
+    ]
     weights = [
         np.nan_to_num(scipy.interpolate.BSpline(each, np.eye(n), p)(places[:, axis]))
         for axis, (each, n, p) in enumerate(zip(knots, (6, 5, 3), (3, 2, 1), strict=True))
@@ -339,7 +418,11 @@ def test_a_box_of_splines_gives_the_wall_at_rest(folder):
 def test_boxes_in_3d(folder, continuity):
     """A box that ends within the wall holds the planes of control points behind that face; one around it holds none."""
     more = f"FFD_CONTINUITY= {continuity}\nFFD_FIX_I= (0, 9)\nFFD_FIX_J= (2)\nFFD_FIX_K= (9)\nREF_LENGTH= 2.0\n"
-    fixed = {"NO_DERIVATIVE": ((), (2,), ()), "2ND_DERIVATIVE": ((), (2, 1, 0), ()), "USER_INPUT": ((0,), (2,), ())}
+    fixed = {
+        "NO_DERIVATIVE": ((), (2,), ()),
+        "2ND_DERIVATIVE": ((), (2, 1, 0), ()),
+        "USER_INPUT": ((0,), (2,), ()),
+    }
     text = solid(SOLID if continuity else WHOLE, more=more if continuity else "REF_LENGTH= 2.0\n")
     case = config(folder, *words_of(LISTED), text, mesh="brick", marker="floor")
     check_box(case, LISTED, length=2.0, fixed=fixed.get(continuity, ((), (), ())))
@@ -350,9 +433,14 @@ def test_positions_from_a_file(folder, option):
     mesh = io.read(folder / "airfoil.su2")
     nodes, rng = mesh.patch("airfoil"), np.random.default_rng(0)
     target = np.asarray(mesh.points)[nodes] + 0.01 * rng.normal(size=(len(nodes), 2))
-    rows = [f"{node}\t{x!r}\t{y!r}" for node, (x, y) in zip(nodes.tolist(), target.tolist(), strict=True)]
+    rows = [
+        f"{node}\t{x!r}\t{y!r}"
+        for node, (x, y) in zip(nodes.tolist(), target.tolist(), strict=True)
+    ]
     (folder / "wall.dat").write_text("\n".join(rows[::-1]) + "\n")
-    case = config(folder, "SURFACE_FILE", "( 1.0 )", "1.0", f"{option}= wall.dat\nDEFORM_NONLINEAR_ITER= 3\n")
+    case = config(
+        folder, "SURFACE_FILE", "( 1.0 )", "1.0", f"{option}= wall.dat\nDEFORM_NONLINEAR_ITER= 3\n"
+    )
     x, after = moved(case)
     np.testing.assert_allclose(after, target, atol=1e-16)
     np.testing.assert_allclose(case.path[1], (target - x) * 2 / 3, atol=1e-16)
@@ -405,8 +493,14 @@ DEFINITION = f"FFD_DEFINITION= (MAIN, 0,-1,0, 1,-1,0, 1,1,0, 0,1,0, {', '.join('
         ({"kind": "SURFACE_BUMP", "param": "(0.2, 0.4, 0.5)"}, "it must lie between"),
         ({"kind": "CST", "param": "(1, 4, 3)"}, "CST has the function 4 of 3"),
         ({"kind": "HICKS_HENNE_CAMBER", "param": "(1)"}, "a bump has its top at 1"),
-        ({"kind": "HICKS_HENNE_CAMBER, SCALE", "param": "(0.5); (1)", "value": "1, 1"}, "SU2 moves by one sort"),
-        ({"kind": "SCALE_GRID, SCALE", "param": "(1); (1)", "value": "1, 1"}, "SCALE_GRID is taken alone"),
+        (
+            {"kind": "HICKS_HENNE_CAMBER, SCALE", "param": "(0.5); (1)", "value": "1, 1"},
+            "SU2 moves by one sort",
+        ),
+        (
+            {"kind": "SCALE_GRID, SCALE", "param": "(1); (1)", "value": "1, 1"},
+            "SCALE_GRID is taken alone",
+        ),
         ({"kind": "TRANSLATE_GRID", "param": "(0, 0, 1)"}, "vector without length"),
         ({"kind": "FFD_TWIST_2D"}, "FFD_TWIST_2D is not taken"),
         ({"param": "(1)"}, "HICKS_HENNE has 2 parameters, found 1"),
@@ -419,23 +513,60 @@ DEFINITION = f"FFD_DEFINITION= (MAIN, 0,-1,0, 1,-1,0, 1,1,0, 0,1,0, {', '.join('
         ({"marker": ""}, "DV_MARKER= names no marker"),
         ({"more": "DV_VALUE= 1\n"}, "DV_VALUE= comes a second time"),
         ({"more": "DEFORM_NONLINEAR_ITER= 0\n"}, "1 or more"),
-        ({"more": "DEFORM_NONLINEAR_ITER= 2.5\n"}, "a whole number, 1 or more, expected, found 2.5"),
-        ({"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (3.5, 1, 0)\n"}, "FFD_DEGREE= a whole number"),
-        ({"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (3)\n"}, "FFD_DEGREE= 2 degrees .* found 4"),
-        ({"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (99999, 9999, 0)\n"}, "at most 1000000 control"),
-        ({"more": "nonsense\n"}, "line 6: an option NAME= value expected"),
-        ({"kind": "NACA_4DIGITS, TRANSLATION", "param": "(2,4,12); (1,0,0)", "value": "1, 1"}, "taken alone"),
-        ({"kind": "ROTATION", "param": "(0,0,0,1,0,1)"}, "both ends have the same x and y"),
-        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)"}, "no box MAIN in the mesh file; it has none"),
-        ({"kind": "FFD_CAMBER_2D", "param": "(TAIL, 1)", "more": TABLE}, "no box TAIL.*it has MAIN"),
-        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 7)", "more": TABLE}, "i = 7; box MAIN has control points 0 to 3"),
-        ({"kind": "FFD_CAMBER", "param": "(MAIN, 1, 0)", "more": TABLE}, "FFD_CAMBER in a mesh in 2-D"),
-        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_CONTINUITY= C1\n"}, "C1 is not taken"),
         (
-            {"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_COORD_SYSTEM= POLAR\n"},
+            {"more": "DEFORM_NONLINEAR_ITER= 2.5\n"},
+            "a whole number, 1 or more, expected, found 2.5",
+        ),
+        (
+            {"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (3.5, 1, 0)\n"},
+            "FFD_DEGREE= a whole number",
+        ),
+        (
+            {"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (3)\n"},
+            "FFD_DEGREE= 2 degrees .* found 4",
+        ),
+        (
+            {"kind": "FFD_SETTING", "more": DEFINITION + "FFD_DEGREE= (99999, 9999, 0)\n"},
+            "at most 1000000 control",
+        ),
+        ({"more": "nonsense\n"}, "line 6: an option NAME= value expected"),
+        (
+            {"kind": "NACA_4DIGITS, TRANSLATION", "param": "(2,4,12); (1,0,0)", "value": "1, 1"},
+            "taken alone",
+        ),
+        ({"kind": "ROTATION", "param": "(0,0,0,1,0,1)"}, "both ends have the same x and y"),
+        (
+            {"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)"},
+            "no box MAIN in the mesh file; it has none",
+        ),
+        (
+            {"kind": "FFD_CAMBER_2D", "param": "(TAIL, 1)", "more": TABLE},
+            "no box TAIL.*it has MAIN",
+        ),
+        (
+            {"kind": "FFD_CAMBER_2D", "param": "(MAIN, 7)", "more": TABLE},
+            "i = 7; box MAIN has control points 0 to 3",
+        ),
+        (
+            {"kind": "FFD_CAMBER", "param": "(MAIN, 1, 0)", "more": TABLE},
+            "FFD_CAMBER in a mesh in 2-D",
+        ),
+        (
+            {"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_CONTINUITY= C1\n"},
+            "C1 is not taken",
+        ),
+        (
+            {
+                "kind": "FFD_CAMBER_2D",
+                "param": "(MAIN, 1)",
+                "more": TABLE + "FFD_COORD_SYSTEM= POLAR\n",
+            },
             "POLAR is not taken; CARTESIAN is",
         ),
-        ({"kind": "FFD_CAMBER_2D, SCALE", "param": "(MAIN, 1); (1)", "value": "1, 1"}, "SU2 moves by one"),
+        (
+            {"kind": "FFD_CAMBER_2D, SCALE", "param": "(MAIN, 1); (1)", "value": "1, 1"},
+            "SU2 moves by one",
+        ),
     ],
 )
 def test_what_is_not_taken_is_told_by_its_name(folder, change, says):
@@ -519,7 +650,11 @@ def test_both_commands_on_boxes_that_the_mesh_keeps(folder, tmp_path, capsys):
     io.write(tmp_path / "airfoil.su2", mesh)
     base = "DV_MARKER= ( airfoil )\nMESH_FILENAME= {}\nMESH_OUT_FILENAME= {}\n"
     kinds = "DV_KIND= FFD_CONTROL_POINT_2D, FFD_CAMBER_2D\nDV_PARAM= (MAIN, 1, 1, 0, 1); (MAIN, 2)\nDV_VALUE= {}\n"
-    setting = base.format("airfoil.su2", "set.su2") + "DV_KIND= FFD_SETTING\nDV_PARAM= ( 1.0 )\nDV_VALUE= 0.0\n" + TABLE
+    setting = (
+        base.format("airfoil.su2", "set.su2")
+        + "DV_KIND= FFD_SETTING\nDV_PARAM= ( 1.0 )\nDV_VALUE= 0.0\n"
+        + TABLE
+    )
     (tmp_path / "a.cfg").write_text(setting)
     (tmp_path / "b.cfg").write_text(base.format("set.su2", "one.su2") + kinds.format("0.02, 0.01"))
     (tmp_path / "c.cfg").write_text(base.format("one.su2", "two.su2") + kinds.format("0.01, -0.02"))
@@ -528,7 +663,9 @@ def test_both_commands_on_boxes_that_the_mesh_keeps(folder, tmp_path, capsys):
     start, end = io.read(tmp_path / "set.su2"), io.read(tmp_path / "two.su2")
     np.testing.assert_array_equal(start.points, mesh.points)
     (before,), (after,) = io.boxes(start), io.boxes(end)
-    np.testing.assert_allclose(after.control - before.control, change(4, 2, 0.03, -0.01), atol=1e-15)
+    np.testing.assert_allclose(
+        after.control - before.control, change(4, 2, 0.03, -0.01), atol=1e-15
+    )
     nodes, places = before.surface["airfoil"]
     weights = before.shape.box.at(places)
     wall = np.asarray(mesh.points)[nodes] + np.asarray(weights(after.control - before.control))
@@ -537,9 +674,14 @@ def test_both_commands_on_boxes_that_the_mesh_keeps(folder, tmp_path, capsys):
     np.testing.assert_array_equal(end.points[far], mesh.points[far])
     capsys.readouterr()
     sens = np.random.default_rng(0).normal(size=(len(nodes), 2))
-    rows = [f"{n}, 0, 0, {a!r}, {b!r}, 0" for n, (a, b) in zip(nodes.tolist(), sens.tolist(), strict=True)]
+    rows = [
+        f"{n}, 0, 0, {a!r}, {b!r}, 0"
+        for n, (a, b) in zip(nodes.tolist(), sens.tolist(), strict=True)
+    ]
     (tmp_path / "surface_sens.csv").write_text(
-        '"PointID", "x", "y", "Sensitivity_x", "Sensitivity_y", "Surface_Sensitivity"\n' + "\n".join(rows) + "\n"
+        '"PointID", "x", "y", "Sensitivity_x", "Sensitivity_y", "Surface_Sensitivity"\n'
+        + "\n".join(rows)
+        + "\n"
     )
     facts = json.loads(printed(capsys, ["su2", "dot", str(tmp_path / "c.cfg"), "--json"]))
     first, *lines = (tmp_path / "of_grad.dat").read_text().splitlines()

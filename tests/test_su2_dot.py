@@ -68,14 +68,18 @@ def write_text(path, values, facts=True):
 @pytest.mark.parametrize("quote", ["", '"'])
 def test_a_binary_restart_is_read(mesh, tmp_path, order, quote):
     values, expected = table(mesh)
-    write_binary(tmp_path / "adjoint.dat", values, order, [f"{quote}{name}{quote}" for name in NAMES])
+    write_binary(
+        tmp_path / "adjoint.dat", values, order, [f"{quote}{name}{quote}" for name in NAMES]
+    )
     np.testing.assert_array_equal(io.read_sensitivity(tmp_path / "adjoint.dat", mesh), expected)
     content = (tmp_path / "adjoint.dat").read_bytes()
     (tmp_path / "adjoint.dat").write_bytes(content[: len(content) // 2])
     with pytest.raises(ValueError, match=r"adjoint.dat: a binary restart of .* bytes or more"):
         io.read_sensitivity(tmp_path / "adjoint.dat", mesh)
     write_binary(tmp_path / "flow.dat", values[:, :3], order, ["x", "y", "Density"])
-    with pytest.raises(ValueError, match="without the columns sensitivity_x, sensitivity_y; it has x, y, density"):
+    with pytest.raises(
+        ValueError, match="without the columns sensitivity_x, sensitivity_y; it has x, y, density"
+    ):
         io.read_sensitivity(tmp_path / "flow.dat", mesh)
     write_binary(tmp_path / "short.dat", values[1:], order)
     with pytest.raises(ValueError, match=r"short.dat: 1 of .* nodes are missing"):
@@ -100,7 +104,9 @@ def test_the_angle_of_attack_has_the_derivative_that_the_file_tells(mesh, folder
     assert (given.path, case.angles) == (file, [1])
     if form != "binary":
         return
-    facts = json.loads(printed(capsys, ["su2", "dot", str(folder / "case.cfg"), "--method", "rbf", "--json"]))
+    facts = json.loads(
+        printed(capsys, ["su2", "dot", str(folder / "case.cfg"), "--method", "rbf", "--json"])
+    )
     assert (facts["angle"], facts["kind"]) == (given.by_angle, "volume")
     first, bump, angle = (folder / "of_grad.dat").read_text().splitlines()
     assert (first, float(angle)) == ("DRAG gradient ", given.by_angle or 0)
@@ -110,9 +116,17 @@ def test_the_angle_of_attack_has_the_derivative_that_the_file_tells(mesh, folder
 @pytest.mark.parametrize(
     ("objective", "there", "taken"),
     [
-        ("DRAG", ["solution_adj_cd.dat", "solution_adj_cl.dat", "solution_adj.dat"], "solution_adj_cd.dat"),
+        (
+            "DRAG",
+            ["solution_adj_cd.dat", "solution_adj_cl.dat", "solution_adj.dat"],
+            "solution_adj_cd.dat",
+        ),
         ("LIFT", ["solution_adj_cd.dat", "solution_adj_cl.csv"], "solution_adj_cl.csv"),
-        ("( DRAG, LIFT )", ["solution_adj_cd.dat", "solution_adj_combo.dat"], "solution_adj_combo.dat"),
+        (
+            "( DRAG, LIFT )",
+            ["solution_adj_cd.dat", "solution_adj_combo.dat"],
+            "solution_adj_combo.dat",
+        ),
         ("SURFACE_TOTAL_PRESSURE", ["solution_adj_pt.dat"], "solution_adj_pt.dat"),
         ("DRAG", ["volume_sens.csv", "solution_adj_cl.dat"], "volume_sens.csv"),
         ("DRAG", ["solution_adj_cl.dat"], None),
@@ -126,7 +140,9 @@ def test_files_are_called_by_the_objective(mesh, folder, objective, there, taken
     if taken:
         assert su2.read_sensitivity(case).path == folder / taken
         return
-    with pytest.raises(ValueError, match=r"no file of sensitivities is there \(SOLUTION_ADJ_FILENAME= solution_adj"):
+    with pytest.raises(
+        ValueError, match=r"no file of sensitivities is there \(SOLUTION_ADJ_FILENAME= solution_adj"
+    ):
         su2.read_sensitivity(case)
 
 
@@ -143,12 +159,16 @@ def test_the_continuous_adjoint_is_a_derivative_along_the_normals(mesh, folder):
     (folder / "surface_adjoint.csv").write_text(head + "\n".join(rows) + "\n")
     given = su2.read_sensitivity(case)
     ahead = np.roll(x[loop], -1, axis=0)
-    sign = np.sign(np.sum(x[loop, 0] * ahead[:, 1] - x[loop, 1] * ahead[:, 0]))  # 1 where the wall turns to the left
+    sign = np.sign(
+        np.sum(x[loop, 0] * ahead[:, 1] - x[loop, 1] * ahead[:, 0])
+    )  # 1 where the wall turns to the left
     for row, node in zip(given.by_nodes, mesh.patch("airfoil").tolist(), strict=True):
         k = loop.tolist().index(node)
         along = x[loop[(k + 1) % len(loop)]] - x[loop[k - 1]]
         normal = sign * np.array([along[1], -along[0]]) / np.linalg.norm(along)
         np.testing.assert_allclose(row, -slopes[node] * normal, atol=1e-12)
     (folder / "surface_adjoint.csv").write_text(head + "\n".join(rows[1:]) + "\n")
-    with pytest.raises(ValueError, match=f"1 of {len(loop)} nodes of DV_MARKER are missing, first {loop[0]}"):
+    with pytest.raises(
+        ValueError, match=f"1 of {len(loop)} nodes of DV_MARKER are missing, first {loop[0]}"
+    ):
         su2.read_sensitivity(case)

@@ -87,8 +87,16 @@ def test_a_config_moves_one_zone_and_draws_it(path, capsys):
         "MESH_FILENAME= a.su2\nMESH_OUT_FILENAME= b.su2\nDV_KIND= TRANSLATION\nDV_PARAM= (1, 0, 0)\nDV_VALUE= -0.125\n"
         "DV_MARKER= ( zone2_right )\nMARKER_SYM= ( zone2_low, zone2_high )\n"
     )
-    refused(capsys, ["su2", "def", str(config)], "a.su2: the file holds 2 zones, .* --zone 1 is the first")
-    refused(capsys, ["su2", "def", str(config), "--zone", "3"], "MESH_FILENAME= .*a.su2 has 2 zones, not the zone 3")
+    refused(
+        capsys,
+        ["su2", "def", str(config)],
+        "a.su2: the file holds 2 zones, .* --zone 1 is the first",
+    )
+    refused(
+        capsys,
+        ["su2", "def", str(config), "--zone", "3"],
+        "MESH_FILENAME= .*a.su2 has 2 zones, not the zone 3",
+    )
     refused(capsys, ["su2", "dot", str(config), "--picture", "b.png"], "--picture is for su2 def")
     picture = path.with_name("b.png")
     said = printed(capsys, ["su2", "def", str(config), "--zone", "2", "--picture", str(picture)])
@@ -98,7 +106,11 @@ def test_a_config_moves_one_zone_and_draws_it(path, capsys):
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, True, False]
     second = io.read_zones(path.with_name("b.su2"))[1]
     np.testing.assert_allclose(second.points[second.patch("zone2_right"), 0], 2 - 0.125)
-    refused(capsys, ["info", str(path), "--picture", "a.png"], "--picture is of one zone, .* has 2: quality --zone 1")
+    refused(
+        capsys,
+        ["info", str(path), "--picture", "a.png"],
+        "--picture is of one zone, .* has 2: quality --zone 1",
+    )
     for words in (["info", str(path.with_name("one.su2"))], ["quality", str(path), "--zone", "1"]):
         io.write(path.with_name("one.su2"), square(3))
         picture.unlink()
@@ -116,7 +128,10 @@ def test_what_is_refused(path):
         (lambda: io.write_zones(target, [bricks(2)]), r"zones that io\.read_zones has read"),
         (lambda: io.write_zones(path, zones), "read from this file"),
         (lambda: io.write_zones(target, [zones[0].moved(zones[0].points * np.nan)]), "not finite"),
-        (lambda: io.read_zones(path.with_suffix(".vtu")), "have zones that are meshes of their own"),
+        (
+            lambda: io.read_zones(path.with_suffix(".vtu")),
+            "have zones that are meshes of their own",
+        ),
     )
     text = path.read_text()
     for old, new, message in (
@@ -145,8 +160,22 @@ def test_zones_on_the_command_line(path, capsys):
     text = printed(capsys, ["info", str(path)])
     assert "a.su2 zone 1: 2-D, 25 points" in text
     assert "a.su2 zone 2: 2-D, 49 points" in text
-    assert [zone["points"] for zone in json.loads(printed(capsys, ["info", str(path), "--json"]))["zones"]] == [25, 49]
-    words = ["deform", str(path), str(out), "--moving", "zone2_low", "--fixed", "zone2_.*", "--translate", "0", "0.01"]
+    assert [
+        zone["points"]
+        for zone in json.loads(printed(capsys, ["info", str(path), "--json"]))["zones"]
+    ] == [25, 49]
+    words = [
+        "deform",
+        str(path),
+        str(out),
+        "--moving",
+        "zone2_low",
+        "--fixed",
+        "zone2_.*",
+        "--translate",
+        "0",
+        "0.01",
+    ]
     assert main([*words, "--zone", "2"]) == 0
     before, after = halves(path), halves(out)
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, True, False]

@@ -27,15 +27,23 @@ def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     u = motion(part)
     for axis in range(planes):
         u[part[:, axis] == 0, axis] = 0
-    symmetry = [jm.Plane(np.eye(dimension)[axis] * 3, np.zeros(dimension)) for axis in range(planes)]
-    moved = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=symmetry), u[moving])
+    symmetry = [
+        jm.Plane(np.eye(dimension)[axis] * 3, np.zeros(dimension)) for axis in range(planes)
+    ]
+    moved = jm.deform(
+        jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=symmetry), u[moving]
+    )
     whole_moving = np.flatnonzero(whole_role == 1)
     plan = jm.prepare(whole, whole_moving, np.flatnonzero(whole_role == 2), method=METHODS["full"])
     expected = jm.deform(plan, (u[image_of] * signs)[whole_moving])
     np.testing.assert_allclose(moved, expected[: len(part)], rtol=0, atol=1e-11)
 
 
-@over("name dimension planes", slow=[("reconstruction", 2, 1)], nightly=[("multiscale", 3, 2), ("full", 3, 2)])
+@over(
+    "name dimension planes",
+    slow=[("reconstruction", 2, 1)],
+    nightly=[("multiscale", 3, 2), ("full", 3, 2)],
+)
 def test_laws_with_symmetry_planes(name, dimension, planes):
     part, role, *_ = whole_and_part(dimension, planes)
     moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
@@ -84,7 +92,9 @@ def test_two_parallel_planes(dimension):
     points, moving, fixed = between_planes(dimension)
     planes = [jm.Plane(np.eye(dimension)[1], np.eye(dimension)[1] * y) for y in (0.0, 1.0)]
     plan = jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=planes)
-    u = 0.1 * np.random.default_rng(0).normal(size=dimension) + 0.05 * (points[moving] - points[moving].mean(axis=0))
+    u = 0.1 * np.random.default_rng(0).normal(size=dimension) + 0.05 * (
+        points[moving] - points[moving].mean(axis=0)
+    )
     moved = np.asarray(jm.deform(plan, u))
     on = (points[:, 1] == 0) | (points[:, 1] == 1)
     assert (moved[on, 1] == points[on, 1]).all()
@@ -107,7 +117,10 @@ def test_thin_layers_beside_two_parallel_planes():
     mesh = jm.Mesh(points, {"quad": number.reshape(-1, 4)})
     body = np.flatnonzero(np.all(np.abs(points - [1.5, 0.5]) < [0.6, 0.25], axis=1))
     ends = np.flatnonzero((points[:, 0] == 0) | (points[:, 0] == 3))
-    planes, u = [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])], np.tile([0.05, 0.1], (len(body), 1))
+    planes, u = (
+        [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])],
+        np.tile([0.05, 0.1], (len(body), 1)),
+    )
     boundary = jm.Boundary(mesh, body, ends, symmetry=planes)
     plan = jm.prepare(boundary)
     moved, w = np.asarray(jm.deform(plan, u)), np.random.default_rng(0).normal(size=points.shape)
@@ -116,7 +129,9 @@ def test_thin_layers_beside_two_parallel_planes():
     assert (moved[on, 1] == points[on, 1]).all()
     assert np.abs(moved - points)[on, 0].max() > 0.01  # they slide
     assert plan.is_linear
-    assert np.vdot(jm.pullback(plan, u, w), u) == pytest.approx(np.vdot(w, moved - points), rel=1e-10)
+    assert np.vdot(jm.pullback(plan, u, w), u) == pytest.approx(
+        np.vdot(w, moved - points), rel=1e-10
+    )
     rows = np.arange(0, len(points), 3)
     part = jm.prepare_surface(boundary).attach(points[rows], rows)
     np.testing.assert_allclose(jm.deform(part, u), moved[rows], rtol=0, atol=1e-14)
@@ -125,12 +140,19 @@ def test_thin_layers_beside_two_parallel_planes():
 def half():
     """The right half of a body in 2-D: points, moving and fixed nodes, and those on the plane."""
     part, role, *_ = whole_and_part(2, 1)
-    return part, np.flatnonzero(role == 1), np.flatnonzero(role == 2), np.flatnonzero(part[:, 0] == 0)
+    return (
+        part,
+        np.flatnonzero(role == 1),
+        np.flatnonzero(role == 2),
+        np.flatnonzero(part[:, 0] == 0),
+    )
 
 
 def test_a_marched_symmetric_mesh():
     part, moving, fixed, _ = half()
-    plan = jm.prepare(part, moving, fixed, method=METHODS["reconstruction"], symmetry=jm.Plane([1, 0], [0, 0]))
+    plan = jm.prepare(
+        part, moving, fixed, method=METHODS["reconstruction"], symmetry=jm.Plane([1, 0], [0, 0])
+    )
     path = np.stack([motion(part)[moving], 2 * motion(part)[moving]])
     for end in check_steps(plan, path):
         assert (end[part[:, 0] == 0, 0] == 0).all()
@@ -140,13 +162,20 @@ def test_a_plane_anywhere():
     """At another place and angle the same mesh moves the same; `Plane.through` finds it from the nodes on it."""
     part, moving, fixed, on = half()
     u = motion(part)[moving]
-    straight = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])), u)
+    straight = jm.deform(
+        jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])),
+        u,
+    )
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
     points = part @ turn.T + [5.0, -3.0]
     plane = jm.Plane.through(points, on)
     assert abs(plane.normal @ turn[:, 1]) < 1e-14
-    moved = jm.deform(jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane), u @ turn.T)
-    np.testing.assert_allclose(moved, straight @ turn.T + np.array([[5.0, -3.0]]), rtol=0, atol=1e-10)
+    moved = jm.deform(
+        jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane), u @ turn.T
+    )
+    np.testing.assert_allclose(
+        moved, straight @ turn.T + np.array([[5.0, -3.0]]), rtol=0, atol=1e-10
+    )
     exact = jm.Plane.through(part + np.array([0.1, 0.0]), on)
     assert (exact.normal == [1, 0]).all()
     assert exact.origin[0] == 0.1
@@ -160,10 +189,21 @@ def test_a_patch_that_lies_in_several_planes():
     ids = np.arange(len(points)).reshape(7, 2, 3)
     cells = blocks(ids)
     front, bottom = (np.isin(points[:, axis], axes[axis][[0, -1]]) for axis in (1, 2))
-    sides = {"front and back": front, "sides": front | bottom, "inlet": points[:, 0] == 0, "outlet": points[:, 0] == 2}
-    mesh = jm.Mesh(points, {"hexahedron": cells}, {name: np.flatnonzero(is_on) for name, is_on in sides.items()})
+    sides = {
+        "front and back": front,
+        "sides": front | bottom,
+        "inlet": points[:, 0] == 0,
+        "outlet": points[:, 0] == 2,
+    }
+    mesh = jm.Mesh(
+        points,
+        {"hexahedron": cells},
+        {name: np.flatnonzero(is_on) for name, is_on in sides.items()},
+    )
     u = np.tile([0.2, 0, 0], (6, 1))
-    one_by_one = [jm.Plane(np.eye(3)[axis], point) for axis in (1, 2) for point in ([0, 0, 0], [0, 1, 1.5])]
+    one_by_one = [
+        jm.Plane(np.eye(3)[axis], point) for axis in (1, 2) for point in ([0, 0, 0], [0, 1, 1.5])
+    ]
 
     def prepare(mesh, planes):
         return jm.prepare(mesh, "inlet", "outlet", symmetry=planes, free="sides", method=jm.RBF())
@@ -174,7 +214,9 @@ def test_a_patch_that_lies_in_several_planes():
     turned = points @ np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]) + 1 / 3
     planes = prepare(mesh.moved(np.round(turned, 8)), "front and back").images  # as a file has it
     assert planes is not None
-    assert [abs(plane.normal @ [0, 0.6, -0.8]) for plane in planes.planes] == pytest.approx([1, 1], abs=1e-7)
+    assert [abs(plane.normal @ [0, 0.6, -0.8]) for plane in planes.planes] == pytest.approx(
+        [1, 1], abs=1e-7
+    )
     slim = points[:, [1, 0, 2]][ids[:2, :, :2].ravel()]
     slim = jm.Mesh(slim, {"hexahedron": [[0, 4, 6, 2, 1, 5, 7, 3]]}, {"all": range(8)})
     with pytest.raises(ValueError, match="do not lie in one plane"):
@@ -187,7 +229,10 @@ def test_a_patch_that_lies_in_several_planes():
 
 def whole(*planes):
     mesh = body(2)
-    points, symmetry = np.append(mesh.points, [[0, 1.0], [0, 2.0]], axis=0), [jm.Plane(*each) for each in planes]
+    points, symmetry = (
+        np.append(mesh.points, [[0, 1.0], [0, 2.0]], axis=0),
+        [jm.Plane(*each) for each in planes],
+    )
     return lambda: jm.prepare(points, mesh.moving, mesh.fixed, method=GRAPH, symmetry=symmetry)
 
 
@@ -195,7 +240,9 @@ def upper(normal, shift):
     """The half of a body, with its plane moved by `shift`, or to the nodes next to it."""
     part, moving, fixed, _ = half()
     at = np.sort(part[part[:, 0] != 0, 0])[0] if shift is None else shift
-    return lambda: jm.prepare(part, moving, fixed, method=GRAPH, symmetry=jm.Plane([normal, 0], [at, 7]))
+    return lambda: jm.prepare(
+        part, moving, fixed, method=GRAPH, symmetry=jm.Plane([normal, 0], [at, 7])
+    )
 
 
 test_what_is_not_a_symmetry_plane = refusals(
@@ -203,9 +250,15 @@ test_what_is_not_a_symmetry_plane = refusals(
     (lambda: jm.Plane([1, 0], [0, 0, 0]), "a plane needs a normal that is not zero"),
     (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
     (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
-    (lambda: jm.Plane.through(body(2).points, body(2).moving), r"do not lie in one plane: node \d+ at"),
+    (
+        lambda: jm.Plane.through(body(2).points, body(2).moving),
+        r"do not lie in one plane: node \d+ at",
+    ),
     (lambda: jm.Plane.through(body(2).points, np.array([5])), "1 nodes do not determine a plane"),
-    (upper(2, -0.01), r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance"),
+    (
+        upper(2, -0.01),
+        r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance",
+    ),
     (upper(1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
     (upper(-1, None), r"nodes on both sides: \d+ of \d+ lie beyond .* \S+ away"),
 )
@@ -217,11 +270,15 @@ def test_nodes_beyond_a_plane_are_counted():
     x = np.append(mesh.points[:, 0], [0, 0])
     beyond, farthest = (x < 0).sum(), x.argmin()
     assert beyond < len(x) / 2
-    with pytest.raises(ValueError, match=rf"{beyond} of 312 lie beyond it, the farthest is node {farthest} at"):
+    with pytest.raises(
+        ValueError, match=rf"{beyond} of 312 lie beyond it, the farthest is node {farthest} at"
+    ):
         whole(([1, 0], [0, 0]))()
     part = whole_and_part(2, 1)[0]
     gap = np.sort(part[part[:, 0] != 0, 0])[0]
-    with pytest.raises(ValueError, match=rf"{(part[:, 0] == 0).sum()} of {len(part)} lie beyond .* {gap:.3g} away"):
+    with pytest.raises(
+        ValueError, match=rf"{(part[:, 0] == 0).sum()} of {len(part)} lie beyond .* {gap:.3g} away"
+    ):
         upper(1, None)()
 
 
@@ -237,7 +294,10 @@ def test_a_symmetry_plane_of_a_float32_mesh():
     assert off[on].max() > 1e-8 * np.ptp(points)
     assert jm.Plane.through(points, on).holds(points)[on].all()
     assert (np.flatnonzero(plane.holds(points)) == on).all()
-    exact = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])), u)
+    exact = jm.deform(
+        jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])),
+        u,
+    )
     plan = jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane)
     moved = jm.deform(plan, (u @ turn.T).astype(np.float32))
     np.testing.assert_allclose(moved, exact @ turn.T + np.atleast_2d(shift), rtol=0, atol=1e-4)

@@ -26,7 +26,10 @@ def test_products_are_the_derivatives_of_apply():
         points = mover.apply(given)["points"]
         assert points.dtype == np.float64
         h = 1e-5
-        high, low = (mover.apply({k: given[k] + s * h * tangent[k] for k in names})["points"] for s in (1, -1))
+        high, low = (
+            mover.apply({k: given[k] + s * h * tangent[k] for k in names})["points"]
+            for s in (1, -1)
+        )
         difference = (high - low) / (2 * h)
         forward = mover.jacobian_vector_product(given, names, ["points"], tangent)["points"]
         assert cosine(forward, difference) >= 1 - 1e-10

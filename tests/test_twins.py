@@ -37,7 +37,9 @@ def empty_ranges(path):
 
 def one_layer(path):
     """A bump in a channel, one cell thick between two symmetry planes, as extruded airfoils are."""
-    x, y, z = np.meshgrid(np.linspace(0, 2, 9), [0.0, 0.1], np.linspace(0, 1, 6) ** 2, indexing="ij")
+    x, y, z = np.meshgrid(
+        np.linspace(0, 2, 9), [0.0, 0.1], np.linspace(0, 1, 6) ** 2, indexing="ij"
+    )
     z = z + 0.1 * (1 - z) * np.sin(np.pi * x / 2) ** 2
     with h5py.File(path, "w", track_order=True) as file:
         base = cgns.base(file, 3, 3)
@@ -148,14 +150,25 @@ KINDS = {
     "ADF, empty ranges": (in_adf(empty_ranges, "B", ">", 2), "a.cgns", of_cgns),
     "ADF, polyhedra": (in_adf(cgns.joined_polyhedra), "a.cgns", None),
     "gmsh 4.1, all saved": (by_gmsh(MshFileVersion=4.1, SaveAll=1), "a.msh", of_gmsh),
-    "gmsh 4.1, binary, all saved": (by_gmsh(MshFileVersion=4.1, Binary=1, SaveAll=1), "a.msh", of_gmsh),
+    "gmsh 4.1, binary, all saved": (
+        by_gmsh(MshFileVersion=4.1, Binary=1, SaveAll=1),
+        "a.msh",
+        of_gmsh,
+    ),
     "gmsh 4.0, text": (by_gmsh(MshFileVersion=4.0), "a.msh", of_gmsh),
     "gmsh's legacy VTK, binary": (by_gmsh(Binary=1), "a.vtk", of_legacy),
     "MED": (by_gmsh(), "a.med", of_gmsh),
     "SU2, two zones": (zones, "a.su2", of_su2),
-    "SU2, a box": (lambda path: path.write_text(PLAIN + BOX.format(control=CONTROL)), "a.su2", of_su2),
+    "SU2, a box": (
+        lambda path: path.write_text(PLAIN + BOX.format(control=CONTROL)),
+        "a.su2",
+        of_su2,
+    ),
     **{f"Exodus, {form}": (netcdf(form=form), "a.e", of_exodus) for form in exodus.FORMS},
-    **{f"Exodus, joined, {form}": (netcdf(form=form, is_joined=True), "a.e", of_exodus) for form in exodus.FORMS},
+    **{
+        f"Exodus, joined, {form}": (netcdf(form=form, is_joined=True), "a.e", of_exodus)
+        for form in exodus.FORMS
+    },
 }
 BREADTH = (
     "ADF, big-endian",
@@ -185,14 +198,19 @@ def assert_coordinates_alone_differ(before, after, old, new):
     a, b = (np.frombuffer(each, np.uint8) for each in (before, after))
     may = np.zeros(len(a), bool)
     for order in "<>":
-        values = [np.lib.stride_tricks.sliding_window_view(each, 8).copy().view(f"{order}f8")[:, 0] for each in (a, b)]
+        values = [
+            np.lib.stride_tricks.sliding_window_view(each, 8).copy().view(f"{order}f8")[:, 0]
+            for each in (a, b)
+        ]
         starts = np.isin(values[0], old) & np.isin(values[1], new)
         for k in range(8):
             may[k : len(a) - 7 + k] |= starts
     assert may[a != b].all()
 
 
-@pytest.mark.parametrize("kind", runs([name for name in KINDS if name not in BREADTH], nightly=BREADTH))
+@pytest.mark.parametrize(
+    "kind", runs([name for name in KINDS if name not in BREADTH], nightly=BREADTH)
+)
 def test_coordinates_change_and_nothing_else(tmp_path, kind):
     make, name, oracle = KINDS[kind]
     path, moved = tmp_path / name, tmp_path / f"moved-{name}"
@@ -201,13 +219,20 @@ def test_coordinates_change_and_nothing_else(tmp_path, kind):
     old = np.concatenate([mesh.in_file_order(mesh.points) for mesh in meshes])
     for mesh in meshes:
         d = mesh.points.shape[1]
-        np.testing.assert_array_equal(mesh.in_file_order(mesh.points)[:, :d], mesh.points[mesh.file_nodes])
+        np.testing.assert_array_equal(
+            mesh.in_file_order(mesh.points)[:, :d], mesh.points[mesh.file_nodes]
+        )
         assert set(mesh.kinds) <= set(mesh.patches)
     if oracle is not None:
         np.testing.assert_array_equal(oracle(path), old)
     # nodes on one side stay, bit for bit
-    points = [np.where(mesh.points[:, :1] > 0.4, mesh.points * np.pi + 0.01, mesh.points) for mesh in meshes]
-    new = np.concatenate([mesh.in_file_order(places) for mesh, places in zip(meshes, points, strict=True)])
+    points = [
+        np.where(mesh.points[:, :1] > 0.4, mesh.points * np.pi + 0.01, mesh.points)
+        for mesh in meshes
+    ]
+    new = np.concatenate(
+        [mesh.in_file_order(places) for mesh, places in zip(meshes, points, strict=True)]
+    )
     changed = [mesh.moved(places) for mesh, places in zip(meshes, points, strict=True)]
     io.write_zones(moved, changed) if len(meshes) > 1 else io.write(moved, *changed)
     if oracle is not None:
@@ -226,7 +251,9 @@ def test_one_layer_of_cells_stays_one(tmp_path, is_adf):
     """The kinds of the file say what is fixed and what are planes; planes stay planes, and move alike bit for bit."""
     (in_adf(one_layer) if is_adf else one_layer)(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")
-    with pytest.warns(UserWarning, match="By their kinds in the file `fixed` are 'far' .* `symmetry` are"):
+    with pytest.warns(
+        UserWarning, match="By their kinds in the file `fixed` are 'far' .* `symmetry` are"
+    ):
         plan = jm.prepare(mesh, "wall")
     u = 0.05 * np.sin(np.pi * mesh.points[plan.moving, :1] / 2) ** 2 * [0.0, 0, 1]
     points = np.asarray(jm.deform(plan, u))

@@ -77,7 +77,10 @@ def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
     path = lambda p: shapes.path(shape, ring.points[:24], unravel(p), steps)  # noqa: E731
     plans = jm.march(plan, path(flat))[0]
     slope = shapes.pullback(shape, plan if steps == 1 else plans, given, weights)
-    value = lambda p: np.vdot(weights, jm.march(plan, path(flat.at[np.array([0, 12, 13])].set(p)))[1])  # noqa: E731
+
+    def value(p):
+        return np.vdot(weights, jm.march(plan, path(flat.at[np.array([0, 12, 13])].set(p)))[1])
+
     slopes = jax.flatten_util.ravel_pytree(slope)[0]
     np.testing.assert_allclose(
         slopes[np.array([0, 12, 13])], jacobian(value, flat[np.array([0, 12, 13])], 1e-3), rtol=1e-7
@@ -88,19 +91,40 @@ SQUARE = {"low": [0, 0], "high": [1, 1], "points": [3, 3], "moved": [{"at": [0, 
 
 
 test_bad_input_is_refused = refusals(
-    (lambda x: chain()(x, {"twist": 1}), "no shape is called twist; this chain has turn, box, flap"),
+    (
+        lambda x: chain()(x, {"twist": 1}),
+        "no shape is called twist; this chain has turn, box, flap",
+    ),
     (lambda x: shapes.Chain({}), "needs one shape"),
     (lambda x: shapes.OnRows(turned([0, 0]), [0, 24])(x, 0.1), "up to 24; `x` has 24"),
     (lambda x: shapes.OnRows(turned([0, 0]), [1, 1]), "different row numbers"),
     (lambda x: shapes.path(lambda x, p: x + p, x, 0.1, 2), "a plain function has no neutral"),
-    (lambda x: shapes.varied({"a": np.zeros(2), "b": {"c": 1.0}}, {"d": 1}), "variable d; there are: a, b.c"),
-    (lambda x: shapes.varied({"p": {"a": 1.0}, "q": {"a": 1.0}}, {"a": 1}), "2 .* are called a; .* p.a, q.a"),
-    (lambda x: shapes.varied({"a": np.zeros(2)}, {"a": 1}), r"a takes 2 finite numbers, found \[1.0\]"),
+    (
+        lambda x: shapes.varied({"a": np.zeros(2), "b": {"c": 1.0}}, {"d": 1}),
+        "variable d; there are: a, b.c",
+    ),
+    (
+        lambda x: shapes.varied({"p": {"a": 1.0}, "q": {"a": 1.0}}, {"a": 1}),
+        "2 .* are called a; .* p.a, q.a",
+    ),
+    (
+        lambda x: shapes.varied({"a": np.zeros(2)}, {"a": 1}),
+        r"a takes 2 finite numbers, found \[1.0\]",
+    ),
     (lambda x: shapes.varied({"a": 0.0}, {"a": np.nan}), "a takes one finite number, found"),
-    (lambda x: shapes.varied({"a": {"b": np.zeros((4, 3))}}, {"b[9,9]": 1}), r"b\[9,9\]: a.b has shape \(4, 3\)"),
-    (lambda x: shapes.varied({"wing": {"twist": 1.0}}, {"twits": 1}), r"twits \(did you mean 'twist'\?\)"),
+    (
+        lambda x: shapes.varied({"a": {"b": np.zeros((4, 3))}}, {"b[9,9]": 1}),
+        r"b\[9,9\]: a.b has shape \(4, 3\)",
+    ),
+    (
+        lambda x: shapes.varied({"wing": {"twist": 1.0}}, {"twits": 1}),
+        r"twits \(did you mean 'twist'\?\)",
+    ),
     (lambda x: io.read_box(SQUARE | {"moved": [], "degree": 9}, 2), "degrees"),
-    (lambda x: io.read_box(SQUARE | {"continuity": 0}, 2), r"control point \[0, 1\] is held by continuity = 0"),
+    (
+        lambda x: io.read_box(SQUARE | {"continuity": 0}, 2),
+        r"control point \[0, 1\] is held by continuity = 0",
+    ),
     of=lambda: (meshes.ring().points[:24],),
 )
 
@@ -135,7 +159,9 @@ translate = [0.1, 0]
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     mesh = write_ring(tmp_path / "ring.su2")
-    (tmp_path / "shift.csv").write_text("".join(f"{k},0.125,{-0.25 + 0.01 * k}\n" for k in range(24)))
+    (tmp_path / "shift.csv").write_text(
+        "".join(f"{k},0.125,{-0.25 + 0.01 * k}\n" for k in range(24))
+    )
     (tmp_path / "job.toml").write_text(JOB)
     weights = np.random.default_rng(3).normal(size=mesh.points.shape)
     np.savez("volume.npz", sensitivity=weights)
@@ -143,7 +169,19 @@ def here(tmp_path, monkeypatch):
 
 
 def objective(weights, *changes):
-    assert main(["deform", "ring.su2", "out.su2", "--job", "job.toml", *(("--set", *changes) if changes else ())]) == 0
+    assert (
+        main(
+            [
+                "deform",
+                "ring.su2",
+                "out.su2",
+                "--job",
+                "job.toml",
+                *(("--set", *changes) if changes else ()),
+            ]
+        )
+        == 0
+    )
     return np.vdot(weights, io.read("out.su2").points)
 
 
@@ -154,16 +192,34 @@ def test_sensitivities_of_a_job_are_the_slopes_of_what_deform_does(here, capsys)
     said = capsys.readouterr().out
     with open("dJ.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    values, slopes = ({row["variable"]: float(row[key]) for row in rows} for key in ("value", "dJ_dvalue"))
+    values, slopes = (
+        {row["variable"]: float(row[key]) for row in rows} for key in ("value", "dJ_dvalue")
+    )
     assert len(rows) == 18
     assert (values["wall2.rotate"], values["form.box[1,2,0]"]) == (8, 0.1)
     for name in ("form.mode[0]", "form.box[1,1,1]", "form.scale", "wall2.rotate"):
         change = 1e-3 * (1 if name.endswith("rotate") else 0.1)
-        high, low = (objective(here, f"{name}={values[name] + sign * change!r}") for sign in (1, -1))
+        high, low = (
+            objective(here, f"{name}={values[name] + sign * change!r}") for sign in (1, -1)
+        )
         np.testing.assert_allclose(slopes[name], (high - low) / (2 * change), rtol=2e-6)
         assert f"  {name}\n" in said
     capsys.readouterr()
-    assert main(["sensitivity", "--job", "job.toml", "volume.npz", "dJ.json", "--set", "scale=1.2", "--json"]) == 0
+    assert (
+        main(
+            [
+                "sensitivity",
+                "--job",
+                "job.toml",
+                "volume.npz",
+                "dJ.json",
+                "--set",
+                "scale=1.2",
+                "--json",
+            ]
+        )
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)["variables"]
     table = json.loads(pathlib.Path("dJ.json").read_text())
     assert table["form.scale"]["value"] == 1.2
@@ -173,11 +229,21 @@ def test_sensitivities_of_a_job_are_the_slopes_of_what_deform_does(here, capsys)
 
 @pytest.mark.slow
 def test_set_is_saved_and_lattices_are_written_before_and_after(here):
-    flags = ["--job", "job.toml", "--set", "translate=0,0.2", "box[1,2,0]=0.3", "--save-job", "saved.toml"]
+    flags = [
+        "--job",
+        "job.toml",
+        "--set",
+        "translate=0,0.2",
+        "box[1,2,0]=0.3",
+        "--save-job",
+        "saved.toml",
+    ]
     assert main(["deform", "ring.su2", "one.su2", *flags]) == 0
     assert main(["deform", "ring.su2", "two.su2", "--job", "saved.toml"]) == 0
     np.testing.assert_array_equal(io.read("one.su2").points, io.read("two.su2").points)
-    before, after = (np.asarray(pyvista.read(f"box_{when}.vts").points) for when in ("before", "after"))
+    before, after = (
+        np.asarray(pyvista.read(f"box_{when}.vts").points) for when in ("before", "after")
+    )
     assert np.ptp(before, axis=0).tolist() == [4, 4, 0]
     moves = (after - before)[np.abs(after - before).max(axis=1) > 0]
     np.testing.assert_allclose(moves, [[0.3, 0, 0]], atol=1e-15)
@@ -191,8 +257,16 @@ SET = 'set = { "wall2.rotate" = 8 }'
 @pytest.mark.parametrize(
     ("words", "set_to", "message"),
     [
-        (f"{DEFORM} --set twist=2", SET, r"--set: there is no design variable twist; there are: form.box, "),
-        (f"{DEFORM} --set rotate=2", SET, "2 design variables are called rotate; take one of: wall.rotate, wall2"),
+        (
+            f"{DEFORM} --set twist=2",
+            SET,
+            r"--set: there is no design variable twist; there are: form.box, ",
+        ),
+        (
+            f"{DEFORM} --set rotate=2",
+            SET,
+            "2 design variables are called rotate; take one of: wall.rotate, wall2",
+        ),
         (f"{DEFORM} --set box=2", SET, r"box takes 12 finite numbers, found \[2.0\]"),
         (f"{DEFORM} --set twist", SET, "'twist' is not NAME=NUMBER"),
         (f"{SENSITIVITY} never.csv --moving wall", SET, "--job names patches and method"),
@@ -211,9 +285,7 @@ def test_design_variables_that_make_no_sense(here, capsys, words, set_to, messag
 def test_a_surface_sensitivity_goes_on_to_a_job_without_the_volume(ring, tmp_path, capsys):
     """A bump on the upper side, a class function on the lower one, and a box that leans, from the wall's own sensitivities."""
     write_ring(tmp_path / "ring.su2")
-    box = (
-        "{corners = [[-2, -2], [2, -2.5], [2.5, 2], [-2, 2]], points = [2, 2], moved = [{at = [1, 1], by = [0.1, 0]}]}"
-    )
+    box = "{corners = [[-2, -2], [2, -2.5], [2.5, 2], [-2, 2]], points = [2, 2], moved = [{at = [1, 1], by = [0.1, 0]}]}"
     chord = "nose = [-1.0, 0.0], tail = [1.0, 0.0]"
     (tmp_path / "job.toml").write_text(
         'file = "ring.su2"\noutput = "out.su2"\nfixed = ["far"]\nmethod = "rbf"\n[[moving]]\npatches = ["wall"]\n'
@@ -237,11 +309,23 @@ def test_a_surface_sensitivity_goes_on_to_a_job_without_the_volume(ring, tmp_pat
     np.testing.assert_allclose(io.read(tmp_path / "out.su2").points[:24], wall(*given), atol=1e-14)
     sens = np.random.default_rng(0).normal(size=(24, 2))
     io.write_sensitivity(tmp_path / "wall.csv", np.arange(24), sens)
-    words = ["sensitivity", "--job", str(tmp_path / "job.toml"), str(tmp_path / "wall.csv"), str(tmp_path / "d.json")]
+    words = [
+        "sensitivity",
+        "--job",
+        str(tmp_path / "job.toml"),
+        str(tmp_path / "wall.csv"),
+        str(tmp_path / "d.json"),
+    ]
     assert main(words) == 0
     table = json.loads((tmp_path / "d.json").read_text())
-    for name, k, place in (("box[1,1,0]", 0, 0), ("hicks-henne.upper[1]", 1, 1), ("cst.lower[0]", 2, 0)):
-        slopes = jacobian(lambda own, k=k: np.vdot(sens, wall(*given[:k], own, *given[k + 1 :])), given[k], 1e-3)
+    for name, k, place in (
+        ("box[1,1,0]", 0, 0),
+        ("hicks-henne.upper[1]", 1, 1),
+        ("cst.lower[0]", 2, 0),
+    ):
+        slopes = jacobian(
+            lambda own, k=k: np.vdot(sens, wall(*given[:k], own, *given[k + 1 :])), given[k], 1e-3
+        )
         found = next(row["dJ_dvalue"] for key, row in table.items() if key.endswith(name))
         np.testing.assert_allclose(found, slopes.ravel()[place], rtol=1e-6)
     io.write_sensitivity(tmp_path / "part.csv", np.arange(20), sens[:20])

@@ -24,29 +24,52 @@ def in_two(mesh, points):
     (kind, cells), *_ = mesh.cells.items()
     for rows in np.array_split(np.arange(len(cells)), 2):
         nodes = np.unique(np.asarray(cells)[rows])
-        part = jm.Mesh(np.asarray(mesh.points)[nodes], {kind: np.searchsorted(nodes, np.asarray(cells)[rows])})
+        part = jm.Mesh(
+            np.asarray(mesh.points)[nodes], {kind: np.searchsorted(nodes, np.asarray(cells)[rows])}
+        )
         yield part, points[nodes], rows
 
 
 @pytest.mark.parametrize("size", [0.0, 0.02, 0.2])
 def test_counts_are_those_of_numpy_and_ok_is_nothing_beyond(size):
     mesh, points = noisy(size)
-    verdict, before, after = jm.judge(mesh, points, LIMITS), corner_areas(mesh, mesh.points), corner_areas(mesh, points)
+    verdict, before, after = (
+        jm.judge(mesh, points, LIMITS),
+        corner_areas(mesh, mesh.points),
+        corner_areas(mesh, points),
+    )
     is_inverted = (after / before).min(axis=1) <= 0
     report = jm.quality(mesh, points)
-    values = {"max_skewness": np.asarray(report.skewness), "max_aspect_ratio": np.asarray(report.aspect_ratio)}
+    values = {
+        "max_skewness": np.asarray(report.skewness),
+        "max_aspect_ratio": np.asarray(report.aspect_ratio),
+    }
     values["min_jacobian_ratio"] = np.asarray(report.jacobian_ratio)
     beyond = {name: value > LIMITS.by_name[name] for name, value in values.items()}
-    beyond["min_jacobian_ratio"] = values["min_jacobian_ratio"] < LIMITS.by_name["min_jacobian_ratio"]
-    assert (verdict.cells, verdict.inverted, verdict.spoilt) == (192, is_inverted.sum(), is_inverted.sum())
-    assert {gate.name: gate.beyond for gate in verdict.gates} == {name: rows.sum() for name, rows in beyond.items()}
-    np.testing.assert_array_equal(verdict.bad, np.flatnonzero(is_inverted | np.any(list(beyond.values()), axis=0)))
+    beyond["min_jacobian_ratio"] = (
+        values["min_jacobian_ratio"] < LIMITS.by_name["min_jacobian_ratio"]
+    )
+    assert (verdict.cells, verdict.inverted, verdict.spoilt) == (
+        192,
+        is_inverted.sum(),
+        is_inverted.sum(),
+    )
+    assert {gate.name: gate.beyond for gate in verdict.gates} == {
+        name: rows.sum() for name, rows in beyond.items()
+    }
+    np.testing.assert_array_equal(
+        verdict.bad, np.flatnonzero(is_inverted | np.any(list(beyond.values()), axis=0))
+    )
     assert verdict.ok == (not len(verdict.bad))
-    assert len(verdict.faults()) == (is_inverted.any() + sum(rows.any() for rows in beyond.values()))
+    assert len(verdict.faults()) == (
+        is_inverted.any() + sum(rows.any() for rows in beyond.values())
+    )
     if is_inverted.any():
         assert is_inverted[verdict.worst.cell]
     for gate in verdict.gates:
-        listed = values[gate.name][[cell.cell for cell in gate.worst]] * (1 if gate.name[:3] == "max" else -1)
+        listed = values[gate.name][[cell.cell for cell in gate.worst]] * (
+            1 if gate.name[:3] == "max" else -1
+        )
         assert (np.diff(listed) <= 0).all()
         extreme = values[gate.name].max() if gate.name[:3] == "max" else values[gate.name].min()
         assert gate.extreme.value == pytest.approx(extreme, rel=1e-12)
@@ -57,7 +80,12 @@ def test_a_motion_is_blamed_for_what_it_inverts_alone():
     mesh = ring()
     folded = mesh.moved(with_folds(mesh, 3))
     alone = jm.judge(folded)
-    assert alone.inverted == alone.spoilt == (corner_areas(folded, folded.points).min(axis=1) <= 0).sum() > 0
+    assert (
+        alone.inverted
+        == alone.spoilt
+        == (corner_areas(folded, folded.points).min(axis=1) <= 0).sum()
+        > 0
+    )
     assert not alone.ok
     stays, unfolds = (jm.judge(folded, points) for points in (folded.points, mesh.points))
     folds = jm.judge(mesh, folded.points)
@@ -85,7 +113,9 @@ def test_parts_joined_equal_the_whole_and_pass_through_pickle(size):
                 assert number.value == pytest.approx(expected.rows[row].value, rel=1e-9, abs=1e-9)
     for gate, expected in zip(joined.gates, whole.gates, strict=True):
         cells = [parts[cell.part][2][cell.cell] for cell in gate.worst]
-        np.testing.assert_allclose([c.value for c in gate.worst], [c.value for c in expected.worst], rtol=1e-9)
+        np.testing.assert_allclose(
+            [c.value for c in gate.worst], [c.value for c in expected.worst], rtol=1e-9
+        )
         assert size < 0.1 or cells == [cell.cell for cell in expected.worst]
 
 

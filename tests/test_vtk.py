@@ -38,11 +38,20 @@ def mixed() -> jm.Mesh:
 def test_vtk_reads_all_arrays_that_are_written(tmp_path, ending, dtype):
     mesh = mixed()
     n, cells = len(mesh.points), 5
-    at_points, at_cells = (np.arange(n) % 2).astype(dtype), (np.arange(3 * cells) % 2).astype(dtype).reshape(-1, 3)
-    io.write(tmp_path / f"a.{ending}", mesh, point_data={"a b": at_points}, cell_data={"c": at_cells})
+    at_points, at_cells = (
+        (np.arange(n) % 2).astype(dtype),
+        (np.arange(3 * cells) % 2).astype(dtype).reshape(-1, 3),
+    )
+    io.write(
+        tmp_path / f"a.{ending}", mesh, point_data={"a b": at_points}, cell_data={"c": at_cells}
+    )
     found = pyvista.read(tmp_path / f"a.{ending}")
     np.testing.assert_array_equal(found.points, mesh.points)
-    flags = {name: np.flatnonzero(found.point_data[name]).tolist() for name in found.point_data if "patch:" in name}
+    flags = {
+        name: np.flatnonzero(found.point_data[name]).tolist()
+        for name in found.point_data
+        if "patch:" in name
+    }
     assert flags == {"patch:far%20field": [0, 1], "patch:50%2520%20%C3%A4": [2, 3, 4]}
     np.testing.assert_array_equal(found.point_data["a b"], at_points)
     np.testing.assert_array_equal(found.cell_data["c"], at_cells)
@@ -116,7 +125,10 @@ def test_all_that_a_file_says_is_kept(tmp_path, kind, form):
     path = foreign(tmp_path, kind, form)
     mesh, d = io.read(path), 2 if kind in ("pixels", "surface") else 3
     assert mesh.points.shape[1] == d
-    assert mesh.patch("floor").tolist() == np.flatnonzero(vtk_files.places(vtk_files.read(path))[:, 1] == 0).tolist()
+    assert (
+        mesh.patch("floor").tolist()
+        == np.flatnonzero(vtk_files.places(vtk_files.read(path))[:, 1] == 0).tolist()
+    )
     moved = mesh.moved(mesh.points * 1.1 + 0.123456789)
     out = path.with_stem("b")
     io.write(out, moved)
@@ -134,7 +146,14 @@ def test_the_form_of_a_file_is_kept(tmp_path, form):
     io.write(path.with_stem("b"), io.read(path))
     first, second = path.read_bytes(), path.with_stem("b").read_bytes()
     assert first.split(b"<FieldData>")[0][:120] == second.split(b"<FieldData>")[0][:120]
-    for mark in (b'format="appended"', b'format="binary"', b'format="ascii"', b'encoding="raw"', b"BINARY", b"ASCII"):
+    for mark in (
+        b'format="appended"',
+        b'format="binary"',
+        b'format="ascii"',
+        b'encoding="raw"',
+        b"BINARY",
+        b"ASCII",
+    ):
         assert (mark in first) == (mark in second)
 
 
@@ -179,9 +198,15 @@ def test_pieces_and_blocks_are_one_mesh(tmp_path):
     writer.Write()
     mesh = io.read(tmp_path / "b.vtm")
     assert len(mesh.cells["hexahedron"]) == 3
-    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {"low wall": [*range(8)]}
-    assert rewritten(tmp_path / "c.vtu", mesh.moved(mesh.points + 1)).patch("low wall").tolist() == [*range(8)]
-    with pytest.raises(ValueError, match=r"c\.vtm: \.vtm files name other files, and are not written; write \.vtu"):
+    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {
+        "low wall": [*range(8)]
+    }
+    assert rewritten(tmp_path / "c.vtu", mesh.moved(mesh.points + 1)).patch(
+        "low wall"
+    ).tolist() == [*range(8)]
+    with pytest.raises(
+        ValueError, match=r"c\.vtm: \.vtm files name other files, and are not written; write \.vtu"
+    ):
         io.write(tmp_path / "c.vtm", mesh)
 
 
@@ -213,19 +238,39 @@ def hostile(kind: str) -> bytes:
     """A small file whose numbers ask for gigabytes."""
     n, zeros = 10**8, packed(np.zeros(3 * 10**7))
     tag = '<DataArray type="{}" Name="{}" NumberOfComponents="{}" format="{}">{}</DataArray>'
-    points = tag.format("Float64", "Points", 3, "binary", zeros if kind in ("bomb", "points") else packed(np.zeros(9)))
+    points = tag.format(
+        "Float64",
+        "Points",
+        3,
+        "binary",
+        zeros if kind in ("bomb", "points") else packed(np.zeros(9)),
+    )
     if kind == "offsets":
-        lists = tag.format("Int64", "connectivity", 1, "ascii", "0 1 2") + tag.format("UInt8", "types", 1, "ascii", "5")
+        lists = tag.format("Int64", "connectivity", 1, "ascii", "0 1 2") + tag.format(
+            "UInt8", "types", 1, "ascii", "5"
+        )
         lists += tag.format("Int64", "offsets", 1, "binary", packed(np.array([10**12])))
         return (
-            hostile("cells").replace(b'NumberOfCells="%d"' % n, b'NumberOfCells="1"').partition(b"<Cells>")[0]
+            hostile("cells")
+            .replace(b'NumberOfCells="%d"' % n, b'NumberOfCells="1"')
+            .partition(b"<Cells>")[0]
             + (f"<Cells>{lists}</Cells></Piece></UnstructuredGrid></VTKFile>").encode()
         )
-    counts = {"bomb": (10**7, 0), "points": (n, 0), "cells": (3, n), "components": (3, 0), "field": (3, 0)}
+    counts = {
+        "bomb": (10**7, 0),
+        "points": (n, 0),
+        "cells": (3, n),
+        "components": (3, 0),
+        "field": (3, 0),
+    }
     if kind in counts:
         count, cells = counts[kind]
-        more = tag.format("Float64", "a", n if kind == "components" else 1, "binary", packed(np.zeros(3)))
-        field = tag.format("Float64", "f", 1, "ascii", "0").replace("<DataArray", f'<DataArray NumberOfTuples="{n}"')
+        more = tag.format(
+            "Float64", "a", n if kind == "components" else 1, "binary", packed(np.zeros(3))
+        )
+        field = tag.format("Float64", "f", 1, "ascii", "0").replace(
+            "<DataArray", f'<DataArray NumberOfTuples="{n}"'
+        )
         return (
             '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64" '
             f'compressor="vtkZLibDataCompressor"><UnstructuredGrid><FieldData>{field * (kind == "field")}</FieldData>'
@@ -240,14 +285,18 @@ def hostile(kind: str) -> bytes:
         "legacy grid": f"DIMENSIONS {n} 9 9\n",
     }
     kind_of_grid = "STRUCTURED_POINTS" if kind == "legacy grid" else "UNSTRUCTURED_GRID"
-    return f"# vtk DataFile Version 4.2\nt\nASCII\nDATASET {kind_of_grid}\n{sections[kind]}".encode()
+    return (
+        f"# vtk DataFile Version 4.2\nt\nASCII\nDATASET {kind_of_grid}\n{sections[kind]}".encode()
+    )
 
 
 KINDS_OF_HOSTILE = ("bomb", "points", "cells", "components", "field", "offsets")
 KINDS_OF_HOSTILE += ("legacy points", "legacy cells", "legacy field", "legacy grid")
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is limited as Linux does it")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="memory is limited as Linux does it"
+)
 def test_a_hostile_file_costs_no_memory(tmp_path):
     """Each is refused with its name, in a process that may take 300 MB more than its imports."""
     for kind in KINDS_OF_HOSTILE:

@@ -19,13 +19,20 @@ def sheared(points, degrees):
 
 def plate(columns=6, rows=4):
     x, y = np.linspace(0, 1, columns + 1), np.array([0, 0.1, 0.3, 0.6, 1.0])[: rows + 1]
-    patches = {"floor": lambda ids: ids[:, 0], "left": lambda ids: ids[0], "lid": lambda ids: ids[:, -1]}
+    patches = {
+        "floor": lambda ids: ids[:, 0],
+        "left": lambda ids: ids[0],
+        "lid": lambda ids: ids[:, -1],
+    }
     return grid(x, y, patches=patches)
 
 
 MESHES = {
     "quads": plate,
-    **{kind: lambda kind=kind: cases.bricks(kind, cells=3) for kind in ("hexahedron", "wedge", "tetra", "mixed")},
+    **{
+        kind: lambda kind=kind: cases.bricks(kind, cells=3)
+        for kind in ("hexahedron", "wedge", "tetra", "mixed")
+    },
 }
 
 
@@ -36,7 +43,11 @@ def test_lean_height_and_turn(kind):
     d = mesh.points.shape[1]
     stretched = sheared(mesh.points, 20) * np.append(np.ones(d - 1), 2.0)
     lean = np.rad2deg(np.arctan(np.tan(np.deg2rad(20)) / 2))
-    turn = np.array([[0.8, -0.6], [0.6, 0.8]]) if d == 2 else Rotation.from_rotvec([0.5, -0.4, 0.8]).as_matrix()
+    turn = (
+        np.array([[0.8, -0.6], [0.6, 0.8]])
+        if d == 2
+        else Rotation.from_rotvec([0.5, -0.4, 0.8]).as_matrix()
+    )
     for points in (stretched, stretched @ turn.T + 3.0):
         report = jm.wall_quality(mesh, "floor", points)
         np.testing.assert_array_equal(report.nodes, mesh.patch("floor"))
@@ -54,7 +65,9 @@ def test_a_line_that_was_inclined_from_the_start():
     inclined = mesh.moved(sheared(mesh.points, 30))
     report = jm.wall_quality(inclined, "floor", sheared(mesh.points, 40))
     np.testing.assert_allclose(report.angle, 10, rtol=1e-10)
-    about = sheared(mesh.points, 30) + 0  # the lean turned by a right angle about the normal, the floor at rest
+    about = (
+        sheared(mesh.points, 30) + 0
+    )  # the lean turned by a right angle about the normal, the floor at rest
     about[:, :2] = mesh.points[:, :2] + (about - mesh.points)[:, [1, 0]]
     between = np.rad2deg(np.arccos(np.cos(np.deg2rad(30)) ** 2))
     np.testing.assert_allclose(jm.wall_quality(inclined, "floor", about).angle, between, rtol=1e-10)
@@ -94,10 +107,14 @@ def test_derivatives_and_the_smooth_twin():
         difference = (objective(points + step, softness) - objective(points - step, softness)) / 2
         np.testing.assert_allclose(np.vdot(gradient, step), difference, rtol=1e-6)
     assert np.isfinite(jax.grad(lambda points: objective(points))(mesh.points)).all()
-    sharp, smooth = (np.asarray(jm.wall_quality(mesh, "floor", points, softness=s).angle) for s in (None, 0.5))
+    sharp, smooth = (
+        np.asarray(jm.wall_quality(mesh, "floor", points, softness=s).angle) for s in (None, 0.5)
+    )
     np.testing.assert_allclose(smooth, np.sqrt(sharp**2 + 0.25) - 0.5, rtol=1e-12)
     assert sharp.max() > 1
-    several = jax.vmap(lambda points: jm.wall_quality(mesh, "floor", points))(np.stack([points, mesh.points]))
+    several = jax.vmap(lambda points: jm.wall_quality(mesh, "floor", points))(
+        np.stack([points, mesh.points])
+    )
     np.testing.assert_allclose(several.max_angle, [sharp.max(), 0], atol=1e-6)
     np.testing.assert_allclose(several.mean_angle, [sharp.mean(), 0], atol=1e-6)
     height = np.asarray(jm.wall_quality(mesh, "floor", points).height)
@@ -111,7 +128,10 @@ test_bad_walls = refusals(
         lambda mesh: jm.wall_quality(mesh, [0, 2]),
         "no cell has a boundary side whose nodes are all among the 2 wall nodes",
     ),
-    (lambda mesh: jm.wall_quality(mesh, [0, 99]), r"1 ids in `wall` are not in 0 to [0-9]+, first 99"),
+    (
+        lambda mesh: jm.wall_quality(mesh, [0, 99]),
+        r"1 ids in `wall` are not in 0 to [0-9]+, first 99",
+    ),
     (lambda mesh: jm.wall_quality(mesh, "floor", mesh.points[:3]), "`points` has shape"),
     of=lambda: (plate(),),
 )

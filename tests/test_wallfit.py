@@ -25,7 +25,9 @@ def airfoil(code):
     """A small C-grid with its plan, the places of its wall nodes, and which are on the upper side."""
     mesh = cases.naca4(code, points=3000, first_cell=1e-6)
     wall = mesh.patch("airfoil")
-    columns = mesh.cells["quad"][0, 3] - 1  # nodes come from the lower trailing edge round the nose to the upper one
+    columns = (
+        mesh.cells["quad"][0, 3] - 1
+    )  # nodes come from the lower trailing edge round the nose to the upper one
     along = columns - 2 * wall[0] + 1
     upper = np.zeros(len(wall), dtype=bool)
     upper[along // 2 + 1 : along] = True
@@ -39,7 +41,9 @@ def up(base, height):
 def with_cells(mesh, method):
     """Prepares the body with its cells: points alone are not fitted."""
     cells = jm.Mesh(mesh.points, {"triangle": mesh.cells})
-    return jm.prepare(cells, mesh.moving, mesh.fixed, method=method, free=np.arange(len(mesh.points)))
+    return jm.prepare(
+        cells, mesh.moving, mesh.fixed, method=method, free=np.arange(len(mesh.points))
+    )
 
 
 def judged(mesh, points):
@@ -52,7 +56,9 @@ def test_the_fit_is_the_least_of_its_sum():
     """The sum of squares in the docstring, written out with derivatives of the field by JAX, has no slope at the answer."""
     mesh, ell, mu = body(2), 0.2, 0.15
     method = jm.FittedRBF(
-        jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1)), ell=jnp.asarray(ell), mu=jnp.asarray(mu)
+        jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1)),
+        ell=jnp.asarray(ell),
+        mu=jnp.asarray(mu),
     )
     plan = with_cells(mesh, method)
     ids, factors, surface = plan.surface.ids, plan.surface.factors, plan.surface.points
@@ -64,13 +70,20 @@ def test_the_fit_is_the_least_of_its_sum():
     first, second = edges(np.asarray(surface), plan.n_moving).T
     middle, along = (surface[first] + surface[second]) / 2, surface[second] - surface[first]
     length = jnp.linalg.norm(along, axis=1)[:, None]
-    far = np.linalg.norm(np.asarray(middle)[:, None] - np.asarray(surface)[None, plan.n_moving :], axis=2).min(axis=1)
+    far = np.linalg.norm(
+        np.asarray(middle)[:, None] - np.asarray(surface)[None, plan.n_moving :], axis=2
+    ).min(axis=1)
     reach = jnp.minimum(ell, 0.05 * far)
 
     def total(values):
-        field = method.rbf.expansion.field(factors.rbf, jnp.concatenate([values, rest[ids.fixed]]), values.dtype)
+        field = method.rbf.expansion.field(
+            factors.rbf, jnp.concatenate([values, rest[ids.fixed]]), values.dtype
+        )
         gradient = jax.vmap(jax.jacfwd(lambda x: field(x, None)))(middle)
-        slope = jnp.einsum("eij,ej->ei", gradient, along / length) - (rest[second] - rest[first]) / length
+        slope = (
+            jnp.einsum("eij,ej->ei", gradient, along / length)
+            - (rest[second] - rest[first]) / length
+        )
         strain = (gradient + gradient.transpose(0, 2, 1)) / 2
         strain = strain - jnp.trace(strain, axis1=1, axis2=2)[:, None, None] * jnp.eye(2)[None] / 2
         miss = jax.vmap(lambda x: field(x, None))(surface[: plan.n_moving]) - rest[: plan.n_moving]
@@ -78,7 +91,10 @@ def test_the_fit_is_the_least_of_its_sum():
         return sum(terms) + (2 * reach**2 * jnp.sum(strain**2, axis=(1, 2))).mean()
 
     fitted = method.field(ids, factors, surface, u)
-    values = jax.vmap(lambda x: fitted(x, None))(surface[ids.moving]) - terms[np.asarray(ids.moving)] @ affine
+    values = (
+        jax.vmap(lambda x: fitted(x, None))(surface[ids.moving])
+        - terms[np.asarray(ids.moving)] @ affine
+    )
     slope, at_zero = jax.grad(total)(values), jax.grad(total)(0 * values)
     assert np.abs(slope).max() < 1e-8 * np.abs(at_zero).max()
     assert float(total(values)) < 0.5 * float(total(0 * values))
@@ -95,7 +111,9 @@ def test_both_lengths_are_differentiable():
     @jax.jit
     @jax.value_and_grad
     def objective(lengths):
-        other = eqx.tree_at(lambda plan: (plan.method.ell, plan.method.mu), plan, (lengths[0], lengths[1]))
+        other = eqx.tree_at(
+            lambda plan: (plan.method.ell, plan.method.mu), plan, (lengths[0], lengths[1])
+        )
         return jnp.vdot(w, jm.deform(jm.refit(other, mesh.points), u))
 
     gradient = objective(lengths)[1]
@@ -176,7 +194,9 @@ def test_a_bump_leaves_the_far_field_alone():
     surface = np.asarray(plan.surface.points)
     affine = np.array([[0.1, 0.3], [-0.2, 0.05]])
     ids, factors = plan.surface.ids[0], plan.surface.factors[0]
-    field = plan.method.coarse.field(ids, factors, plan.surface.points, jnp.asarray(surface @ affine))
+    field = plan.method.coarse.field(
+        ids, factors, plan.surface.points, jnp.asarray(surface @ affine)
+    )
     moved = jax.vmap(lambda x: field(x, None))(plan.points)
     np.testing.assert_allclose(moved, mesh.points @ affine, atol=1e-9 * radius)
 
@@ -192,7 +212,8 @@ def test_a_free_side_is_seen_however_it_is_turned():
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of boundary faces in no list
                 plan, alone = (
-                    jm.prepare(given, each.patch("inner"), each.patch(*sides)) for given in (each, each.points)
+                    jm.prepare(given, each.patch("inner"), each.patch(*sides))
+                    for given in (each, each.points)
                 )
             assert (len(plan.surface.ids[0].edges) == 0) == is_free
             assert not len(alone.surface.ids[0].edges)
@@ -203,7 +224,12 @@ def wedge(angle, count=9):
     half, s = np.radians(angle / 2), np.linspace(1, 0, count)[:, None]
     lower, upper = (s * [-np.cos(half), sign * np.sin(half)] for sign in (-1, 1))
     round_about = np.linspace(half, 2 * np.pi - half, count)[1:-1, None]
-    back = -np.hstack([np.cos(half) + np.sin(half) * np.sin(round_about / 2), np.sin(half) * np.cos(round_about / 2)])
+    back = -np.hstack(
+        [
+            np.cos(half) + np.sin(half) * np.sin(round_about / 2),
+            np.sin(half) * np.cos(round_about / 2),
+        ]
+    )
     points = np.concatenate([lower, upper[::-1][1:], back])
     ids = np.arange(len(points))
     return points, np.stack([ids, np.roll(ids, -1)], axis=1)
@@ -220,7 +246,9 @@ def test_a_source_stands_behind_a_sharp_tip():
         np.testing.assert_allclose(points[sides].sum(axis=0)[1], 0, atol=1e-15)
     for angle, closest, room in ((70, 0.0, 1.0), (20, 0.2, 1.0), (20, 0.0, 0.1)):
         assert not len(behind_tips(sharp_tips(*wedge(angle)), 0.01 * one, closest, room * one))
-    cut = np.concatenate([points, points[:1]])  # the last node of the wall is not joined to its first
+    cut = np.concatenate(
+        [points, points[:1]]
+    )  # the last node of the wall is not joined to its first
     walls = sharp_tips(cut, np.stack([np.arange(len(points)), np.arange(1, len(cut))], axis=1))
     assert len(behind_tips(walls, 0.01 * one, 0.0, one)) == 1
 
@@ -228,7 +256,9 @@ def test_a_source_stands_behind_a_sharp_tip():
 def test_sources_stand_beside_a_sharp_tip():
     """The first nodes at three distances on either side, where farthest points leave a hole; none beside a blunt tip."""
     points, pairs = wedge(20, 2001)
-    distance = np.linalg.norm(points[beside_tips(sharp_tips(points, pairs), np.ones(len(pairs)))], axis=1)
+    distance = np.linalg.norm(
+        points[beside_tips(sharp_tips(points, pairs), np.ones(len(pairs)))], axis=1
+    )
     np.testing.assert_allclose(np.sort(distance), np.repeat([0.002, 0.008, 0.032], 2), atol=5e-4)
     assert not len(beside_tips(sharp_tips(*wedge(70)), np.ones(len(wedge(70)[0]))))
 
@@ -236,7 +266,11 @@ def test_sources_stand_beside_a_sharp_tip():
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     "shape",
-    [lambda x: 0.061 * np.sin(4 * np.pi * x[:, 0]), lambda x: 1.5 * x[:, 1], lambda x: 0.4 * x[:, 0] * (1 - x[:, 0])],
+    [
+        lambda x: 0.061 * np.sin(4 * np.pi * x[:, 0]),
+        lambda x: 1.5 * x[:, 1],
+        lambda x: 0.4 * x[:, 0] * (1 - x[:, 0]),
+    ],
     ids=["waves", "thickness", "camber"],
 )
 def test_a_finer_sharp_section_keeps_the_cells_at_its_tip(shape):
@@ -267,7 +301,9 @@ def test_a_sharp_blade_turns_in_its_passage():
     whole = jm.prepare(mesh, sides)
     assert len(whole.surface.ids[0].tips) == 1
     np.testing.assert_allclose(
-        jm.deform(whole, mesh.points[sides] @ matrix), mesh.points @ (matrix + np.eye(2)), atol=1e-11
+        jm.deform(whole, mesh.points[sides] @ matrix),
+        mesh.points @ (matrix + np.eye(2)),
+        atol=1e-11,
     )
 
 
@@ -303,7 +339,9 @@ def ratio(mesh, points):
     quads = mesh.cells["quad"]
     corners = [quads[:, [k, (k + 1) % 4, (k + 3) % 4]] for k in range(4)]
     now, before = (
-        np.concatenate([np.linalg.det(np.asarray(x)[c[:, 1:]] - np.asarray(x)[c[:, :1]]) for c in corners])
+        np.concatenate(
+            [np.linalg.det(np.asarray(x)[c[:, 1:]] - np.asarray(x)[c[:, :1]]) for c in corners]
+        )
         for x in (points, mesh.points)
     )
     return (now / before).min()
@@ -313,7 +351,8 @@ def test_a_share_mixes_the_fit_and_least_squares():
     mesh = box_in_circle()
     u = 0.1 * np.sin(mesh.points[mesh.patch("body")])
     fit, plain, mixed = (
-        np.asarray(jm.deform(jm.prepare(mesh, "body", "far", method=with_fit(s)), u)) for s in (1, 0, 0.3)
+        np.asarray(jm.deform(jm.prepare(mesh, "body", "far", method=with_fit(s)), u))
+        for s in (1, 0, 0.3)
     )
     np.testing.assert_allclose(mixed, 0.3 * fit + 0.7 * plain, atol=1e-13)
     assert np.abs(fit - plain).max() > 1e-3
@@ -325,7 +364,9 @@ def test_a_plan_says_its_share():
     assert share in (*SHARES, 0)
     assert share < 1
     assert f"share {share:g} of the fit" in repr(plan)
-    assert share_of(jm.prepare(box_in_circle(), "body", "far", method=with_fit(0.7)).method) == pytest.approx(0.7)
+    assert share_of(
+        jm.prepare(box_in_circle(), "body", "far", method=with_fit(0.7)).method
+    ) == pytest.approx(0.7)
 
 
 @pytest.mark.slow
@@ -360,7 +401,10 @@ def test_pieces_choose_the_share_of_the_whole():
     mesh = box_in_circle()
     plan = jm.prepare(mesh, "body", "far")
     boundary = jm.Boundary(mesh, "body", "far")
-    for chunk in (jm.prepare_surface(boundary).plan, next(jm.prepare_in_chunks(boundary, size=300))[1]):
+    for chunk in (
+        jm.prepare_surface(boundary).plan,
+        next(jm.prepare_in_chunks(boundary, size=300))[1],
+    ):
         assert share_of(chunk.method) == share_of(plan.method)
     alone = jm.Boundary(mesh.points, mesh.patch("body"), mesh.patch("far"))
     half = jm.prepare_surface(alone, faces=jm.boundary_faces(mesh))

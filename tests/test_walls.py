@@ -27,7 +27,10 @@ def parts(mesh, moving, fixed=(), with_faces=True):
     label = walls(mesh.points[nodes], len(ids), faces)
     place = dict(zip(nodes.tolist(), label.tolist(), strict=True))
     times = np.bincount(np.concatenate(list(mesh.patches.values())), minlength=len(mesh.points))
-    single = {name: [node for node in mesh.patch(name).tolist() if times[node] == 1] for name in (*moving, *fixed)}
+    single = {
+        name: [node for node in mesh.patch(name).tolist() if times[node] == 1]
+        for name in (*moving, *fixed)
+    }
     return {name: {place[node] for node in nodes} for name, nodes in single.items()}, label
 
 
@@ -56,7 +59,9 @@ def test_walls_that_touch_are_apart(with_faces):
         assert len(set.union(*found.values())) == 4
 
 
-@pytest.mark.parametrize("turn", [lambda mesh: mesh, mirrored], ids=["counter-clockwise", "clockwise"])
+@pytest.mark.parametrize(
+    "turn", [lambda mesh: mesh, mirrored], ids=["counter-clockwise", "clockwise"]
+)
 @pytest.mark.parametrize("kind", ["hexahedron", "wedge", "tetra", "pyramid", "mixed"])
 def test_a_box_has_six_walls_whatever_its_cells(kind, turn):
     mesh = turn(cases.bricks(kind, cells=3))
@@ -66,7 +71,9 @@ def test_a_box_has_six_walls_whatever_its_cells(kind, turn):
     assert len(found["sides"]) == 4
 
 
-@pytest.mark.parametrize("turn", [lambda mesh: mesh, mirrored], ids=["counter-clockwise", "clockwise"])
+@pytest.mark.parametrize(
+    "turn", [lambda mesh: mesh, mirrored], ids=["counter-clockwise", "clockwise"]
+)
 @pytest.mark.parametrize(
     "make",
     [
@@ -83,7 +90,9 @@ def test_an_airfoil_is_one_wall_round_its_edge(make, turn):
 
 
 def extruded(outline, stations, span):
-    layers = [np.column_stack([outline, np.full(len(outline), z)]) for z in np.linspace(0, span, stations)]
+    layers = [
+        np.column_stack([outline, np.full(len(outline), z)]) for z in np.linspace(0, span, stations)
+    ]
     return np.concatenate(layers)
 
 
@@ -108,7 +117,9 @@ def blades(stations):
 def test_bodies_are_walls_of_their_own_without_faces(make, moving):
     bodies = make()
     label = walls(np.concatenate(bodies), sum(map(len, bodies[:moving])))
-    assert [len(set(each)) for each in np.split(label, np.cumsum([*map(len, bodies)])[:-1])] == [1] * len(bodies)
+    assert [len(set(each)) for each in np.split(label, np.cumsum([*map(len, bodies)])[:-1])] == [
+        1
+    ] * len(bodies)
     assert label.max() == len(bodies) - 1
 
 
@@ -117,7 +128,9 @@ def test_order_does_not_matter(with_faces):
     mesh = cases.wing(points=1000, stations=6)
     order = np.random.default_rng(0).permutation(len(mesh.points))
     place = np.argsort(order)
-    cells, patches = ({name: place[ids] for name, ids in each.items()} for each in (mesh.cells, mesh.patches))
+    cells, patches = (
+        {name: place[ids] for name, ids in each.items()} for each in (mesh.cells, mesh.patches)
+    )
     shuffled = jm.Mesh(mesh.points[order], cells, patches)
     one, other = (parts(each, ["wing"], ["farfield"], with_faces)[1] for each in (mesh, shuffled))
     assert sorted(np.bincount(one)) == sorted(np.bincount(other))
@@ -134,7 +147,9 @@ def bumped(mesh, method=None, *, whole=True):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("whole", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["mesh", "points"])
+@pytest.mark.parametrize(
+    "whole", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["mesh", "points"]
+)
 def test_half_a_gap_is_closed_in_one_step(whole):
     """Graph mapping alone keeps half of each cell; a layer over both walls at once once inverted dozens."""
     report = bumped(faults.channel(), whole=whole)

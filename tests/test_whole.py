@@ -22,7 +22,19 @@ HANGING = [[0, 1, 4, 7, 6], [1, 2, 5, 4], [4, 5, 8, 7], [2, 9, 10, 5], [5, 10, 8
 """A pentagon (a square with a hanging node in its right side), two small squares, a quad and a triangle."""
 
 CORNERS = np.array(
-    [[0, 0], [1, 0], [1.5, 0], [9, 9], [1, 0.5], [1.5, 0.5], [0, 1], [1, 1], [1.5, 1], [2, 0.1], [2.2, 0.7]]
+    [
+        [0, 0],
+        [1, 0],
+        [1.5, 0],
+        [9, 9],
+        [1, 0.5],
+        [1.5, 0.5],
+        [0, 1],
+        [1, 1],
+        [1.5, 1],
+        [2, 0.1],
+        [2.2, 0.7],
+    ]
 )
 
 
@@ -51,7 +63,9 @@ def test_polygons_of_a_2d_case_are_whole(tmp_path, capsys):
     mesh = io.read(tmp_path / "a")
     assert mesh.cell_counts == {"triangle": 1, "quad": 3, "polygon": 1}
     found = jm.face_quality(mesh)
-    np.testing.assert_allclose(found.volume, [shoelace(polygon) for polygon in polygons], rtol=1e-12)
+    np.testing.assert_allclose(
+        found.volume, [shoelace(polygon) for polygon in polygons], rtol=1e-12
+    )
     assert not found.is_inverted.any()
     assert main(["info", str(tmp_path / "a")]) == 0
     assert "3 quad, 1 triangle, 1 polygon\n" in capsys.readouterr().out
@@ -65,7 +79,9 @@ def test_polygons_of_a_2d_case_are_whole(tmp_path, capsys):
         assert jm.face_quality(mesh, moved).is_inverted.any() == is_inverted
     io.write(tmp_path / "b", mesh.moved(moved))
     assert main(["quality", str(tmp_path / "a"), str(tmp_path / "b")]) == 1
-    assert re.search(r"of 5 cells are inverted, .*, by volumes and face pyramids\.", capsys.readouterr().err)
+    assert re.search(
+        r"of 5 cells are inverted, .*, by volumes and face pyramids\.", capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("kind", ["OpenFOAM", "CGNS"])
@@ -83,13 +99,21 @@ def test_polyhedra_are_whole(tmp_path, kind):
     np.testing.assert_allclose(found.centroid[0], 0.5, rtol=1e-12)
     pyramids = np.array([1 / 6] * 5 + [1 / 24] * 4)
     # all pyramids of a box are alike
-    np.testing.assert_allclose(found.pyramid, [pyramids.min() / pyramids.mean(), 1, 1, 1, 1], rtol=1e-12)
+    np.testing.assert_allclose(
+        found.pyramid, [pyramids.min() / pyramids.mean(), 1, 1, 1, 1], rtol=1e-12
+    )
     # lines of centres are (1, 0.25, 0.25), and pass 0.125 by a face's centre
-    assert found.non_orthogonality.max() == pytest.approx(np.degrees(np.arctan(np.sqrt(2) / 4)), rel=1e-9)
+    assert found.non_orthogonality.max() == pytest.approx(
+        np.degrees(np.arctan(np.sqrt(2) / 4)), rel=1e-9
+    )
     assert found.skewness[0] == found.skewness.max() == pytest.approx(0.125 / 0.25, rel=1e-9)
-    assert jm.face_quality(jm.Mesh(mesh.points, mesh.cells)).skewness[4:].max() != pytest.approx(0.5)
+    assert jm.face_quality(jm.Mesh(mesh.points, mesh.cells)).skewness[4:].max() != pytest.approx(
+        0.5
+    )
     cosines = [1 / np.linalg.norm([1, 0.25, 0.25])] * 4 + [1.0] * 4
-    assert found.mean_non_orthogonality == pytest.approx(np.degrees(np.arccos(np.mean(cosines))), rel=1e-9)
+    assert found.mean_non_orthogonality == pytest.approx(
+        np.degrees(np.arccos(np.mean(cosines))), rel=1e-9
+    )
     np.testing.assert_array_equal(np.sort(mesh.cell_ids[:4]), [1, 2, 3, 4])
     assert set(mesh.cell_ids[4:]) == {0}
 
@@ -102,7 +126,9 @@ def test_cells_of_several_types_have_the_numbers_of_the_case(tmp_path):
     assert list(mesh.cells) == ["hexahedron", "pyramid", "tetra", "wedge"]
     np.testing.assert_array_equal(mesh.cell_ids, [2, 3, 0, 1])
     in_order = jm.quality(mesh).volume
-    np.testing.assert_allclose(jm.face_quality(mesh).volume[mesh.cell_ids], in_order, rtol=0.02)  # warped faces
+    np.testing.assert_allclose(
+        jm.face_quality(mesh).volume[mesh.cell_ids], in_order, rtol=0.02
+    )  # warped faces
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -130,7 +156,10 @@ def test_a_flat_corner_has_no_sign_to_lose(flat):
     assert int(jm.quality(mesh, points * [1, 1] - np.eye(4)[:, [2, 2]] * 0.6).inverted) == 1
     angle = 0.01  # of a corner that is not flat
     points[2] = [0.5 + angle, 0.5]
-    assert int(jm.quality(jm.Mesh(points, mesh.cells), points - np.eye(4)[:, [2, 2]] * 0.02).inverted) == 1
+    assert (
+        int(jm.quality(jm.Mesh(points, mesh.cells), points - np.eye(4)[:, [2, 2]] * 0.02).inverted)
+        == 1
+    )
 
 
 def test_before_and_after_are_judged_alike(tmp_path, capsys):
@@ -159,7 +188,10 @@ def test_whole_cells_are_measured_as_checkmesh_does(tmp_path, dimension):
         slab(tmp_path / "a")
     else:
         foam.write_case(tmp_path / "a", *split(), PATCHES)
-    done, found = foam.run(tmp_path / "a", "checkMesh", "-constant"), jm.face_quality(io.read(tmp_path / "a"))
+    done, found = (
+        foam.run(tmp_path / "a", "checkMesh", "-constant"),
+        jm.face_quality(io.read(tmp_path / "a")),
+    )
     expected = re.search(r"non-orthogonality Max: (\S+) average: (\S+)", done).groups()
     measured = [found.non_orthogonality.max(), found.mean_non_orthogonality]
     np.testing.assert_allclose(measured, [*map(float, expected)], rtol=2e-5)
@@ -177,8 +209,12 @@ def test_the_face_aspect_ratio_of_whole_cells_is_that_of_their_faces(tmp_path, b
     expected = []
     for faces in cells:
         x = [stretched[face] for face in faces]
-        areas = np.array([np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0) / 2 for corners in x])
-        volume = sum(area @ corners.mean(axis=0) for area, corners in zip(areas, x, strict=True)) / 3
+        areas = np.array(
+            [np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0) / 2 for corners in x]
+        )
+        volume = (
+            sum(area @ corners.mean(axis=0) for area, corners in zip(areas, x, strict=True)) / 3
+        )
         seen = np.abs(areas).sum(axis=0)
         expected.append(max(seen.max() / seen.min(), seen.sum() / 6 / abs(volume) ** (2 / 3)))
     found = jm.face_quality(io.read(tmp_path / "a")).aspect_ratio
@@ -189,17 +225,25 @@ def test_the_face_aspect_ratio_of_whole_cells_is_that_of_their_faces(tmp_path, b
 def test_a_mesh_turned_inside_out_as_a_whole_is_inverted(turned):
     """However it numbers its cells: no neighbour is left that could tell."""
     mesh = cases.naca0015(points=300)
-    cells = {kind: np.asarray(ids)[:, ::-1] if turned else ids for kind, ids in mesh.cells.items() if kind == "quad"}
+    cells = {
+        kind: np.asarray(ids)[:, ::-1] if turned else ids
+        for kind, ids in mesh.cells.items()
+        if kind == "quad"
+    }
     mesh = jm.Mesh(mesh.points, cells)
     assert not jm.face_quality(mesh).is_inverted.any()
-    assert not jm.face_quality(mesh, np.array(mesh.points) @ [[0.8, 0.6], [-0.6, 0.8]]).is_inverted.any()
+    assert not jm.face_quality(
+        mesh, np.array(mesh.points) @ [[0.8, 0.6], [-0.6, 0.8]]
+    ).is_inverted.any()
     assert jm.face_quality(mesh, mesh.points * [1, -1]).is_inverted.all()
 
 
 def test_polyhedra_are_cut_alike_however_they_are_numbered():
     """Two prisms on a regular hexagon: all fans and all apexes are equally good."""
     angle = np.pi / 3 * np.arange(6)
-    points = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle + z], axis=1) for z in range(3)])
+    points = np.concatenate(
+        [np.stack([np.cos(angle), np.sin(angle), 0 * angle + z], axis=1) for z in range(3)]
+    )
     starts = [(6 * c + k, 6 * c + (k + 1) % 6) for c in (0, 1) for k in range(6)]
     around = [[here, after, after + 6, here + 6] for here, after in starts]
     sides = [[*range(6, 12)], *around, [*range(5, -1, -1)], [*range(12, 18)]]
@@ -226,7 +270,9 @@ def test_the_face_aspect_ratio_of_boxes_and_prisms_has_a_closed_form(sides):
     volumes = {"hexahedron": a * b * c, "wedge": a * b * c / 2}
     for kind, corners in (("hexahedron", box), ("wedge", prism)):
         mesh = jm.Mesh(np.array(corners), {kind: np.arange(len(corners))[None]})
-        expected = max(max(seen[kind]) / min(seen[kind]), sum(seen[kind]) / 6 / volumes[kind] ** (2 / 3))
+        expected = max(
+            max(seen[kind]) / min(seen[kind]), sum(seen[kind]) / 6 / volumes[kind] ** (2 / 3)
+        )
         np.testing.assert_allclose(jm.face_quality(mesh).aspect_ratio, [expected], rtol=1e-12)
     flat = jm.Mesh(np.array(box)[:4, :2], {"quad": [[0, 1, 2, 3]]})
     np.testing.assert_allclose(jm.face_quality(flat).aspect_ratio, [max(a / b, b / a)], rtol=1e-12)
@@ -240,13 +286,25 @@ def test_a_snapped_mesh_is_judged_as_checkmesh_does(tmp_path, capsys):
     shutil.copytree(foam.EXAMPLES / "mesh" / "snappyHexMesh" / "flange", case)
     for file in case.rglob("*Dict.gz"):
         file.with_suffix("").write_bytes(gzip.decompress(file.read_bytes()))
-    shutil.copy(foam.EXAMPLES / "resources" / "geometry" / "flange.stl.gz", case / "constant" / "triSurface")
+    shutil.copy(
+        foam.EXAMPLES / "resources" / "geometry" / "flange.stl.gz", case / "constant" / "triSurface"
+    )
     for command in (["blockMesh"], ["surfaceFeatureExtract"], ["snappyHexMesh", "-overwrite"]):
         foam.run(case, *command)
     for name in ("0", "log.blockMesh"):
         shutil.rmtree(case / name, ignore_errors=True)
     fixed = [patch for patch in io.read(case).patches if patch != "flange_patch3"]
-    flags = ["--moving", "flange_patch3", "--fixed", *fixed, "--translate", "0", "0", "2e-4", "--json"]
+    flags = [
+        "--moving",
+        "flange_patch3",
+        "--fixed",
+        *fixed,
+        "--translate",
+        "0",
+        "0",
+        "2e-4",
+        "--json",
+    ]
     assert main(["deform", str(case), str(tmp_path / "b"), *flags]) == 0
     after = json.loads(capsys.readouterr().out)["after"]
     done = foam.run(tmp_path / "b", "checkMesh", "-constant")
@@ -267,11 +325,15 @@ def test_whole_cells_are_drawn_in_the_colour_of_their_value(tmp_path):
     drawn = [plot.surface(mesh, values=values) for values in (whole, whole[mesh.cell_ids])]
     for plotter in drawn:
         centres, values = plotter.mesh.cell_centers().points, plotter.mesh.cell_data["values"]
-        outer = np.abs(centres[:, 0] - 1) > 1e-9  # faces between the cube and the others are of either
+        outer = (
+            np.abs(centres[:, 0] - 1) > 1e-9
+        )  # faces between the cube and the others are of either
         of_cube = centres[outer, 0] < 1
         np.testing.assert_allclose(values[outer], np.where(of_cube, 1, 0.25), rtol=1e-12)
         assert {*of_cube.tolist()} == {False, True}
-    with pytest.raises(ValueError, match=rf"shape \(6,\); this mesh has 5 cells, in {pieces} pieces"):
+    with pytest.raises(
+        ValueError, match=rf"shape \(6,\); this mesh has 5 cells, in {pieces} pieces"
+    ):
         plot.surface(mesh, values=np.ones(6))
     slab(tmp_path / "a")
     mesh = io.read(tmp_path / "a")

@@ -45,7 +45,9 @@ class Wing:
 
     def _plan(self, method, symmetric=False):
         symmetry = PLANE if symmetric else ()
-        return jm.prepare(self.mesh.points, self.moving, self.fixed, method=method, symmetry=symmetry)
+        return jm.prepare(
+            self.mesh.points, self.moving, self.fixed, method=method, symmetry=symmetry
+        )
 
     def _volume(self, points):
         a, b, c, d = points[self.mesh.cells["tetra"]].swapaxes(0, 1)
@@ -118,7 +120,13 @@ def mode(number, amplitude):
     return lambda base: agard445.mode(base, number, amplitude)
 
 
-OTHERS = {"mode 2, 0.2": mode(2, 0.2), "mode 2, 0.3": mode(2, 0.3), "wave": wave, "flap": flap, "twist": twist}
+OTHERS = {
+    "mode 2, 0.2": mode(2, 0.2),
+    "mode 2, 0.3": mode(2, 0.3),
+    "wave": wave,
+    "flap": flap,
+    "twist": twist,
+}
 
 
 def test_the_turn_is_nose_up():
@@ -129,14 +137,22 @@ def test_the_turn_is_nose_up():
 
 @pytest.mark.nightly
 @both_sizes
-@pytest.mark.parametrize("symmetric", [pytest.param(False, marks=pytest.mark.nightly), True], ids=["free", "plane"])
-@pytest.mark.parametrize("method", [pytest.param(REDUCED, marks=pytest.mark.nightly), None], ids=["paper's", "default"])
+@pytest.mark.parametrize(
+    "symmetric", [pytest.param(False, marks=pytest.mark.nightly), True], ids=["free", "plane"]
+)
+@pytest.mark.parametrize(
+    "method", [pytest.param(REDUCED, marks=pytest.mark.nightly), None], ids=["paper's", "default"]
+)
 def test_bending(wing, method, symmetric):
     start = wing.judge(wing.mesh.points)
     for amplitude in (0.25, 0.5, 0.75):
         end = wing.moved(agard445.mode(wing.base, 1, amplitude), method, symmetric)
         assert end.inverted == 0
-        assert start.aspect_ratio.mean() < end.aspect_ratio.mean() < start.aspect_ratio.mean() + 0.36 * amplitude**2
+        assert (
+            start.aspect_ratio.mean()
+            < end.aspect_ratio.mean()
+            < start.aspect_ratio.mean() + 0.36 * amplitude**2
+        )
 
 
 @pytest.mark.slow
@@ -192,7 +208,9 @@ def test_reduced_agrees_with_full_interpolation(wing):
         for method in (REDUCED, None):
             found = wing.moved(u, method)
             assert found.inverted == expected.inverted == 0
-            assert found.aspect_ratio.mean() == pytest.approx(expected.aspect_ratio.mean(), abs=5e-4)
+            assert found.aspect_ratio.mean() == pytest.approx(
+                expected.aspect_ratio.mean(), abs=5e-4
+            )
             assert found.aspect_ratio.max() == pytest.approx(expected.aspect_ratio.max(), rel=0.02)
             assert found.volume_ratio.min() == pytest.approx(expected.volume_ratio.min(), abs=0.01)
             if amplitude == 0.0735:

@@ -17,8 +17,16 @@ from vtkmodules.vtkIOXML import (
     vtkXMLUnstructuredGridWriter,
 )
 
-READERS = {".vtu": vtkXMLUnstructuredGridReader, ".vts": vtkXMLStructuredGridReader, ".vtp": vtkXMLPolyDataReader}
-WRITERS = {".vtu": vtkXMLUnstructuredGridWriter, ".vts": vtkXMLStructuredGridWriter, ".vtp": vtkXMLPolyDataWriter}
+READERS = {
+    ".vtu": vtkXMLUnstructuredGridReader,
+    ".vts": vtkXMLStructuredGridReader,
+    ".vtp": vtkXMLPolyDataReader,
+}
+WRITERS = {
+    ".vtu": vtkXMLUnstructuredGridWriter,
+    ".vts": vtkXMLStructuredGridWriter,
+    ".vtp": vtkXMLPolyDataWriter,
+}
 ENDINGS = {"structured": ".vts", "surface": ".vtp"}
 
 SYNONYMS = {"signed char": "char", "long long": "long", "unsigned long long": "unsigned long"}
@@ -30,7 +38,9 @@ BOX = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1, 2, 3)]
 """Three cubes side by side."""
 
 FORMS = [
-    *itertools.product(("appended raw", "appended", "binary"), ("ZLib", "LZ4", "None"), ("UInt32", "UInt64")),
+    *itertools.product(
+        ("appended raw", "appended", "binary"), ("ZLib", "LZ4", "None"), ("UInt32", "UInt64")
+    ),
     ("ascii", "None", "UInt64"),
 ]
 """How XML files may be encoded."""
@@ -45,7 +55,10 @@ def points_of(points: np.ndarray) -> vtkPoints:
 def with_arrays(data, *, on_cells: bool = True):
     """The data set with arrays of all sorts."""
     n, k = data.GetNumberOfPoints(), data.GetNumberOfCells()
-    for attributes, rows in [(data.GetPointData(), n), *([(data.GetCellData(), k)] if on_cells else [])]:
+    for attributes, rows in [
+        (data.GetPointData(), n),
+        *([(data.GetCellData(), k)] if on_cells else []),
+    ]:
         for name, values in {
             "heat": np.linspace(0, 1, rows),
             "mean": np.where(np.arange(rows) == 0, np.nan, 0.5),
@@ -124,12 +137,20 @@ def surface() -> vtkPolyData:
     data = vtkPolyData()
     data.SetPoints(points_of(BOX[:8]))
     data.Allocate(4)
-    for number, nodes in ((3, [0, 1]), (9, [0, 1, 5, 4]), (5, [1, 2, 5]), (5, [2, 6, 5]), (9, [2, 3, 7, 6])):
+    for number, nodes in (
+        (3, [0, 1]),
+        (9, [0, 1, 5, 4]),
+        (5, [1, 2, 5]),
+        (5, [2, 6, 5]),
+        (9, [2, 3, 7, 6]),
+    ):
         data.InsertNextCell(number, len(nodes), nodes)
     return data
 
 
-def write(path: pathlib.Path, data, mode: str = "binary", compressor: str = "ZLib", header: str = "UInt64") -> None:
+def write(
+    path: pathlib.Path, data, mode: str = "binary", compressor: str = "ZLib", header: str = "UInt64"
+) -> None:
     """Writes an XML file in one of `FORMS`."""
     writer = WRITERS[path.suffix]()
     writer.SetInputData(data)
@@ -165,7 +186,11 @@ def read(path: pathlib.Path):
 def said(data) -> dict[str, list]:
     """Everything that a data set says, but the coordinates: arrays by name, of points, cells and the whole, and cells."""
     told = {}
-    parts = (("points", data.GetPointData()), ("cells", data.GetCellData()), ("whole", data.GetFieldData()))
+    parts = (
+        ("points", data.GetPointData()),
+        ("cells", data.GetCellData()),
+        ("whole", data.GetFieldData()),
+    )
     for what, fields in parts:
         for k in range(fields.GetNumberOfArrays()):
             array = fields.GetAbstractArray(k)

@@ -61,7 +61,10 @@ def jacobian_vector_product(
 
 
 def vector_jacobian_product(
-    inputs: InputSchema, vjp_inputs: set[str], vjp_outputs: set[str], cotangent_vector: dict[str, Any]
+    inputs: InputSchema,
+    vjp_inputs: set[str],
+    vjp_outputs: set[str],
+    cotangent_vector: dict[str, Any],
 ):
     """Takes dJ/d(points) to dJ/d(design variables)."""
     return jax_vjp(moved, inputs, vjp_inputs, vjp_outputs, cotangent_vector)

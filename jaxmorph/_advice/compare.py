@@ -29,7 +29,8 @@ from .._quality.quality import quality
 from .._quality.wall_quality import wall_quality
 from .methods import METHODS, MOST_POINTS
 
-MOST_PAIRS = 300_000_000  # points times nodes of the surface up to which inverse distances are tried
+# points times nodes of the surface up to which inverse distances are tried
+MOST_PAIRS = 300_000_000
 COLUMNS = ("sources", "inverted", "ratio", "angle", "seconds")
 NUMBERS = operator.attrgetter(*COLUMNS)
 
@@ -42,9 +43,12 @@ class Trial:
     sources: int | None = None  # number of control points, None for a method without any
     inverted: int | None = None  # inverted cells in all motions
     ratio: float = math.nan  # the smallest Jacobian ratio in any motion
-    angle: float = math.nan  # mean degrees by which first grid lines leave their angle to the wall; NaN without lines
+    angle: float = (
+        math.nan
+    )  # mean degrees by which first grid lines leave their angle to the wall; NaN without lines
     seconds: float = math.nan  # CPU time of one compiled `deform`
-    refused: str | None = None  # why the method was refused or left out, or None. Numbers are then None or NaN.
+    # why the method was refused or left out, or None. Numbers are then None or NaN.
+    refused: str | None = None
 
     @property
     def badness(self) -> tuple[float | int, float]:
@@ -68,9 +72,14 @@ class Comparison:
         width = max(len("method"), *(len(row.method) for row in self.rows))
         lines = [f"{'method':<{width}}" + "".join(f"{name:>10}" for name in COLUMNS)]
         for row in self.rows:
-            cells = ("-" if x is None else f"{x:.3g}" if isinstance(x, float) else x for x in NUMBERS(row))
+            cells = (
+                "-" if x is None else f"{x:.3g}" if isinstance(x, float) else x
+                for x in NUMBERS(row)
+            )
             lines.append(f"{row.method:<{width}}" + "".join(f"{cell:>10}" for cell in cells))
-        return "\n".join([*lines, *(f"{row.method}: {row.refused}" for row in self.rows if row.refused)])
+        return "\n".join(
+            [*lines, *(f"{row.method}: {row.refused}" for row in self.rows if row.refused)]
+        )
 
 
 @checked
@@ -105,19 +114,27 @@ def compare(
     """
     if (mesh := boundary.mesh) is None:
         raise ValueError(
-            "compare judges cells: give it the boundary of a mesh, compare(jm.Boundary(mesh, ...), motions)."
+            "compare judges cells: give it the boundary of a mesh, compare(jm.Boundary(mesh, "
+            "...), motions)."
         )
     boundary.warn_of_free_faces()
-    motions = finite_array("motions", motions, (None, len(boundary.moving), boundary.points.shape[1])).astype(float)
+    motions = finite_array(
+        "motions", motions, (None, len(boundary.moving), boundary.points.shape[1])
+    ).astype(float)
     if not motions.any():
-        raise ValueError("`motions` is zero: no method moves a node. Give what the mesh is to bear, (s, m, d).")
+        raise ValueError(
+            "`motions` is zero: no method moves a node. Give what the mesh is to bear, (s, m, d)."
+        )
     pairs = []
     for name, make in _makers(boundary, methods).items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
             try:
                 plan = plan_of(boundary, make())
-            except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
+            except (
+                ValueError,
+                ImportError,
+            ) as error:  # ImportError: a solver for large 3-D meshes is not installed
                 pairs.append((Trial(name, refused=str(error) or repr(error)), None))
                 continue
         pairs.append((_trial(mesh, plan, motions, name), plan))
@@ -131,14 +148,24 @@ def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) ->
     if methods is None:
         size = float(np.ptp(boundary.points[boundary.moving], axis=0).max())
         listed = {name: entry.make for name, entry in METHODS.items() if entry.is_tried}
-        makers = {name: functools.partial(_small_enough, make, size, boundary) for name, make in listed.items()}
-        interpolated = functools.partial(SurfaceReconstruction, RBF(reduction=KDTree(64, extremes=True)))
+        makers = {
+            name: functools.partial(_small_enough, make, size, boundary)
+            for name, make in listed.items()
+        }
+        interpolated = functools.partial(
+            SurfaceReconstruction, RBF(reduction=KDTree(64, extremes=True))
+        )
         return {"default": SurfaceReconstruction, "interpolated": interpolated} | makers
     if not methods:
-        raise ValueError("`methods` is empty: name at least one, as in methods={'graph': jm.DelaunayGraph()}.")
+        raise ValueError(
+            "`methods` is empty: name at least one, as in methods={'graph': jm.DelaunayGraph()}."
+        )
     for name, method in methods.items():
         if not isinstance(name, str):
-            raise ValueError(f"a name in `methods` is {shown(name)}; names are words, as in methods={{'soft': ...}}.")
+            raise ValueError(
+                f"a name in `methods` is {shown(name)}; names are words, as in methods={{'soft': "
+                f"...}}."
+            )
         check_kind(method, AbstractMethod, f'methods["{name}"]', "jm.LinearElasticity()")
     return {name: lambda method=method: method for name, method in methods.items()}
 
@@ -146,10 +173,15 @@ def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) ->
 def _small_enough(make: Any, size: float, boundary: Boundary) -> AbstractMethod:
     method, (n, d) = make(size), boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
-        raise ValueError(f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}")
+        raise ValueError(
+            f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}"
+        )
     if isinstance(method, InverseDistance) and n * len(boundary.nodes) > MOST_PAIRS:
         nodes = len(boundary.nodes)
-        raise ValueError(f"skipped: {n} points times {nodes} nodes of the surface; tried up to {MOST_PAIRS} pairs")
+        raise ValueError(
+            f"skipped: {n} points times {nodes} nodes of the surface; tried up to {MOST_PAIRS} "
+            "pairs"
+        )
     return method
 
 
@@ -163,7 +195,11 @@ def _trial(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: st
     reports = [quality(mesh, points) for points in moved]
     ratio = min(float(report.min_jacobian_ratio) for report in reports)
     try:
-        angle = float(np.mean([wall_quality(mesh, np.asarray(plan.moving), points).mean_angle for points in moved]))
+        angle = float(
+            np.mean(
+                [wall_quality(mesh, np.asarray(plan.moving), points).mean_angle for points in moved]
+            )
+        )
     except ValueError:  # no cell has a side on the wall
         angle = math.nan
     inverted = sum(int(report.inverted) for report in reports)

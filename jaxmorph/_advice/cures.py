@@ -22,8 +22,10 @@ from .._quality.quality import quality
 from .largest_step import largest_step
 from .methods import METHODS, MOST_POINTS
 
-ROUND = 1e-3  # largest change of radius, or of place along the axis, over the radius, of a round patch
-TURNS = 0.1  # angle of a motion in radians from which on its path turns, and round patches may slide
+# largest change of radius, or of place along the axis, over the radius, of a round patch
+ROUND = 1e-3
+# angle of a motion in radians from which on its path turns, and round patches may slide
+TURNS = 0.1
 STEPS = 2, 4, 8  # numbers of steps that are tried
 
 
@@ -57,8 +59,10 @@ class Turn:
         """
         x = finite_array("x", x, (None, None))
         u = finite_array("u", u, x.shape)
-        points, way = in_space(x), in_space(u)
-        middle, mean = points.mean(axis=0), way.mean(axis=0)
+        points = in_space(x)
+        way = in_space(u)
+        middle = points.mean(axis=0)
+        mean = way.mean(axis=0)
         vector = _rotation(points - middle, points - middle + way - mean)
         angle = float(np.linalg.norm(vector))
         if angle <= TURNS:
@@ -84,7 +88,9 @@ class Turn:
         **Raises:** `ValueError` for fewer than one step.
         """
         whole("steps", steps)
-        return jnp.stack([*(self.at(step / steps) for step in range(1, steps)), jnp.asarray(self.u)])
+        return jnp.stack(
+            [*(self.at(step / steps) for step in range(1, steps)), jnp.asarray(self.u)]
+        )
 
     @checked
     def keeps(self, points: Real[ArrayLike, "k d"]) -> bool:
@@ -99,11 +105,16 @@ class Turn:
         return bool(np.ptp(radius) <= slack or (points.shape[1] == 3 and np.ptp(height) <= slack))
 
 
-def _rotation(arms: Float[np.ndarray, "m 3"], moved: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "3"]:
+def _rotation(
+    arms: Float[np.ndarray, "m 3"], moved: Float[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "3"]:
     """The vector of the rotation: along the axis, radians long."""
     if not arms[:, 2].any() and not moved[:, 2].any():  # in a plane: never about an axis in it
         return np.array([0, 0, np.arctan2(np.cross(arms, moved)[:, 2].sum(), np.vdot(arms, moved))])
-    with contextlib.suppress(ValueError), warnings.catch_warnings():  # nodes at one place, or on one line
+    with (
+        contextlib.suppress(ValueError),
+        warnings.catch_warnings(),
+    ):  # nodes at one place, or on one line
         warnings.simplefilter("ignore")
         return Rotation.align_vectors(moved, arms)[0].as_rotvec()
     return np.zeros(3)
@@ -149,8 +160,13 @@ def cures(boundary: Boundary, u: Real[ArrayLike, "m d"]) -> Iterator[Cure]:
     **Raises:** `ValueError` for a boundary without a mesh, and a `u` of another shape.
     """
     if boundary.mesh is None:
-        raise ValueError("`boundary` is of points alone: there are no cells to fold. Pass jm.Boundary(mesh, ...).")
-    return _cures(boundary, boundary.mesh, finite_array("u", u, boundary.points[boundary.moving].shape))
+        raise ValueError(
+            "`boundary` is of points alone: there are no cells to fold. Pass jm.Boundary(mesh, "
+            "...)."
+        )
+    return _cures(
+        boundary, boundary.mesh, finite_array("u", u, boundary.points[boundary.moving].shape)
+    )
 
 
 def _cures(boundary: Boundary, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Iterator[Cure]:
@@ -171,9 +187,13 @@ def _cures(boundary: Boundary, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Itera
 
 def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: int) -> str:
     """Says from where on a motion folds `count` cells, and what was tried and helps."""
-    said, tried = f"one step folds {count} cells", []
+    said = f"one step folds {count} cells"
+    tried = []
     if plan.is_linear:
-        said += f", the first after {100 * largest_step(plan, np.zeros_like(u), u, mesh).step:.3g} % of the motion"
+        said += (
+            f", the first after {100 * largest_step(plan, np.zeros_like(u), u, mesh).step:.3g} % "
+            "of the motion"
+        )
     for cure in _cures(plan.boundary, mesh, u):
         is_cured = False
         # ImportError: a solver for large 3-D meshes is not installed
@@ -186,17 +206,26 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: 
                 how = f": `march(plan, jm.Turn.of(plan.moving_points, u).path({cure.steps}))`"
             return f"{said}. With {cure} none folds{how}."
         tried.append(str(cure))
-    last = f"{', '.join(tried)} do not cure it" if tried else "jm.fewest_steps tells how many steps it takes"
+    last = (
+        f"{', '.join(tried)} do not cure it"
+        if tried
+        else "jm.fewest_steps tells how many steps it takes"
+    )
     return f"{said}: {last}."
 
 
 def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
-    moving, fixed, points = np.asarray(plan.moving), np.asarray(plan.fixed), np.asarray(mesh.points)
+    moving = np.asarray(plan.moving)
+    fixed = np.asarray(plan.fixed)
+    points = np.asarray(mesh.points)
     if cure.steps > 1:
         return np.asarray(march(plan, Turn.of(points[moving], u).path(cure.steps))[1])
     if cure.sliding:
-        others, planes = np.setdiff1d(fixed, mesh.patch(*cure.sliding)), plan.images.planes
-        cured = prepare(mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding)
+        others = np.setdiff1d(fixed, mesh.patch(*cure.sliding))
+        planes = plan.images.planes
+        cured = prepare(
+            mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding
+        )
     else:
         method = METHODS[cure.method].make(float(np.ptp(points[moving], axis=0).max()))
         cured = plan_of(with_cells(plan.boundary, mesh), method)

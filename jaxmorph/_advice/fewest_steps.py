@@ -48,7 +48,9 @@ class Steps:
         `u`. The turn of `path` stays.
         """
         if np.shape(u) != self.path.shape[1:]:
-            raise ValueError(f"`u` has shape {np.shape(u)}; the path ends at {self.path.shape[1:]}.")
+            raise ValueError(
+                f"`u` has shape {np.shape(u)}; the path ends at {self.path.shape[1:]}."
+            )
         shares = jnp.arange(1, self.count + 1, dtype=self.path.dtype) / self.count
         return self.path + shares[:, None, None] * (jnp.asarray(u) - self.path[-1])[None]
 
@@ -95,11 +97,17 @@ def fewest_steps(
     plan.check_mesh(mesh)
     expected = (plan.n_moving, plan.points.shape[1])
     if not callable(motion):
-        motion = Turn.of(np.asarray(plan.moving_points), finite_array("motion", motion, expected)).at
+        motion = Turn.of(
+            np.asarray(plan.moving_points), finite_array("motion", motion, expected)
+        ).at
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
-        parts = [finite_array("motion(t)", motion(fraction * (j + 1) / count), expected) for j in range(count)]
-        path, improvement = jnp.stack(list(map(jnp.asarray, parts))), None
+        parts = [
+            finite_array("motion(t)", motion(fraction * (j + 1) / count), expected)
+            for j in range(count)
+        ]
+        path = jnp.stack(list(map(jnp.asarray, parts)))
+        improvement = None
         plans, points = march(plan, path)
         if mend:
             improvement = improved(changed(plan.boundary, mesh=mesh), points)
@@ -107,7 +115,10 @@ def fewest_steps(
         return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
 
     def is_good(steps: Steps) -> bool:
-        return not int(steps.report.inverted) and float(steps.report.min_jacobian_ratio) > min_jacobian_ratio
+        return (
+            not int(steps.report.inverted)
+            and float(steps.report.min_jacobian_ratio) > min_jacobian_ratio
+        )
 
     counts = range(1, max_steps + 1)
     for count, mend in [*zip(counts, itertools.repeat(False)), *[(max_steps, True)] * improve]:
@@ -115,8 +126,11 @@ def fewest_steps(
             return steps
     best = tried(max_steps, 0.0)
     for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
-        low, high = best.fraction, 1.0  # on the host: a motion may be NumPy's
+        low = best.fraction
+        high = 1.0  # on the host: a motion may be NumPy's
         while high - low > width:
             steps = tried(max_steps, (low + high) / 2, mend)
-            best, low, high = (steps, steps.fraction, high) if is_good(steps) else (best, low, steps.fraction)
+            best, low, high = (
+                (steps, steps.fraction, high) if is_good(steps) else (best, low, steps.fraction)
+            )
     return best

@@ -29,9 +29,12 @@ from .cures import advice_on_folds
 
 STEEP = 0.5  # slope of a displacement along the wall above which a fitted field strains cells more
 NARROW = 0.2  # share of a gap, left after a motion, below which one step folds cells in it
-PUT_BACK = 0.01  # share of the largest motion by which planes, surfaces and pairs may change a moving node's
-TOUCHING = 1e-9  # distance of a node from another wall, relative to the surface's extent: no gap there
-SAME = 1e-9  # distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
+# share of the largest motion by which planes, surfaces and pairs may change a moving node's
+PUT_BACK = 0.01
+# distance of a node from another wall, relative to the surface's extent: no gap there
+TOUCHING = 1e-9
+# distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
+SAME = 1e-9
 RESTS = 1e-3  # share of the largest displacement below which a part of the surface rests
 UNRESOLVED = 1 / 3  # share of the largest displacement that sources may miss between them
 ROWS = 4096  # points whose distances are held together
@@ -61,7 +64,8 @@ class Crossings:
         place = ", ".join(f"{x:.4g}" for x in self.places[0])
         count = f"{len(self)} {'pair' if len(self) == 1 else 'pairs'}"
         return (
-            f"{count} of boundary faces cross each other after the motion ({between}), first near ({place}). No mesh can follow: "
+            f"{count} of boundary faces cross each other after the motion ({between}), first near "
+            f"({place}). No mesh can follow: "
             "move the wall less, or both walls together."
         )
 
@@ -142,7 +146,8 @@ class Inspection:
             place = ", ".join(f"{x:.4g}" for x in self.near)
             both = " and ".join(repr(name) if name else "no patch" for name in self.torn)
             yield (
-                f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the "
+                f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart "
+                "by more than their distance, the "
                 f"worst nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). "
                 f"{remedies(self.rests, self.touches)}"
             )
@@ -150,8 +155,10 @@ class Inspection:
             yield str(self.crossings)
         if len(self.put_back):
             yield (
-                f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is node {self.put_back[0]}, by "
-                f"{self.put_back_by:.3g}: they stay on their plane or surface, and pairs take the mean. Give a motion that does."
+                f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is "
+                f"node {self.put_back[0]}, by "
+                f"{self.put_back_by:.3g}: they stay on their plane or surface, and pairs take the "
+                "mean. Give a motion that does."
             )
         if len(self.ended):
             yield ends(self.ended, self.ended_at)
@@ -166,28 +173,38 @@ class Inspection:
             yield self.folds
         if self.gap_left is not None and self.gap_left < NARROW:
             yield (
-                f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another wall is left. Go there in "
-                "several steps, each of which leaves half of it or more: `march(plan, path, rebuild=True)`."
+                f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another "
+                "wall is left. Go there in "
+                "several steps, each of which leaves half of it or more: `march(plan, path, "
+                "rebuild=True)`."
             )
         if self.reach < self.largest:
             yield (
-                f"the field ends {self.reach:.2g} from the surface, which moves by {self.largest:.2g}: cells fold between. Take a "
-                "radius of several times the motion, `jm.CompactRBF(radius)`, or a method without one."
+                f"the field ends {self.reach:.2g} from the surface, which moves by "
+                f"{self.largest:.2g}: cells fold between. Take a "
+                "radius of several times the motion, `jm.CompactRBF(radius)`, or a method "
+                "without one."
             )
         if self.leaves is not None:
             yield (
-                f"the sources do not resolve the displacement: between them {100 * self.missed:.0f} % of it is missed. Take "
-                f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, extremes=True))))."
+                "the sources do not resolve the displacement: between them "
+                f"{100 * self.missed:.0f} % of it is missed. Take "
+                f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, "
+                "extremes=True))))."
             )
         if self.is_fitted and self.slope > STEEP:
             yield (
-                f"the displacement changes by {self.slope:.2g} per length along the wall. The fitted field keeps grid lines close "
-                "to their angle to the wall, and may cost a quarter of the smallest Jacobian ratio where that is above 0.5. "
-                "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; `compare` tries both."
+                f"the displacement changes by {self.slope:.2g} per length along the wall. The "
+                "fitted field keeps grid lines close "
+                "to their angle to the wall, and may cost a quarter of the smallest Jacobian "
+                "ratio where that is above 0.5. "
+                "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; "
+                "`compare` tries both."
             )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
-        ids, names = np.asarray(ids), ("contradictions", "put_back", "ended")
+        ids = np.asarray(ids)
+        names = ("contradictions", "put_back", "ended")
         rows = {name: ids[getattr(self, name)] for name in names}
         return dataclasses.replace(self, offset_node=int(ids[self.offset_node]), **rows)
 
@@ -197,13 +214,22 @@ class Inspection:
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
-    at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
+    at = (
+        ""
+        if slides == len(rests)
+        else f"At {slides} of them a fixed boundary touches the moving one. "
+    )
     texts = (
-        f"{at}Name the fixed boundary in `sliding` (--sliding) in place of `fixed`, or make it a symmetry plane, if it slides "
-        "along the moving one. Name it in `free` (--free) if its nodes may follow, as those of a duct's ends.",
-        f"{gap} of them lie across a gap to a fixed wall, which is narrower than the motion: cells in it shear as much.",
-        f"In {both} of them both nodes move, and come to more than twice their distance. Row i of `u` moves node "
-        "`plan.moving[i]`: is the order right? If so, the motion is too steep for the spacing of the nodes: smooth it "
+        f"{at}Name the fixed boundary in `sliding` (--sliding) in place of `fixed`, or make it a "
+        "symmetry plane, if it slides "
+        "along the moving one. Name it in `free` (--free) if its nodes may follow, as those of a "
+        "duct's ends.",
+        f"{gap} of them lie across a gap to a fixed wall, which is narrower than the motion: "
+        "cells in it shear as much.",
+        f"In {both} of them both nodes move, and come to more than twice their distance. Row i of "
+        "`u` moves node "
+        "`plan.moving[i]`: is the order right? If so, the motion is too steep for the spacing of "
+        "the nodes: smooth it "
         "(`shapes.Smoother`), or refine the surface.",
     )
     return " ".join(text for text, count in zip(texts, (slides, gap, both), strict=True) if count)
@@ -242,15 +268,21 @@ def inspect(
     that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
     plan.check_surface("inspect")
-    ids, is_whole = _ids(plan, mesh, nodes), mesh is not None and nodes is None
-    surface, vectors = np.asarray(plan.surface_nodes), np.asarray(plan.of_surface(u))
-    finite, n = np.isfinite(np.asarray(u)).all(axis=1), plan.n_moving
+    ids = _ids(plan, mesh, nodes)
+    is_whole = mesh is not None and nodes is None
+    surface = np.asarray(plan.surface_nodes)
+    vectors = np.asarray(plan.of_surface(u))
+    finite = np.isfinite(np.asarray(u)).all(axis=1)
+    n = plan.n_moving
     check_none(
         surface[:n][~finite],
-        f"{{count}} of {n} displacements are not finite, first that of node {{node}} (row {int(np.argmin(finite))}).",
+        f"{{count}} of {n} displacements are not finite, first that of node {{node}} (row "
+        f"{int(np.argmin(finite))}).",
     )
     if moved is not None or is_whole:
-        moved = finite_array("moved", deform(plan, u) if moved is None else moved, plan.points.shape)
+        moved = finite_array(
+            "moved", deform(plan, u) if moved is None else moved, plan.points.shape
+        )
     if mesh is None:
         return _of_plan(plan, u, vectors, moved).renumbered(ids)
     looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
@@ -270,7 +302,11 @@ def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
     count = len(plan.points)
     if mesh is not None and nodes is None:
         plan.check_mesh(mesh)
-    ids = rows_of("nodes", np.arange(count) if nodes is None else nodes, 2**62 if mesh is None else len(mesh.points))
+    ids = rows_of(
+        "nodes",
+        np.arange(count) if nodes is None else nodes,
+        2**62 if mesh is None else len(mesh.points),
+    )
     if len(ids) != count:
         raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {count} points.")
     return ids
@@ -282,32 +318,52 @@ def _of_faces(
     """Checks what needs faces: the faces' simplices, and the findings, by field. The mesh's `nodes`
     (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
     """
-    cut, left, node = simplices(mesh, nodes), None, None
+    cut = simplices(mesh, nodes)
+    left = None
+    node = None
     if cut is None:
         return None, {}
     if len(cut[0]):
         before = np.asarray(mesh.points, dtype=float)[nodes]
         wall = walls(before, moving, {"simplex": cut[0]})
-        share = share_left(before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max())
+        share = share_left(
+            before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max()
+        )
         if np.isfinite(share).any():
-            left, node = float(share.min()), int(nodes[share.argmin()])
-    return cut[0], {"crossings": crossings(cut, mesh, nodes, vectors), "gap_left": left, "gap_node": node}
+            left = float(share.min())
+            node = int(nodes[share.argmin()])
+    return cut[0], {
+        "crossings": crossings(cut, mesh, nodes, vectors),
+        "gap_left": left,
+        "gap_node": node,
+    }
 
 
 def _of_plan(plan: Plan, u: Any, vectors: np.ndarray, moved: np.ndarray | None) -> Inspection:
     """Checks all that needs no faces, of displacements `vectors` (o, d) of the surface."""
-    points, nodes, displacement = np.asarray(plan.points), np.asarray(plan.surface_nodes), np.asarray(u, dtype=float)
-    moving, surface, is_fixed = nodes[: plan.n_moving], points[nodes], np.isin(nodes, plan.fixed)
-    offset, size = np.linalg.norm(np.asarray(plan.offset(u)), axis=1), np.linalg.norm(displacement, axis=1)
+    points = np.asarray(plan.points)
+    nodes = np.asarray(plan.surface_nodes)
+    displacement = np.asarray(u, dtype=float)
+    moving = nodes[: plan.n_moving]
+    surface = points[nodes]
+    is_fixed = np.isin(nodes, plan.fixed)
+    offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
+    size = np.linalg.norm(displacement, axis=1)
     tree = Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
     spacing = np.asarray(tree.query(surface, k=2)[0])[:, 1]
     pairs = torn_pairs(surface, vectors, is_fixed)
-    torn, rests = nodes[pairs].reshape(-1, 2), np.asarray(is_fixed[pairs].any(axis=1))
+    torn = nodes[pairs].reshape(-1, 2)
+    rests = np.asarray(is_fixed[pairs].any(axis=1))
     anywhere, behind = overshoot(plan, displacement, moved)
     changed = np.linalg.norm(vectors[: plan.n_moving] - displacement, axis=1)
     back = np.flatnonzero(changed > PUT_BACK * size.max())
-    rows, sources = ended(plan, surface + vectors), np.flatnonzero(np.isin(moving, plan.sources))
-    too_few = missed(points[moving], displacement, sources) if points.shape[1] == 3 and len(sources) else 0.0
+    rows = ended(plan, surface + vectors)
+    sources = np.flatnonzero(np.isin(moving, plan.sources))
+    too_few = (
+        missed(points[moving], displacement, sources)
+        if points.shape[1] == 3 and len(sources)
+        else 0.0
+    )
     return Inspection(
         offset=float(offset.max()),
         offset_node=int(nodes[offset.argmax()]),
@@ -339,14 +395,17 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
     terms = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
     first, second = pairs.T
     rest = u - terms @ np.linalg.lstsq(terms, u, rcond=None)[0]
-    distance, length = (np.linalg.norm(positions[second] - positions[first], axis=1) for positions in (rest, points))
+    distance, length = (
+        np.linalg.norm(positions[second] - positions[first], axis=1) for positions in (rest, points)
+    )
     return float(np.quantile(distance / length, 0.98))
 
 
 def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
     count = min(2 * points.shape[1], len(points) - 1)
     distance, nearest = map(np.asarray, Tree(points).query(points, k=count + 1))
-    first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
+    first = np.repeat(np.arange(len(points)), count)
+    second = nearest[:, 1:].ravel()
     distance = distance[:, 1:].ravel()
     difference = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
     after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
@@ -366,15 +425,20 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(around[pairs[:, 0]].multiply(around[pairs[:, 1]]).sum(axis=1)).ravel() > 0
 
 
-def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
+def crossings(
+    cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray
+) -> Crossings:
     """Finds where `nodes` (o,), moved by `vectors` (o, d), make the boundary `cut` cross itself."""
     (faces, ids), points = cut, np.asarray(mesh.points, dtype=float)
     before = points[nodes]
     close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")
-    place = parts_of(close[:, 0], close[:, 1], len(before))  # nodes that nearly coincide are at one place
+    place = parts_of(
+        close[:, 0], close[:, 1], len(before)
+    )  # nodes that nearly coincide are at one place
     pairs, places = crossing_faces(before, before + vectors, faces, place)
     single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
-    pairs, places = pairs[single], places[single]
+    pairs = pairs[single]
+    places = places[single]
     first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
     return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places)
 
@@ -386,9 +450,13 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
     outer = outer_faces(mesh)
     if outer is None:
         return None
-    rows, faces, ids = row_of(nodes, len(mesh.points)), [], []
+    rows = row_of(nodes, len(mesh.points))
+    faces = []
+    ids = []
     for kind, corners in outer.corners.items():
-        triangles = [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]
+        triangles = (
+            [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]
+        )
         faces.append(rows[corners[:, triangles]].reshape(-1, mesh.points.shape[1]))
         ids.append(np.repeat(outer.ids[kind], len(triangles)))
     joined = np.concatenate(faces)
@@ -404,7 +472,9 @@ def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
     return names.tolist()
 
 
-def overshoot(plan: Plan, u: Float[np.ndarray, "m d"], moved: np.ndarray | None = None) -> tuple[float, float]:
+def overshoot(
+    plan: Plan, u: Float[np.ndarray, "m d"], moved: np.ndarray | None = None
+) -> tuple[float, float]:
     """Compares the largest motion off the surface with that of the surface; also behind what rests.
 
     A node lies behind a part that rests if three conditions hold. The nearest node of the moving
@@ -412,17 +482,24 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"], moved: np.ndarray | None 
     airfoil does for nodes below it. And the node is no farther away than the surface is long.
     `moved` is what `deform` returns, where it is known.
     """
-    points, moving, size = np.asarray(plan.points), np.asarray(plan.moving), np.linalg.norm(u, axis=1)
+    points = np.asarray(plan.points)
+    moving = np.asarray(plan.moving)
+    size = np.linalg.norm(u, axis=1)
     inner = np.flatnonzero(~mask(len(points), moving, plan.fixed))
     if not size.max() or not inner.size:
         return 0.0, 0.0
     moved = np.asarray(deform(plan, u)) if moved is None else moved
     share = np.linalg.norm((moved - points)[inner], axis=1) / size.max()
-    base, active = points[moving], np.flatnonzero(size > size.max() / 2)
+    base = points[moving]
+    active = np.flatnonzero(size > size.max() / 2)
     rows = np.flatnonzero(share > RESTS)
     reach = np.ptp(base, axis=0).max()
-    far, nearest = map(np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=reach))
-    rows, nearest, far = rows[np.isfinite(far)], nearest[np.isfinite(far)], far[np.isfinite(far)]
+    far, nearest = map(
+        np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=reach)
+    )
+    rows = rows[np.isfinite(far)]
+    nearest = nearest[np.isfinite(far)]
+    far = far[np.isfinite(far)]
     away = points[inner[rows]] - base[nearest]
     towards = base[active[np.asarray(Tree(base[active]).query(base[nearest])[1])]] - base[nearest]
     is_opposite = np.sum(away * towards, axis=1) < -far * np.linalg.norm(towards, axis=1) / 2
@@ -443,7 +520,10 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
     system[-1, -1] = 0
     weights = np.linalg.solve(system, np.pad(u[rows], ((0, 1), (0, 0))))
     blocks = [slice(start, start + ROWS) for start in range(0, len(points), ROWS)]
-    off = [u[block] - weights[-1] + cdist(points[block], points[rows]) @ weights[:-1] for block in blocks]
+    off = [
+        u[block] - weights[-1] + cdist(points[block], points[rows]) @ weights[:-1]
+        for block in blocks
+    ]
     return float(np.linalg.norm(np.concatenate(off), axis=1).max() / largest)
 
 

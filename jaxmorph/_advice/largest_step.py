@@ -74,22 +74,29 @@ def largest_step(
     """
     if not plan.is_linear:
         raise ValueError(
-            f"this plan is not linear in `u`: {_nonlinear(plan)}. Its nodes leave straight lines, so a cell may invert before the "
-            "step that straight lines give. jm.fewest_steps(plan, mesh, motion) finds how much of a motion keeps a bound. "
+            f"this plan is not linear in `u`: {_nonlinear(plan)}. Its nodes leave straight lines, "
+            "so a cell may invert before the "
+            "step that straight lines give. jm.fewest_steps(plan, mesh, motion) finds how much "
+            "of a motion keeps a bound. "
             "jm.ValidSteps judges each step of a line search where it ends."
         )
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
     between("max_step", max_step, 0)
     shape = plan.n_moving, plan.points.shape[1]
-    u, direction = finite_array("u", u, shape), finite_array("direction", direction, shape)
+    u = finite_array("u", u, shape)
+    direction = finite_array("direction", direction, shape)
 
     def at(step: float) -> np.ndarray:
-        return np.asarray(places(mesh, deform(plan, jnp.asarray(u) + step * jnp.asarray(direction))))
+        return np.asarray(
+            places(mesh, deform(plan, jnp.asarray(u) + step * jnp.asarray(direction)))
+        )
 
-    start, end = at(0.0), at(max_step)
+    start = at(0.0)
+    end = at(max_step)
     bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
     found = bounds.largest_share(start, end)
-    step, less = found.step * max_step, float(np.finfo(plan.points.dtype).eps)
+    step = found.step * max_step
+    less = float(np.finfo(plan.points.dtype).eps)
     # the points at the step have a round-off of their own
     while step > 0 and proven and (broken := bounds.proven_share(at(step), at(step)).cell) >= 0:
         step, found, less = step * max(1 - less, 0.0), LargestStep(step, broken), 4 * less
@@ -100,7 +107,11 @@ def _nonlinear(plan: Plan) -> str:
     method = plan.method
     if method.linear:
         return "nodes slide along curved walls"
-    while parts := [part for part in vars(method).values() if isinstance(part, AbstractMethod) and not part.linear]:
+    while parts := [
+        part
+        for part in vars(method).values()
+        if isinstance(part, AbstractMethod) and not part.linear
+    ]:
         method = parts[0]
     return f"{type(method).__name__} is not"
 
@@ -139,13 +150,18 @@ class CornerBounds:
         standards, signs = jax.tree.map(np.asarray, (standards_of(mesh, dtype), signs_of(mesh)))
         self.signs, self.parts = signs, []
         for kind, ids in jax.tree.map(np.asarray, mesh.cells).items():
-            standard, first = standards[kind], sum(len(part.ids) for part in self.parts)
+            standard = standards[kind]
+            first = sum(len(part.ids) for part in self.parts)
             every = _Corners(kind, ids, first, standard.sign, standard.is_judged, standard.jacobian)
             # not the least one of a curved cell
-            judged = (standard.is_judged & ~standard.is_folded)[: len(every.jacobians(np.asarray(mesh.points)))]
+            judged = (standard.is_judged & ~standard.is_folded)[
+                : len(every.jacobians(np.asarray(mesh.points)))
+            ]
             self.parts.append(dataclasses.replace(every, judged=judged))
 
-    def largest_share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> LargestStep:
+    def largest_share(
+        self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]
+    ) -> LargestStep:
         """Finds the share of the way, at most 1, that keeps all bounds, and the cell there."""
         best = LargestStep(1.0, -1)
         for part in self.parts:
@@ -159,22 +175,31 @@ class CornerBounds:
         proven = self.proven_share(start, start + best.step * (np.asarray(end, float) - start))
         return LargestStep(best.step * proven.step, proven.cell) if proven.step < 1 else best
 
-    def proven_share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> LargestStep:
+    def proven_share(
+        self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]
+    ) -> LargestStep:
         """Finds the share of the straight way on which whole cells keep their bound, at most 1. At
         each instant the least coefficient is a lower bound on det J, so the step ends where the
         first coefficient falls below. Only cells that would end it are cut.
         """
         assert self.of_cells is not None
-        best, ends = LargestStep(1.0, -1), (np.asarray(start, float), np.asarray(end, float))
+        best = LargestStep(1.0, -1)
+        ends = (np.asarray(start, float), np.asarray(end, float))
         for part in self.parts:
             if DIMENSION[part.kind] != self.mesh.points.shape[1]:
                 continue
-            form, space = form_of(part.kind, True), form_of(part.kind).space
+            form = form_of(part.kind, True)
+            space = form_of(part.kind).space
             for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count(space)):
-                x, cell = nodes_of(part.ids[rows].T, *ends), part.first + rows
+                x = nodes_of(part.ids[rows].T, *ends)
+                cell = part.first + rows
                 columns = form.columns(x)
-                excess = self.signs[part.kind][rows] * form.determinant(columns) - form.round_off(x, columns)
-                excess = (excess - self.of_cells[cell]).reshape(-1, bernstein.count(space), len(rows))
+                excess = self.signs[part.kind][rows] * form.determinant(columns) - form.round_off(
+                    x, columns
+                )
+                excess = (excess - self.of_cells[cell]).reshape(
+                    -1, bernstein.count(space), len(rows)
+                )
                 best = _search(space, excess, cell, best)
         return best
 
@@ -184,7 +209,9 @@ class CornerBounds:
     def ratios(self, points: Float[Array, "n d"]) -> Float[Array, " s"]:
         """The Jacobian ratio at each corner; infinite where there is no bound. Traced."""
         ratios = [
-            jnp.where(part.judged, part.jacobians(points) / np.where(part.judged, part.scale, 1), jnp.inf).ravel()
+            jnp.where(
+                part.judged, part.jacobians(points) / np.where(part.judged, part.scale, 1), jnp.inf
+            ).ravel()
             for part in self.parts
         ]
         return jnp.concatenate(ratios)
@@ -192,7 +219,10 @@ class CornerBounds:
     @property
     def cells(self) -> Int[np.ndarray, " s"]:
         """The cell of each ratio, -1 at corners without a bound."""
-        cells = [np.where(part.judged, part.first + np.arange(len(part.ids)), -1).ravel() for part in self.parts]
+        cells = [
+            np.where(part.judged, part.first + np.arange(len(part.ids)), -1).ravel()
+            for part in self.parts
+        ]
         return np.concatenate(cells)
 
 
@@ -256,28 +286,39 @@ def least_undeformed(mesh: Mesh) -> Float[np.ndarray, " k"]:
     if undeformed.valid < undeformed.count:
         first = undeformed.worst(1)[0]
         raise ValueError(
-            f"{undeformed.count - undeformed.valid} of {undeformed.count} cells of the undeformed mesh are not proven valid, first "
-            f"cell {first}: no step can be. jm.proof(mesh) lists them; proven=False looks at corners alone."
+            f"{undeformed.count - undeformed.valid} of {undeformed.count} cells of the undeformed "
+            "mesh are not proven valid, first "
+            f"cell {first}: no step can be. jm.proof(mesh) lists them; proven=False looks at "
+            "corners alone."
         )
     return undeformed.lower
 
 
 def _search(
-    space: bernstein.Space, excess: Float[np.ndarray, "t n p"], cell: np.ndarray, best: LargestStep, level: int = 0
+    space: bernstein.Space,
+    excess: Float[np.ndarray, "t n p"],
+    cell: np.ndarray,
+    best: LargestStep,
+    level: int = 0,
 ) -> LargestStep:
     """Takes values at corners, which are certain, and cuts the parts that may end the step."""
-    best, least = _sooner(best, _first(excess[:, bernstein.corners(space)]), cell), _first(excess)
+    best = _sooner(best, _first(excess[:, bernstein.corners(space)]), cell)
+    least = _first(excess)
     if level == DEPTH:
         return _sooner(best, least, cell)
     t, n, _ = excess.shape
     for some in blocks(np.flatnonzero(least < best.step), 32 * n):
         parts = bernstein.halved(space, np.moveaxis(excess[:, :, some], 0, 1).reshape(n, -1))
         parts = np.moveaxis(parts.reshape(n, -1, t, len(some)), 2, 0).reshape(t, n, -1)
-        best = _search(space, parts, np.tile(cell[some], parts.shape[2] // len(some)), best, level + 1)
+        best = _search(
+            space, parts, np.tile(cell[some], parts.shape[2] // len(some)), best, level + 1
+        )
     return best
 
 
-def _sooner(best: LargestStep, steps: Float[np.ndarray, " p"], cell: Int[np.ndarray, " p"]) -> LargestStep:
+def _sooner(
+    best: LargestStep, steps: Float[np.ndarray, " p"], cell: Int[np.ndarray, " p"]
+) -> LargestStep:
     if len(steps) and steps.min() < best.step:
         return LargestStep(float(steps.min()), int(cell[steps.argmin()]))
     return best
@@ -285,7 +326,9 @@ def _sooner(best: LargestStep, steps: Float[np.ndarray, " p"], cell: Int[np.ndar
 
 def _first(excess: Float[np.ndarray, "t n p"]) -> Float[np.ndarray, " p"]:
     """When each part's first coefficient falls below 0; infinity if none does in 0 to 1."""
-    steps, falls, degree = np.full(excess.shape[1:], np.inf), excess.min(axis=0) < 0, len(excess) - 1
+    steps = np.full(excess.shape[1:], np.inf)
+    falls = excess.min(axis=0) < 0
+    degree = len(excess) - 1
     # from Bernstein coefficients in time, of degree 2 or 3, to those of powers
     powers = np.zeros((4, falls.sum()))
     for k in range(degree + 1):
@@ -304,10 +347,13 @@ def first_roots(coefficients: Float[np.ndarray, "4 k"]) -> Float[np.ndarray, " k
     extremes = np.sort(np.where((extremes > 0) & (extremes < 1), extremes, 1), axis=0)
     for low, high in itertools.pairwise([0 * c1, *extremes, 0 * c1 + 1]):
         falls = np.isinf(roots) & (polyval(high, coefficients, tensor=False) < 0)
-        some, low, high = coefficients[:, falls], low[falls], high[falls]
+        some = coefficients[:, falls]
+        low = low[falls]
+        high = high[falls]
         for _ in range(60 if falls.any() else 0):
             middle = 0.5 * (low + high)
             is_below = polyval(middle, some, tensor=False) < 0
-            low, high = np.where(is_below, low, middle), np.where(is_below, middle, high)
+            low = np.where(is_below, low, middle)
+            high = np.where(is_below, middle, high)
         roots[falls] = low
     return roots

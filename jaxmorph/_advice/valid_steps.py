@@ -67,7 +67,10 @@ class ValidSteps(Module, optx.AbstractSearch):
 
         def guard(y: Any, args: Any) -> Any:
             shapes = jax.eval_shape(objective, y, args)
-            infinite = lambda: jax.tree.map(lambda leaf: jnp.full(leaf.shape, jnp.inf, leaf.dtype), shapes)  # noqa: E731
+
+            def infinite():
+                return jax.tree.map(lambda leaf: jnp.full(leaf.shape, jnp.inf, leaf.dtype), shapes)
+
             return jax.lax.cond(self.holds(y), lambda: objective(y, args), infinite)
 
         return guard
@@ -80,7 +83,9 @@ class ValidSteps(Module, optx.AbstractSearch):
         self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any
     ) -> tuple[Any, Any, Any, Any]:
         """Accepts the variables that were tried, or gives a shorter step."""
-        before, after, bounds = self.mesh.points(y), self.mesh.points(y_eval), self.mesh.bounds
+        before = self.mesh.points(y)
+        after = self.mesh.points(y_eval)
+        bounds = self.mesh.bounds
         share = jax.ShapeDtypeStruct((), before.dtype)
         way = host_call(lambda *ends: bounds.largest_share(*ends).step, share, before, after)
         fits = (way >= 1) & bounds.hold(after)
@@ -90,5 +95,7 @@ class ValidSteps(Module, optx.AbstractSearch):
         shorter = jnp.where(fits, DECREASE, jnp.minimum(SHARE * way, SHARE))
         step = jnp.where(accept, 1.0, shorter * state)
         blocked = ~accept & (way <= 0)
-        result = optx.RESULTS.where(blocked, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful)
+        result = optx.RESULTS.where(
+            blocked, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
+        )
         return step, accept, result, step

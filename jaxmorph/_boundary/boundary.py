@@ -21,9 +21,13 @@ from .tracks import Track, check_repeated, tracks_of
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
-SMALL = 1e4  # smallest extent of a mesh, relative to the length whose cube is the smallest normal number
+# smallest extent of a mesh, relative to the length whose cube is the smallest normal number
+SMALL = 1e4
 PAIRS = "pairs such as jm.Periodic('lower', 'upper', translation=(0, 1))"
-PLANES = "jm.Plane(normal=(0, 1), origin=(0, 0)), jm.Plane.through(points, nodes), or the name of a patch of the mesh"
+PLANES = (
+    "jm.Plane(normal=(0, 1), origin=(0, 0)), jm.Plane.through(points, nodes), or the name of a "
+    "patch of the mesh"
+)
 SLIDES = "slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), or names of patches"
 SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
 
@@ -33,7 +37,14 @@ INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
 Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
 
 _NONE = np.zeros(0, dtype=np.int64)
-_EMPTY: dict[str, Any] = {"planes": (), "pairings": (), "tracks": (), "free": _NONE, "loose": _NONE, "hidden": _NONE}
+_EMPTY: dict[str, Any] = {
+    "planes": (),
+    "pairings": (),
+    "tracks": (),
+    "free": _NONE,
+    "loose": _NONE,
+    "hidden": _NONE,
+}
 _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 
 
@@ -116,7 +127,8 @@ class Boundary:
         tracks, corners = tracks_of(walls, planes if walls else (), points)
         check_none(
             corners[np.isin(corners, moving)],
-            "{count} moving nodes are corners of sliding patches and cannot move, the first is node {node} at ({place}). Remove "
+            "{count} moving nodes are corners of sliding patches and cannot move, the first is "
+            "node {node} at ({place}). Remove "
             "them from `moving`, or slide along fewer patches.",
             points,
         )
@@ -126,7 +138,9 @@ class Boundary:
         tracks = tuple(track for track in left if len(track.rows))
         guided = _guided(pairings, tracks, moving, fixed, points)
         lists = {"moving": moving, "fixed": fixed, "free": free, "guided": guided}
-        made = boundary_of_lists(points, mesh=patches, planes=planes, pairings=pairings, tracks=tracks, **lists)
+        made = boundary_of_lists(
+            points, mesh=patches, planes=planes, pairings=pairings, tracks=tracks, **lists
+        )
         vars(self).update(vars(made if patches is None else with_cells(made, patches, outer)))
 
     def __repr__(self) -> str:
@@ -142,7 +156,11 @@ class Boundary:
     @property
     def on_planes(self) -> Bool[np.ndarray, "n p"]:
         """Marks the points on each symmetry plane."""
-        return np.array([plane.holds(self.points) for plane in self.planes], bool).reshape(-1, len(self.points)).T
+        return (
+            np.array([plane.holds(self.points) for plane in self.planes], bool)
+            .reshape(-1, len(self.points))
+            .T
+        )
 
     @property
     def nodes(self) -> np.ndarray:
@@ -154,7 +172,10 @@ class Boundary:
         """Faces with all nodes on the surface, as rows of `nodes`; None without known faces."""
         if self.faces is None:
             return None
-        rows = {kind: row_of(self.nodes, len(self.points))[corners] for kind, corners in self.faces.items()}
+        rows = {
+            kind: row_of(self.nodes, len(self.points))[corners]
+            for kind, corners in self.faces.items()
+        }
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
     def warn_of_free_faces(self) -> None:
@@ -165,20 +186,28 @@ class Boundary:
         """Restricts the boundary to nodes (k,) of the mesh and those of the surface, ascending."""
         nodes = np.union1d(rows_of("nodes", nodes, len(self.points)), self.nodes)
         cells = self.cells if len(nodes) == len(self.points) else None
-        return changed(self._restricted(nodes), cells=cells, loose=np.flatnonzero(np.isin(nodes, self.loose)))
+        return changed(
+            self._restricted(nodes), cells=cells, loose=np.flatnonzero(np.isin(nodes, self.loose))
+        )
 
     def alone(self) -> "Boundary":
         """Restricts the boundary to the surface's nodes; the guided nodes are then in no list."""
-        own, listed = self._restricted(self.nodes), len(self.moving) + len(self.fixed)
-        faces = own.faces and {kind: corners[(corners < listed).all(axis=1)] for kind, corners in own.faces.items()}
+        own = self._restricted(self.nodes)
+        listed = len(self.moving) + len(self.fixed)
+        faces = own.faces and {
+            kind: corners[(corners < listed).all(axis=1)] for kind, corners in own.faces.items()
+        }
         is_open = None if faces is None else bool(self.tracks)
         return changed(own, guided=_NONE, faces=faces, left=None, is_open=is_open, loose=_NONE)
 
     def _restricted(self, nodes: np.ndarray) -> "Boundary":
         """Returns the boundary of some nodes in their order, those of the surface among them."""
-        place, faces = row_of(nodes, len(self.points)), self.surface_faces
+        place = row_of(nodes, len(self.points))
+        faces = self.surface_faces
         faces = faces and {kind: place[self.nodes[rows]] for kind, rows in faces.items()}
-        lists: dict[str, Any] = {name: place[getattr(self, name)] for name in ("moving", "fixed", "guided")}
+        lists: dict[str, Any] = {
+            name: place[getattr(self, name)] for name in ("moving", "fixed", "guided")
+        }
         lists["pairings"], lists["tracks"] = renumbered(self.pairings, self.tracks, place)
         lists["hidden"] = np.flatnonzero(np.isin(nodes, self.hidden))
         return changed(self, mesh=None, points=self.points[nodes], faces=faces, cells=None, **lists)
@@ -206,7 +235,10 @@ def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) 
     outer = outer_faces(mesh) if outer is None else outer
     if outer is None:
         return boundary
-    cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()}
+    cells = {
+        kind: np.asarray(corners)
+        for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()
+    }
     # in no cell stand, for example, gmsh's points of the geometry with `SaveAll`
     labels = [] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels]
     in_cells = mask(len(mesh.points), *mesh.cells.values(), *labels)
@@ -215,7 +247,9 @@ def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) 
     return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose, hidden=hidden), outer)
 
 
-def _without_bodies(boundary: Boundary, mesh: Mesh, cells: Faces, outer: OuterFaces) -> tuple[np.ndarray, OuterFaces]:
+def _without_bodies(
+    boundary: Boundary, mesh: Mesh, cells: Faces, outer: OuterFaces
+) -> tuple[np.ndarray, OuterFaces]:
     """Finds moving nodes inside of bodies whose nodes all move, and the boundary without bodies."""
     n = len(boundary.points)
     is_moving = mask(n, boundary.moving)
@@ -237,11 +271,17 @@ def with_faces(boundary: Boundary, outer: OuterFaces) -> Boundary:
     return changed(boundary, faces=outer.corners, left=left, is_open=is_open)
 
 
-def _listed(points: np.ndarray, mesh: Mesh | None, **lists: Nodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _listed(
+    points: np.ndarray, mesh: Mesh | None, **lists: Nodes
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     moving, fixed, free = (nodes_named(ids, name, mesh, len(points)) for name, ids in lists.items())
     unique, counts = np.unique(moving, return_counts=True)
-    check_none(unique[counts > 1], "{count} nodes are named more than once in `moving`, first node {node}.")
-    fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]  # each once, where it comes first
+    check_none(
+        unique[counts > 1], "{count} nodes are named more than once in `moving`, first node {node}."
+    )
+    fixed = fixed[
+        np.sort(np.unique(fixed, return_index=True)[1])
+    ]  # each once, where it comes first
     return moving, fixed[~np.isin(fixed, moving)], free
 
 
@@ -249,13 +289,19 @@ def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pai
     pairings = []
     for pair in several("periodic", periodic, Periodic, PAIRS):
         sides = (pair.patch, pair.partner)
-        first, second = (np.unique(nodes_named(side, "periodic", mesh, len(points))) for side in sides)
+        first, second = (
+            np.unique(nodes_named(side, "periodic", mesh, len(points))) for side in sides
+        )
         pairings.append(paired(pair, first, second, points))
     return merged(pairings, float(np.ptp(points, axis=0).max()))
 
 
-def _walls(sliding: Any, points: np.ndarray, mesh: Mesh | None, lists: Faces, outer: OuterFaces | None) -> Walls:
-    walls, patches, faces = [], [], None
+def _walls(
+    sliding: Any, points: np.ndarray, mesh: Mesh | None, lists: Faces, outer: OuterFaces | None
+) -> Walls:
+    walls = []
+    patches = []
+    faces = None
     if mesh is not None:
         faces = (outer or OuterFaces.numbered(mesh.linear.cells)).corners  # of a surface, its cells
     for slide in slides(sliding):
@@ -263,34 +309,50 @@ def _walls(sliding: Any, points: np.ndarray, mesh: Mesh | None, lists: Faces, ou
         for name, listed in lists.items():
             check_none(
                 nodes if np.isin(nodes, listed).all() else nodes[:0],
-                f"all {{count}} nodes of {slide.name} are in `{name}`, first node {{node}} at ({{place}}): the patch would not "
+                f"all {{count}} nodes of {slide.name} are in `{name}`, first node {{node}} at "
+                f"({{place}}): the patch would not "
                 "slide. Remove them from one list.",
                 points,
             )
         if any(np.array_equal(nodes, other) for other in patches):
-            raise ValueError(f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. Remove one.")
+            raise ValueError(
+                f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. "
+                "Remove one."
+            )
         patches.append(nodes)
         walls += with_own_curves(walls_of_patch(slide, nodes, points, faces, lists["moving"]), mesh)
     return walls
 
 
 def _guided(
-    pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, points: np.ndarray
+    pairings: Sequence[Pairing],
+    tracks: Sequence[Track],
+    moving: np.ndarray,
+    fixed: np.ndarray,
+    points: np.ndarray,
 ) -> np.ndarray:
     """Lists sliding and periodic nodes in no list."""
     role = np.zeros(len(points), dtype=int)
     role[moving], role[fixed] = 1, 2
     for pairing in pairings:
-        first, second = np.asarray(pairing.first), np.asarray(pairing.second)
+        first = np.asarray(pairing.first)
+        second = np.asarray(pairing.second)
         odd = np.flatnonzero(role[first] != role[second])
         if odd.size:
-            words, worst = ("in neither list", "in `moving`", "in `fixed`"), odd[0]
+            words = ("in neither list", "in `moving`", "in `fixed`")
+            worst = odd[0]
             raise MeshError(
-                f"{len(odd)} periodic pairs have nodes in different lists: node {{node}} at ({place_of(points[first[worst]])}) is "
-                f"{words[role[first[worst]]]}, its partner {second[worst]} {words[role[second[worst]]]}. Name both nodes, or none.",
+                f"{len(odd)} periodic pairs have nodes in different lists: node {{node}} at "
+                f"({place_of(points[first[worst]])}) is "
+                f"{words[role[first[worst]]]}, its partner {second[worst]} "
+                f"{words[role[second[worst]]]}. Name both nodes, or none.",
                 first[odd],
             )
-    parts = [np.zeros(0, dtype=np.int64), *(pairing.nodes for pairing in pairings), *(track.rows for track in tracks)]
+    parts = [
+        np.zeros(0, dtype=np.int64),
+        *(pairing.nodes for pairing in pairings),
+        *(track.rows for track in tracks),
+    ]
     nodes = np.unique(np.concatenate(parts))
     return nodes[role[nodes] == 0]
 
@@ -298,7 +360,9 @@ def _guided(
 def renumbered(
     pairings: Sequence[Pairing], tracks: Sequence[Track], place: np.ndarray
 ) -> tuple[tuple[Pairing, ...], tuple[Track, ...]]:
-    return tuple(pairing.renumbered(place) for pairing in pairings), tuple(track.renumbered(place) for track in tracks)
+    return tuple(pairing.renumbered(place) for pairing in pairings), tuple(
+        track.renumbered(place) for track in tracks
+    )
 
 
 def checked_points(points: Any) -> np.ndarray:
@@ -313,14 +377,16 @@ def checked_points(points: Any) -> np.ndarray:
     far = np.flatnonzero(size > np.finfo(dtype).max ** (1 / 3))
     if len(far):
         raise MeshError(
-            f"{len(far)} of {len(array)} points are too far out for {dtype}, first node {{node}} at {size[far[0]]:.3g}: "
+            f"{len(far)} of {len(array)} points are too far out for {dtype}, first node {{node}} "
+            f"at {size[far[0]]:.3g}: "
             "volumes overflow. Choose a larger unit of length.",
             far,
         )
     extent = float(np.ptp(array, axis=0).max(initial=0)) if len(array) else 0.0
     if 0 < extent < SMALL * float(np.finfo(dtype).tiny) ** (1 / 3):
         raise ValueError(
-            f"all {len(array)} points lie within {extent:.3g}, too near each other for {dtype}: volumes underflow. "
+            f"all {len(array)} points lie within {extent:.3g}, too near each other for {dtype}: "
+            "volumes underflow. "
             "Choose a smaller unit of length."
         )
     return array
@@ -335,20 +401,27 @@ def names_in(values: Any) -> tuple[str, ...] | None:
     if isinstance(values, str):
         return (values,)
     is_list = isinstance(values, list | tuple | set | frozenset)
-    return tuple(values) if is_list and values and all(isinstance(name, str) for name in values) else None
+    return (
+        tuple(values)
+        if is_list and values and all(isinstance(name, str) for name in values)
+        else None
+    )
 
 
 def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Ids:
     names = names_in(values)
     if names is None:
         if values is None or isinstance(values, Mesh | Plane):
-            raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
+            raise ValueError(
+                f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}."
+            )
         if n == 0:
             raise ValueError(f"the mesh has no points. Call {USE}.")
         return rows_of(name, values, n)
     if mesh is None:
         raise ValueError(
-            f"`{name}` names patches ({', '.join(map(repr, names))}), but points alone have no patches: pass the mesh, "
+            f"`{name}` names patches ({', '.join(map(repr, names))}), but points alone have no "
+            "patches: pass the mesh, "
             f"prepare(mesh, ...), or node ids, mesh.patch({names[0]!r})."
         )
     return mesh.patch(*names).astype(np.int64)
@@ -356,7 +429,9 @@ def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Ids:
 
 def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str) -> list[Any]:
     entries = [value] if isinstance(value, kinds) else value
-    is_list = isinstance(entries, Sequence | set | frozenset) and not isinstance(entries, str | bytes)
+    is_list = isinstance(entries, Sequence | set | frozenset) and not isinstance(
+        entries, str | bytes
+    )
     wrong = [entry for entry in entries if not isinstance(entry, kinds)] if is_list else [value]
     if wrong:
         raise ValueError(f"`{name}` holds {shown(wrong[0])}: pass {example}.")
@@ -366,8 +441,12 @@ def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str)
 def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
     planes: list[Plane] = []
     for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
-        of_entry = (entry,) if isinstance(entry, Plane) or mesh is None else Plane.of_patch(mesh, entry)
-        planes += [new for new in of_entry if not any(new.equals(plane, points) for plane in planes)]
+        of_entry = (
+            (entry,) if isinstance(entry, Plane) or mesh is None else Plane.of_patch(mesh, entry)
+        )
+        planes += [
+            new for new in of_entry if not any(new.equals(plane, points) for plane in planes)
+        ]
     return tuple(planes)
 
 
@@ -383,7 +462,8 @@ def check_named_once(sliding: Any, **lists: Any) -> None:
             both = set(names_in(slide.patch) or ()) & set(names_in(values) or ())
             if both:
                 raise ValueError(
-                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`: it would not slide. Remove it from one list."
+                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`: it would not "
+                    "slide. Remove it from one list."
                 )
 
 
@@ -395,35 +475,48 @@ def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:
         return [], []
-    kinds = _outer_kinds(mesh, {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic)))
+    kinds = _outer_kinds(
+        mesh, {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic))
+    )
     symmetry = [name for name in kinds if kinds[name] in SYMMETRY]
-    fixed, symmetry = [name for name in kinds if name not in symmetry], _in_planes(mesh, symmetry)
+    fixed = [name for name in kinds if name not in symmetry]
+    symmetry = _in_planes(mesh, symmetry)
     clauses = _clauses(kinds, fixed=fixed, symmetry=symmetry)
     if clauses:
         warn(
-            f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name the patches to choose otherwise."
+            f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name "
+            "the patches to choose otherwise."
         )
     return fixed, symmetry
 
 
 def _clauses(kinds: Mapping[str, str], **lists: list[str]) -> str:
-    shown = {name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches) for name, patches in lists.items()}
+    shown = {
+        name: ", ".join(f"{patch!r} ({kinds[patch]})" for patch in patches)
+        for name, patches in lists.items()
+    }
     return " and ".join(f"`{name}` are {patches}" for name, patches in shown.items() if patches)
 
 
 def _outer_kinds(mesh: Mesh, elsewhere: set[str]) -> dict[str, str]:
-    kinds = {name: kind for name, kind in mesh.kinds.items() if not kind.startswith(INSIDE) and len(mesh.patches[name])}
+    kinds = {
+        name: kind
+        for name, kind in mesh.kinds.items()
+        if not kind.startswith(INSIDE) and len(mesh.patches[name])
+    }
     return {name: kinds[name] for name in kinds if name not in elsewhere}
 
 
 def _in_planes(mesh: Mesh, names: list[str]) -> list[str]:
     """Lists the patches that lie in planes; the caller must name a bent one."""
-    flat, planes = [], []
+    flat = []
+    planes = []
     for name in names:
         try:
             more = [*planes, *Plane.of_patch(mesh, name)]
             check_planes(more, np.asarray(mesh.points))
         except ValueError:
             continue
-        flat, planes = [*flat, name], more
+        flat = [*flat, name]
+        planes = more
     return flat

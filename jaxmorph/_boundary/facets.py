@@ -23,7 +23,10 @@ from .walls import SmoothFaces, nearest_of
 
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 
-SHARP, NEWTON, WALK, SEEN = np.pi / 3, 12, 6, -0.5
+SHARP = np.pi / 3
+NEWTON = 12
+WALK = 6
+SEEN = -0.5
 """Turn at a sharp edge. To a place along the normals: steps, facets on the way, and the share of a
 facet by which it may be outside."""
 
@@ -51,7 +54,9 @@ class Facets(Module):
 
     points: Float[Either, "n d"]
     faces: Int[Either, "k c"]
-    beside: Int[Either, "k c"]  # the face beyond each edge (2-D: end) that is not sharp, else the face
+    beside: Int[
+        Either, "k c"
+    ]  # the face beyond each edge (2-D: end) that is not sharp, else the face
     corners: Int[Either, "k c"]  # as `faces`, numbered apart on the sides of sharp edges
     origins: Int[Either, " v"]  # the point of each number in `corners`
     welded: Int[Either, " n"]  # the vertex of each point: the first point at its place
@@ -63,7 +68,15 @@ class Facets(Module):
     angle: float = eqx.field(static=True)
 
     @checked
-    def __init__(self, points: Any, faces: Any, *, smooth: bool = False, angle: float = SHARP, sides: Any = None):
+    def __init__(
+        self,
+        points: Any,
+        faces: Any,
+        *,
+        smooth: bool = False,
+        angle: float = SHARP,
+        sides: Any = None,
+    ):
         known = finite_array("points", points, (None, 2), (None, 3))
         self.points, self.sides = points if isinstance(points, jax.Array) else array(known), None
         self.smooth, self.angle = smooth, angle
@@ -74,14 +87,20 @@ class Facets(Module):
         if sides is not None:
             self.sides = finite_array("sides", sides, faces.shape[:1] + exact.shape[1:])
             self.faces = self.corners = self.beside = faces
-            self.origins, self.part, self.sharp, self.rim = (np.zeros(0, int),) * 2 + (np.zeros((0, 1), int),) * 2
+            self.origins, self.part, self.sharp, self.rim = (np.zeros(0, int),) * 2 + (
+                np.zeros((0, 1), int),
+            ) * 2
             return
         faces = faces[np.diff(np.sort(self.welded[faces], axis=1), axis=1).all(axis=1)]
         _, sign, self.part = _beside(self.welded[faces])
         self.faces = np.where(sign[:, None] < 0, faces[:, ::-1], faces)
         vertices = self.welded[self.faces]
         beside = _beside(vertices)[0]
-        unit = unit_rows(normals(exact[vertices])) if vertices.shape[1] == exact.shape[1] else np.ones((len(faces), 1))
+        unit = (
+            unit_rows(normals(exact[vertices]))
+            if vertices.shape[1] == exact.shape[1]
+            else np.ones((len(faces), 1))
+        )
         turns = np.sum(unit[:, None] * unit[beside], axis=2) < np.cos(angle)
         self.sharp, self.rim = _borders(vertices, beside, turns)
         is_smooth = (beside >= 0) & ~turns
@@ -102,15 +121,21 @@ class Facets(Module):
         faces = _faces_of(mesh, patches)
         place = row_of(nodes, len(mesh.points))
         rows = [place[ids][(place[ids] >= 0).all(axis=1)] for ids in faces]
-        return Facets(mesh.points[nodes], [ids for ids in rows if len(ids)], smooth=smooth, angle=angle)
+        return Facets(
+            mesh.points[nodes], [ids for ids in rows if len(ids)], smooth=smooth, angle=angle
+        )
 
     @checked
     def at(self, points: Numbers) -> "Facets":
         """Moves the points to other places (n, d). Traced; the edges stay as they were found."""
-        return eqx.tree_at(lambda facets: facets.points, self, self._like("points", points, len(self.points)))
+        return eqx.tree_at(
+            lambda facets: facets.points, self, self._like("points", points, len(self.points))
+        )
 
     @checked
-    def closest(self, x: Numbers, facing: Numbers | None = None, *, along: bool = False) -> Float[Array, "m d"]:
+    def closest(
+        self, x: Numbers, facing: Numbers | None = None, *, along: bool = False
+    ) -> Float[Array, "m d"]:
         """Finds the closest place to each of `x` (m, d). Traced.
 
         The host finds the face, so that a derivative is that of the closest place on it. With
@@ -125,10 +150,13 @@ class Facets(Module):
     @checked
     def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
         """Finds the row of the face that has the place of `closest`. Traced; the host finds it."""
-        x, none = self._like("x", x), jnp.zeros((0, self.points.shape[1]))
+        x = self._like("x", x)
+        none = jnp.zeros((0, self.points.shape[1]))
         facing = None if facing is None else self._like("facing", facing, len(x))
         given = (x, facing, jnp.asarray(self.points), jnp.asarray(self.faces), self.sides)
-        given = jax.lax.stop_gradient([none if each is None else jnp.asarray(each) for each in given])
+        given = jax.lax.stop_gradient(
+            [none if each is None else jnp.asarray(each) for each in given]
+        )
         return host_call(_found, jax.ShapeDtypeStruct(x.shape[:1], np.int32), *given)
 
     @checked
@@ -138,7 +166,8 @@ class Facets(Module):
         return norm(x - self.closest(x))
 
     def _like(self, name: str, values: Any, count: int | None = None) -> Float[Array, "m d"]:
-        values, d = jnp.asarray(values), self.points.shape[1]
+        values = jnp.asarray(values)
+        d = self.points.shape[1]
         if values.ndim != 2 or values.shape[1] != d or (count is not None and len(values) != count):
             raise ValueError(f"`{name}` has shape {values.shape}; expected ({count or 'm'}, {d}).")
         if is_known(values) and not np.isfinite(np.asarray(values)).all():
@@ -158,17 +187,25 @@ class Facets(Module):
 
 
 def _above(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v d"]:
-    vertices, corners = points[jnp.asarray(facets.origins)], jnp.asarray(facets.corners)
-    return SmoothFaces(np.arange(len(vertices)), vertices, corners, np.zeros((len(vertices), 1), int)).normals(vertices)
+    vertices = points[jnp.asarray(facets.origins)]
+    corners = jnp.asarray(facets.corners)
+    return SmoothFaces(
+        np.arange(len(vertices)), vertices, corners, np.zeros((len(vertices), 1), int)
+    ).normals(vertices)
 
 
 @eqx.filter_jit
-def _closest(facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool) -> Float[Array, "m d"]:
-    points, face = jnp.asarray(facets.points), facets.face(x, facing)
+def _closest(
+    facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool
+) -> Float[Array, "m d"]:
+    points = jnp.asarray(facets.points)
+    face = facets.face(x, facing)
     flat = jax.vmap(nearest_of)(x, points[jnp.asarray(facets.faces)[face]])
     if not (facets.smooth or along):
         return flat
-    faces, beside, numbers = (jnp.asarray(ids, np.int32) for ids in (facets.faces, facets.beside, facets.corners))
+    faces, beside, numbers = (
+        jnp.asarray(ids, np.int32) for ids in (facets.faces, facets.beside, facets.corners)
+    )
     above = _above(facets, points)
 
     def shares(x, face, steps):
@@ -182,11 +219,16 @@ def _closest(facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool) -
             return jnp.where(at[lowest] < 0, beside[face, (lowest + 1) % len(at)], face), None
 
         face = jax.lax.scan(walk, face, length=WALK)[0]
-        at, corners, normals = shares(x, face, NEWTON), points[faces[face]], above[numbers[face]]
-        inside, at = jnp.min(at), jnp.clip(at, 0, 1)
+        at = shares(x, face, NEWTON)
+        corners = points[faces[face]]
+        normals = above[numbers[face]]
+        inside = jnp.min(at)
+        at = jnp.clip(at, 0, 1)
         at = at / jnp.sum(at)
-        place, along = at @ corners, at @ normals
-        unit, lift = along / norm(along), (at * jnp.sum((corners - place[None]) * normals, axis=1)) @ normals
+        place = at @ corners
+        along = at @ normals
+        unit = along / norm(along)
+        lift = (at * jnp.sum((corners - place[None]) * normals, axis=1)) @ normals
         return place + 0.5 * facets.smooth * jnp.sum(lift * unit) * unit, inside
 
     places, inside = jax.vmap(found)(x, face)
@@ -199,11 +241,13 @@ def _along_normals(
 ) -> Float[Array, " c"]:
     # Shares of the corners in the place p from which x is seen along the normal n: p + h n = x, by
     # Newton's method. A smooth surface lies above p as in Phong tessellation, but along n.
-    sides, bends = corners[1:] - corners[:1], normals[1:] - normals[:1]
+    sides = corners[1:] - corners[:1]
+    bends = normals[1:] - normals[:1]
 
     def nearer(z, _):
         along = normals[0] + z[:-1] @ bends
-        off, columns = corners[0] + z[:-1] @ sides + z[-1] * along - x, [*(sides + z[-1] * bends), along]
+        off = corners[0] + z[:-1] @ sides + z[-1] * along - x
+        columns = [*(sides + z[-1] * bends), along]
         size = determinant(columns)
         change = jnp.stack([dot(row, off) for row in cofactors(columns)])
         return z - change / jnp.where(size != 0, size, jnp.inf), None
@@ -214,8 +258,11 @@ def _along_normals(
 
 
 def _faces_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
-    d, cells = mesh.points.shape[1], mesh.linear.cells
-    faces = [np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == d - 1 and len(ids)]
+    d = mesh.points.shape[1]
+    cells = mesh.linear.cells
+    faces = [
+        np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == d - 1 and len(ids)
+    ]
     is_filled = any(DIMENSION[kind] == d for kind in cells)
     if faces and not (patches and is_filled):
         return faces
@@ -224,20 +271,29 @@ def _faces_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
 
 def _simplices(faces: Any, points: np.ndarray) -> Int[np.ndarray, "k c"]:
     several = isinstance(faces, list | tuple) and len(faces) and np.ndim(faces[0]) == 2
-    found = [_triangles(as_array("faces", given), points) for given in (faces if several else [faces])]
+    found = [
+        _triangles(as_array("faces", given), points) for given in (faces if several else [faces])
+    ]
     if not sum(map(len, found)) or len({ids.shape[1] for ids in found}) > 1:
-        raise ValueError(f"`faces` holds {[ids.shape for ids in found]}; expected triangles and quads, or segments.")
+        raise ValueError(
+            f"`faces` holds {[ids.shape for ids in found]}; expected triangles and quads, or "
+            "segments."
+        )
     return np.concatenate(found)
 
 
 def _triangles(ids: np.ndarray, points: np.ndarray) -> Int[np.ndarray, "k c"]:
     """Cuts quads along the shorter diagonal; leaves triangles and segments."""
     if ids.ndim != 2 or ids.shape[1] not in ((2,) if points.shape[1] == 2 else (2, 3, 4)):
-        raise ValueError(f"`faces` has shape {ids.shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D.")
+        raise ValueError(
+            f"`faces` has shape {ids.shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D."
+        )
     ids = rows_of("faces` of `points", ids.ravel(), len(points)).reshape(*ids.shape)
     if ids.shape[1] < 4:
         return ids
-    first, second = (np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1))
+    first, second = (
+        np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1)
+    )
     ids = np.where((first > second * (1 + 1e-9))[:, None], np.roll(ids, -1, axis=1), ids)
     return np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
 
@@ -245,32 +301,48 @@ def _triangles(ids: np.ndarray, points: np.ndarray) -> Int[np.ndarray, "k c"]:
 def _beside(vertices: Int[np.ndarray, "k c"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Finds the face (k, c) beyond each edge (2-D: corner) or -1, the sense and the part (k,)."""
     if vertices.shape[1] == 3:
-        cells, columns = {"triangle": vertices}, [0, 1, 2]
+        cells = {"triangle": vertices}
+        columns = [0, 1, 2]
     else:  # a segment is a strip of one quad, whose sides are its ends
-        cells, columns = {"quad": np.concatenate([vertices, vertices[:, ::-1] + vertices.max() + 1], axis=1)}, [3, 1]
+        cells = {"quad": np.concatenate([vertices, vertices[:, ::-1] + vertices.max() + 1], axis=1)}
+        columns = [3, 1]
     neighbour, flipped = neighbours(cells)
     sign, part = handedness(cells, neighbour, flipped)
-    return neighbour.reshape(len(vertices), -1)[:, columns], sign, np.unique(part, return_inverse=True)[1]
+    return (
+        neighbour.reshape(len(vertices), -1)[:, columns],
+        sign,
+        np.unique(part, return_inverse=True)[1],
+    )
 
 
 def _edges(vertices: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c e"]:
     return np.stack([vertices, np.roll(vertices, -1, axis=1)][: vertices.shape[1] - 1], axis=2)
 
 
-def _borders(vertices: np.ndarray, beside: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _borders(
+    vertices: np.ndarray, beside: np.ndarray, turns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     edges = np.sort(_edges(vertices), axis=2)
     sharp = np.unique(edges[(beside >= 0) & turns], axis=0)
     single, count = np.unique(edges[beside < 0], axis=0, return_counts=True)
     return np.concatenate([sharp, single[count > 1]]), single[count == 1]
 
 
-def _split(vertices: np.ndarray, beside: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split(
+    vertices: np.ndarray, beside: np.ndarray, smooth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     # Two faces share a corner where they meet smoothly; corners that hang together are one vertex.
     face, edge = np.nonzero(smooth)
-    other, pairs = beside[face, edge], []
+    other = beside[face, edge]
+    pairs = []
     for nodes in _edges(vertices)[face, edge].T:
         columns = (np.argmax(vertices[rows] == nodes[:, None], axis=1) for rows in (face, other))
-        pairs.append([rows * vertices.shape[1] + column for rows, column in zip((face, other), columns, strict=True)])
+        pairs.append(
+            [
+                rows * vertices.shape[1] + column
+                for rows, column in zip((face, other), columns, strict=True)
+            ]
+        )
     first, second = np.concatenate(pairs, axis=1)
     number = parts_of(first, second, vertices.size)
     origins = np.zeros(number.max() + 1, int)
@@ -278,11 +350,14 @@ def _split(vertices: np.ndarray, beside: np.ndarray, smooth: np.ndarray) -> tupl
     return number.reshape(vertices.shape), origins
 
 
-def _found(x: np.ndarray, facing: np.ndarray, points: np.ndarray, faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def _found(
+    x: np.ndarray, facing: np.ndarray, points: np.ndarray, faces: np.ndarray, sides: np.ndarray
+) -> np.ndarray:
     # XLA's programs flush the smallest numbers to zero. SciPy's tree, which steps from zero to the
     # next number, would never end: no coordinate is near zero here.
     low = points.min(axis=0) - 1.5 * np.ptp(points, axis=0).max()
-    corners, x = points.astype(float)[faces] - low, x.astype(float) - low
+    corners = points.astype(float)[faces] - low
+    x = x.astype(float) - low
     face = closest(corners, x)[0]
     if not len(facing):
         return face
@@ -293,7 +368,8 @@ def _found(x: np.ndarray, facing: np.ndarray, points: np.ndarray, faces: np.ndar
     side = 2 * axis + (facing[away, axis] > 0)
     for number in np.unique(side):
         component = unit[:, number // 2] * (1 if number % 2 else -1)
-        rows, kept = away[side == number], np.flatnonzero(component > 0)
+        rows = away[side == number]
+        kept = np.flatnonzero(component > 0)
         if len(kept):
             face[rows] = kept[closest(corners[kept], x[rows])[0]]
     return face

@@ -37,10 +37,14 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        shifts, moved = self.shifts, []
+        shifts = self.shifts
+        moved = []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
-            shifts = shifts + self.powers[:, p, None] * (shift - jnp.asarray(old.shift, shifts.dtype))[None]
+            shifts = (
+                shifts
+                + self.powers[:, p, None] * (shift - jnp.asarray(old.shift, shifts.dtype))[None]
+            )
             moved.append(dataclasses.replace(old, shift=shift))
         return dataclasses.replace(self, shifts=shifts, pairings=tuple(moved))
 
@@ -77,7 +81,9 @@ class Images(eqx.Module):
 class Copies:
     """The places of the images of a surface's own rows, on the host."""
 
-    places: np.ndarray  # (t, o) number of the place of an own row's image by a transform; equal numbers coincide
+    places: (
+        np.ndarray
+    )  # (t, o) number of the place of an own row's image by a transform; equal numbers coincide
     roots: np.ndarray  # (o,) the own row that an own row repeats by a periodic transform, or itself
     rows: np.ndarray  # (b,) own row of an extended row; no place twice
     kind: np.ndarray  # (b,) transform of an extended row
@@ -113,26 +119,43 @@ def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:
     first. Parallel planes make no images. Of several rows and images at one place, one counts. The
     nearest images come first.
     """
-    planes, nodes = boundary.planes, boundary.nodes
+    planes = boundary.planes
+    nodes = boundary.nodes
     (n, d), own, on_plane = boundary.points.shape, nodes[order], boundary.on_planes[nodes]
     numbers = row_of(own, n), row_of(nodes, n)
-    pairs, own_pairs = (tuple(pairing.renumbered(row) for pairing in boundary.pairings) for row in numbers)
+    pairs, own_pairs = (
+        tuple(pairing.renumbered(row) for pairing in boundary.pairings) for row in numbers
+    )
     powers, flags = _elements(planes, pairs)
-    transforms = np.stack([_transform(planes, pairs, *element, d) for element in zip(powers, flags, strict=True)])
-    matrices, shifts = transforms[:, :-1, :-1], transforms[:, :-1, -1]
+    transforms = np.stack(
+        [_transform(planes, pairs, *element, d) for element in zip(powers, flags, strict=True)]
+    )
+    matrices = transforms[:, :-1, :-1]
+    shifts = transforms[:, :-1, -1]
     places, roots = _numbered(powers, flags, pairs, on_plane[order])
     if pairs:
         x = boundary.points[own]
-        places = _joined(places, np.einsum("tij,oj->toi", matrices, x.astype(float)) + shifts[:, None], x)
+        places = _joined(
+            places, np.einsum("tij,oj->toi", matrices, x.astype(float)) + shifts[:, None], x
+        )
     # each place once: moving rows first, own rows before images
     kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), len(nodes))
     first = np.argsort(rows >= len(boundary.moving), kind="stable")
-    rows, kind = rows[first].astype(np.int32), kind[first].astype(np.int32)
-    listed = [mask(len(nodes), side, pairing.alone) for pairing in pairs for side in (pairing.first, pairing.second)]
+    rows = rows[first].astype(np.int32)
+    kind = kind[first].astype(np.int32)
+    listed = [
+        mask(len(nodes), side, pairing.alone)
+        for pairing in pairs
+        for side in (pairing.first, pairing.second)
+    ]
     sides = np.array(listed, dtype=bool).reshape(-1, len(nodes)).T
-    normals, origins = np.reshape([(plane.normal, plane.origin) for plane in planes], (-1, 2, d)).swapaxes(0, 1)
+    normals, origins = np.reshape(
+        [(plane.normal, plane.origin) for plane in planes], (-1, 2, d)
+    ).swapaxes(0, 1)
     of_rows = order[rows].astype(np.int32), kind, matrices, shifts, powers, own_pairs
-    return Images(*as_jax((normals, origins, on_plane, *of_rows))), Copies(places, roots, rows, kind, matrices, sides)
+    return Images(*as_jax((normals, origins, on_plane, *of_rows))), Copies(
+        places, roots, rows, kind, matrices, sides
+    )
 
 
 def _elements(
@@ -140,9 +163,13 @@ def _elements(
 ) -> tuple[Int[np.ndarray, "t q"], Int[np.ndarray, "t p"]]:
     # A transform is a power of every periodic transform, then a mirror flag of every plane. The
     # sort by the sum of powers is stable.
-    flags = itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes)))
+    flags = itertools.product(
+        *((False,) if is_facing else (False, True) for is_facing in facing(planes))
+    )
     powers = itertools.product(*(pairing.powers for pairing in pairings))
-    elements = sorted(itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0])))
+    elements = sorted(
+        itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0]))
+    )
     every, mirrored = (np.array(part, dtype=np.int32) for part in zip(*elements, strict=True))
     return every, mirrored
 
@@ -157,21 +184,25 @@ def _numbered(
     # for the periodic power of each pairing, then the source row. Rows on a plane, on an axis, and
     # on second sides have the integer of the row that they repeat: equal integers, one position.
     count, size = on_plane.shape
-    roots, radix = np.arange(count), 1 << size
+    roots = np.arange(count)
+    radix = 1 << size
     bits = 1 << np.arange(size)
     places = (flags @ bits)[:, None] & ~(on_plane @ bits)[None]
     for power, pairing in zip(powers.T, pairings, strict=True):
         span = pairing.turn or 2 * pairing.copies + 2
         steps = (power[:, None] + mask(count, pairing.second)[None] + pairing.copies) % span
         steps[:, pairing.alone] = 0
-        places, radix = places + radix * steps, radix * span
+        places = places + radix * steps
+        radix = radix * span
         to_first = np.arange(count)
         to_first[pairing.second] = pairing.first
         roots = to_first[roots]
     return places + radix * roots[None], roots
 
 
-def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], points: np.ndarray) -> np.ndarray:
+def _joined(
+    places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], points: np.ndarray
+) -> np.ndarray:
     """Gives one number to images that coincide, for example where walls meet a periodic side."""
     # Pairs of nearby places are sorted, own rows first, and the second place takes the number of
     # the first. Two images by one transform keep their numbers: nodes that coincide in the mesh
@@ -179,7 +210,9 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
     numbers, first = np.unique(places, return_index=True)
     first = np.sort(first)  # own rows come before images
     kind = first // len(points)
-    pairs = Tree(at.reshape(-1, at.shape[-1])[first]).query_pairs(tolerance(points), output_type="ndarray")
+    pairs = Tree(at.reshape(-1, at.shape[-1])[first]).query_pairs(
+        tolerance(points), output_type="ndarray"
+    )
     pairs = np.sort(pairs, axis=1)
     pairs = pairs[kind[pairs[:, 0]] != kind[pairs[:, 1]]]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
@@ -191,7 +224,11 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
 
 
 def _transform(
-    planes: Sequence[Plane], pairings: Sequence[Pairing], powers: np.ndarray, flags: np.ndarray, dimension: int
+    planes: Sequence[Plane],
+    pairings: Sequence[Pairing],
+    powers: np.ndarray,
+    flags: np.ndarray,
+    dimension: int,
 ) -> Float[np.ndarray, "e e"]:
     """The affine matrix of one image: first periodic transforms, then reflections."""
     affine = np.eye(dimension + 1)
@@ -199,6 +236,8 @@ def _transform(
         affine = pairing.power(int(k)) @ affine
     for plane in itertools.compress(planes, flags):
         mirror = np.eye(dimension + 1)
-        mirror[:-1] -= 2 * np.outer(plane.normal, np.append(plane.normal, -plane.origin @ plane.normal))
+        mirror[:-1] -= 2 * np.outer(
+            plane.normal, np.append(plane.normal, -plane.origin @ plane.normal)
+        )
         affine = mirror @ affine
     return affine

@@ -63,39 +63,61 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     """
     outer = outer_faces(mesh)
     if outer is None:
-        raise ValueError(f"the mesh has no cells of {mesh.points.shape[1]} dimensions, and so no boundary faces.")
-    inside = mask(len(mesh.points), mesh.patch(*patches) if patches else np.arange(len(mesh.points)))
+        raise ValueError(
+            f"the mesh has no cells of {mesh.points.shape[1]} dimensions, and so no boundary faces."
+        )
+    inside = mask(
+        len(mesh.points), mesh.patch(*patches) if patches else np.arange(len(mesh.points))
+    )
     return {kind: corners[inside[corners].all(axis=1)] for kind, corners in outer.corners.items()}
 
 
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
     """The boundary faces of a mesh, none to other parts; None if no cells fill the space."""
     points = np.asarray(mesh.points)
-    cells = {kind: np.asarray(corners) for kind, corners in topology.solid(mesh.cells, points.shape[1]).items()}
+    cells = {
+        kind: np.asarray(corners)
+        for kind, corners in topology.solid(mesh.cells, points.shape[1]).items()
+    }
     if not cells:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
         return _of_polyhedra(mesh.polyhedra, points, mesh.between)
-    sides, owner = {}, []
+    sides = {}
+    owner = []
     for kind, (nodes, cell) in owned_sides(cells, len(points)).items():
-        is_outer = np.ones(len(nodes), dtype=bool) if mesh.between is None else ~is_among(nodes, mesh.between)
+        is_outer = (
+            np.ones(len(nodes), dtype=bool)
+            if mesh.between is None
+            else ~is_among(nodes, mesh.between)
+        )
         sides[kind] = nodes[is_outer]
         owner.append(cell[is_outer])
     corners = [ids[:, : topology.CORNERS[topology.SHAPES[kind]]].T for kind, ids in cells.items()]
-    middle = np.concatenate([sum(points[ids] for ids in columns) / len(columns) for columns in corners])
+    middle = np.concatenate(
+        [sum(points[ids] for ids in columns) / len(columns) for columns in corners]
+    )
     ids = owners(sides)
-    return OuterFaces(_seen_from_outside(linear_cells(sides), ids, points, middle[np.concatenate(owner)]), ids)
+    return OuterFaces(
+        _seen_from_outside(linear_cells(sides), ids, points, middle[np.concatenate(owner)]), ids
+    )
 
 
-def _seen_from_outside(corners: Faces, ids: Faces, points: np.ndarray, middle: np.ndarray) -> dict[str, np.ndarray]:
+def _seen_from_outside(
+    corners: Faces, ids: Faces, points: np.ndarray, middle: np.ndarray
+) -> dict[str, np.ndarray]:
     """Reverses faces that point to the `middle` (f, d) of their cell, each for itself: it runs
     clockwise. A face has one sense, that of the sum of its pieces.
     """
     outwards = np.zeros(len(middle))
     for kind, rows in corners.items():
-        x, face = points[rows], ids[kind]
+        x = points[rows]
+        face = ids[kind]
         np.add.at(outwards, face, np.einsum("kd,kd->k", outward(x), x.mean(axis=1) - middle[face]))
-    return {kind: np.where(outwards[ids[kind], None] < 0, rows[:, ::-1], rows) for kind, rows in corners.items()}
+    return {
+        kind: np.where(outwards[ids[kind], None] < 0, rows[:, ::-1], rows)
+        for kind, rows in corners.items()
+    }
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
@@ -104,12 +126,20 @@ def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | No
     rows = np.setdiff1d(np.arange(len(faces.owner)), np.flatnonzero(faces.neighbour >= 0))
     if between is not None:
         rows = rows[~is_among(faces.padded(rows), between)]
-    quads, others = (np.flatnonzero(is_kind) for is_kind in (faces.sizes[rows] == 4, faces.sizes[rows] != 4))
+    quads, others = (
+        np.flatnonzero(is_kind) for is_kind in (faces.sizes[rows] == 4, faces.sizes[rows] != 4)
+    )
     none = np.zeros((0, 3), np.int64), np.zeros(0, int)
     cut, piece_of = triangles(faces, rows[others], points) if len(others) else none
-    corners = {"triangle": cut, "quad": faces.corners(rows[quads], 4) if len(quads) else np.zeros((0, 4), np.int64)}
-    ids, owner = {"triangle": others[piece_of], "quad": quads}, faces.owner[rows]
-    return OuterFaces(_seen_from_outside(corners, ids, points, whole.middles(points, owner)[owner]), ids)
+    corners = {
+        "triangle": cut,
+        "quad": faces.corners(rows[quads], 4) if len(quads) else np.zeros((0, 4), np.int64),
+    }
+    ids = {"triangle": others[piece_of], "quad": quads}
+    owner = faces.owner[rows]
+    return OuterFaces(
+        _seen_from_outside(corners, ids, points, whole.middles(points, owner)[owner]), ids
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +164,8 @@ class FreeFaces:
         where = where and f", in {'patch' if len(self.patches) == 1 else 'patches'} {where}"
         where += f", {self.unnamed} of them in no patch" if self.unnamed else ""
         return (
-            f"{self.count} of {self.total} boundary faces are neither moving, fixed nor on a symmetry plane{where}: "
+            f"{self.count} of {self.total} boundary faces are neither moving, fixed nor on a "
+            f"symmetry plane{where}: "
             "their nodes follow like inner nodes, and may leave the boundary."
         )
 
@@ -144,12 +175,15 @@ def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFace
     ids = np.concatenate([np.zeros(0, int), *faces.ids.values()])
 
     def inside(is_in: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.zeros(0, bool), *(is_in[ids].all(axis=1) for ids in faces.corners.values())])
+        return np.concatenate(
+            [np.zeros(0, bool), *(is_in[ids].all(axis=1) for ids in faces.corners.values())]
+        )
 
     def count(chosen: Any) -> int:
         return len(np.unique(ids[chosen]))
 
-    free, patches = ~inside(is_listed), {}
+    free = ~inside(is_listed)
+    patches = {}
     unnamed = free.copy()
     for name, nodes in mesh.patches.items() if free.any() else ():
         here = free & inside(mask(len(is_listed), nodes))

@@ -53,7 +53,17 @@ class Periodic:
     axis: np.ndarray | None
     copies: int
 
-    def __init__(self, patch, partner, *, translation=None, rotation=None, about=None, axis=None, copies: int = 1):
+    def __init__(
+        self,
+        patch,
+        partner,
+        *,
+        translation=None,
+        rotation=None,
+        about=None,
+        axis=None,
+        copies: int = 1,
+    ):
         if translation is not None and not (rotation is None and about is None and axis is None):
             raise ValueError("a periodic pair has a translation or a rotation, not both.")
         whole("copies", copies)
@@ -64,7 +74,9 @@ class Periodic:
             rotation = float(rotation)
         vectors = {"translation": translation, "about": about, "axis": axis}
         vectors = {name: optional(name, value, (2,), (3,)) for name, value in vectors.items()}
-        vars(self).update(patch=patch, partner=partner, rotation=rotation, copies=int(copies), **vectors)
+        vars(self).update(
+            patch=patch, partner=partner, rotation=rotation, copies=int(copies), **vectors
+        )
 
     @property
     def name(self) -> str:
@@ -82,7 +94,8 @@ class Periodic:
         return not (self.rotation is None and self.about is None and self.axis is None)
 
 
-ALONG_AXIS = 1e-9  # component of a translation, relative to the largest component, that counts as zero
+# component of a translation, relative to the largest component, that counts as zero
+ALONG_AXIS = 1e-9
 
 
 class Pairing(eqx.Module):
@@ -95,7 +108,9 @@ class Pairing(eqx.Module):
     shift: Float[Either, " d"]
     keeps: Float[Either, "d d"]  # projection onto the vectors that the transform does not turn
     turn: int = eqx.field(static=True)  # sectors in a whole turn; 0 if no power is the identity
-    copies: int = eqx.field(static=True)  # images on either side; 0 for pairs that do no more than move alike
+    copies: int = eqx.field(
+        static=True
+    )  # images on either side; 0 for pairs that do no more than move alike
     is_rotation: bool = eqx.field(static=True)
 
     @property
@@ -106,7 +121,9 @@ class Pairing(eqx.Module):
     def powers(self) -> list[int]:
         """The powers of the transform that make images, the nearest first: 0, 1, -1, 2, ..."""
         powers = sorted(range(-self.copies, self.copies + 1), key=lambda k: (abs(k), -k))
-        equal = {k % self.turn if self.turn else k: k for k in powers[::-1]}  # the nearest of equal images
+        equal = {
+            k % self.turn if self.turn else k: k for k in powers[::-1]
+        }  # the nearest of equal images
         return list(equal.values())[::-1]
 
     def power(self, k: int) -> Float[np.ndarray, "e e"]:
@@ -118,11 +135,14 @@ class Pairing(eqx.Module):
     @property
     def inverse(self) -> "Pairing":
         back = self.power(-1)[:-1]
-        return dataclasses.replace(self, first=self.second, second=self.first, matrix=back[:, :-1], shift=back[:, -1])
+        return dataclasses.replace(
+            self, first=self.second, second=self.first, matrix=back[:, :-1], shift=back[:, -1]
+        )
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
         """Renumbers node k to `place[k]`. Pairs with a node of place -1 are dropped."""
-        pairs, alone = place[np.stack([self.first, self.second])], place[np.asarray(self.alone)]
+        pairs = place[np.stack([self.first, self.second])]
+        alone = place[np.asarray(self.alone)]
         first, second = pairs[:, (pairs >= 0).all(axis=0)]
         return dataclasses.replace(self, first=first, second=second, alone=alone[alone >= 0])
 
@@ -140,7 +160,9 @@ class Pairing(eqx.Module):
 
     def misses(self, points: Points) -> Float[np.ndarray, " q"]:
         """Distances of second nodes from their partners' images, on the host."""
-        return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
+        return np.linalg.norm(
+            points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1
+        )
 
     def matched(self, base: Nodal, points: Nodal) -> Nodal:
         """Makes pairs match bit for bit if a translation does so at `base`. Traced."""
@@ -148,11 +170,14 @@ class Pairing(eqx.Module):
             return points
         shift = jnp.asarray(self.shift, points.dtype)[None]
         matched = base[self.first] + shift == base[self.second]
-        return points.at[self.second].set(jnp.where(matched, points[self.first] + shift, points[self.second]))
+        return points.at[self.second].set(
+            jnp.where(matched, points[self.first] + shift, points[self.second])
+        )
 
     def alike(self, u: Nodal) -> Nodal:
         """Makes displacements of a pair equal after the transform, by their mean. Traced."""
-        matrix, keeps = jnp.asarray(self.matrix, u.dtype), jnp.asarray(self.keeps, u.dtype)
+        matrix = jnp.asarray(self.matrix, u.dtype)
+        keeps = jnp.asarray(self.keeps, u.dtype)
         mean = (u[self.first] + _product(u[self.second], matrix)) / 2
         u = u.at[self.first].set(mean).at[self.second].set(_product(mean, matrix.T))
         return u.at[self.alone].set(_product(u[self.alone], keeps)) if len(self.alone) else u
@@ -168,7 +193,9 @@ def _product(rows: Nodal, matrix: Float[Array, "d d"]) -> Nodal:
 
 def _differ(first: np.ndarray, second: np.ndarray, size: float) -> bool:
     """Whether affine matrices differ, in lengths of a mesh of this `size`."""
-    return bool(((np.abs(first - second)[:-1] / np.append(np.ones(len(first) - 1), size)) > 1e-6).any())
+    return bool(
+        ((np.abs(first - second)[:-1] / np.append(np.ones(len(first) - 1), size)) > 1e-6).any()
+    )
 
 
 def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:
@@ -176,11 +203,20 @@ def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:
     joined: list[Pairing] = []
     for pairing in pairings:
         pairs = itertools.product(enumerate(joined), (pairing, pairing.inverse))
-        equal = [(k, other, way) for (k, other), way in pairs if not _differ(way.power(1), other.power(1), size)]
+        equal = [
+            (k, other, way)
+            for (k, other), way in pairs
+            if not _differ(way.power(1), other.power(1), size)
+        ]
         for k, other, way in equal[:1]:
-            first, second = np.unique(np.hstack([[side.first, side.second] for side in (other, way)]), axis=1)
-            alone, copies = np.unique([*other.alone, *way.alone]).astype(np.int32), max(other.copies, way.copies)
-            joined[k] = dataclasses.replace(other, first=first, second=second, alone=alone, copies=copies)
+            first, second = np.unique(
+                np.hstack([[side.first, side.second] for side in (other, way)]), axis=1
+            )
+            alone = np.unique([*other.alone, *way.alone]).astype(np.int32)
+            copies = max(other.copies, way.copies)
+            joined[k] = dataclasses.replace(
+                other, first=first, second=second, alone=alone, copies=copies
+            )
         joined += [] if equal else [pairing]
     return tuple(joined)
 
@@ -190,9 +226,13 @@ def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: f
     pairings = [pairing for pairing in pairings if pairing.copies]  # others may lie across a plane
     for pairing, plane in itertools.product(pairings, planes):
         normal = plane.normal
-        if np.abs(pairing.matrix @ normal - normal).max() > 1e-9 or abs(normal @ pairing.shift) > 1e-9 * size:
+        if (
+            np.abs(pairing.matrix @ normal - normal).max() > 1e-9
+            or abs(normal @ pairing.shift) > 1e-9 * size
+        ):
             raise ValueError(
-                f"a periodic transform moves the symmetry plane with normal {normal.tolist()}: the plane must be parallel to "
+                f"a periodic transform moves the symmetry plane with normal {normal.tolist()}: "
+                "the plane must be parallel to "
                 "the translation, or at right angles to the rotation's axis."
             )
     for first, second in itertools.combinations([pairing.power(1) for pairing in pairings], 2):
@@ -200,14 +240,22 @@ def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: f
             raise ValueError("two periodic transforms must commute: all rotations need one axis.")
 
 
-MISMATCH = 1e-4  # largest allowed distance of a node from its partner's image, relative to the node spacing
+# largest allowed distance of a node from its partner's image, relative to the node spacing
+MISMATCH = 1e-4
 
 
-def paired(periodic: Periodic, first: Ids, second: Int[np.ndarray, " l"], points: Points) -> Pairing:
+def paired(
+    periodic: Periodic, first: Ids, second: Int[np.ndarray, " l"], points: Points
+) -> Pairing:
     ways = [periodic]
     if periodic.translation is None and not periodic.is_rotation:
-        axes = [{"axis": axis} for axis in np.eye(3)] if points.shape[1] == 3 else [{"about": (0, 0)}]
-        ways += [Periodic(periodic.patch, periodic.partner, copies=periodic.copies, **axis) for axis in axes]
+        axes = (
+            [{"axis": axis} for axis in np.eye(3)] if points.shape[1] == 3 else [{"about": (0, 0)}]
+        )
+        ways += [
+            Periodic(periodic.patch, periodic.partner, copies=periodic.copies, **axis)
+            for axis in axes
+        ]
     errors = []
     for way in ways:
         try:
@@ -225,30 +273,55 @@ def across_one_layer(planes: Sequence[Plane], points: Points) -> tuple[Pairing, 
         normal = one.normal
         first, second = (np.flatnonzero(plane.holds(points)) for plane in (one, other))
         if abs(normal @ other.normal) > 0.5 and 2 * len(first) == 2 * len(second) == len(points):
-            pair = Periodic(first, second, translation=(other.origin - one.origin) @ normal * normal)
+            pair = Periodic(
+                first, second, translation=(other.origin - one.origin) @ normal * normal
+            )
             with contextlib.suppress(ValueError):
                 return (dataclasses.replace(_paired(pair, first, second, points), copies=0),)
     return ()
 
 
-def _paired(periodic: Periodic, first: Ids, second: Int[np.ndarray, " l"], points: Points) -> Pairing:
+def _paired(
+    periodic: Periodic, first: Ids, second: Int[np.ndarray, " l"], points: Points
+) -> Pairing:
     exact = points.astype(float)
     if not len(first) or not len(second):
         raise ValueError(f"{periodic.name}: one of them has no nodes.")
-    matrix, shift, keeps, angle = _transform(periodic, exact[first].mean(axis=0), exact[second].mean(axis=0))
+    matrix, shift, keeps, angle = _transform(
+        periodic, exact[first].mean(axis=0), exact[second].mean(axis=0)
+    )
     partner = _partners(periodic, first, second, points, exact[first] @ matrix.T + shift)
     is_alone = first == partner
     sectors = 2 * np.pi / abs(angle) if angle else 0
     turn = round(sectors) if abs(sectors - round(sectors)) < 1e-6 * sectors else 0
-    copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((sectors - 1) / 2)))
+    copies = (
+        periodic.copies
+        if turn or not angle
+        else max(1, min(periodic.copies, int((sectors - 1) / 2)))
+    )
     pairs = first[~is_alone].astype(np.int32), partner[~is_alone].astype(np.int32)
     if not angle and periodic.translation is None:
-        shift = _sharp(np.median(exact[pairs[1]] - exact[pairs[0]], axis=0))  # most pairs have it bit for bit
-    return Pairing(*pairs, first[is_alone].astype(np.int32), matrix, shift, keeps, turn, copies, periodic.is_rotation)
+        shift = _sharp(
+            np.median(exact[pairs[1]] - exact[pairs[0]], axis=0)
+        )  # most pairs have it bit for bit
+    return Pairing(
+        *pairs,
+        first[is_alone].astype(np.int32),
+        matrix,
+        shift,
+        keeps,
+        turn,
+        copies,
+        periodic.is_rotation,
+    )
 
 
 def _partners(
-    periodic: Periodic, first: np.ndarray, second: np.ndarray, points: np.ndarray, images: np.ndarray
+    periodic: Periodic,
+    first: np.ndarray,
+    second: np.ndarray,
+    points: np.ndarray,
+    images: np.ndarray,
 ) -> np.ndarray:
     exact = points[second].astype(float)
     distance, nearest = map(np.asarray, Tree(exact).query(images))
@@ -256,14 +329,18 @@ def _partners(
     allowed = np.maximum(MISMATCH * gaps[nearest], 2 * tolerance(points))
     check_none(
         first[worst_first(distance, allowed)],
-        f"{periodic.name} do not match: {{count}} of {len(first)} nodes of the first have no partner, the worst is node {{node}} "
-        f"at ({{place}}): {distance[distance > allowed].max(initial=0):.3g} from the nearest after the transform. Check "
-        "`translation`, or `rotation`, `about` and `axis`; they lead from the first patch to the second.",
+        f"{periodic.name} do not match: {{count}} of {len(first)} nodes of the first have no "
+        f"partner, the worst is node {{node}} "
+        f"at ({{place}}): {distance[distance > allowed].max(initial=0):.3g} from the nearest "
+        "after the transform. Check "
+        "`translation`, or `rotation`, `about` and `axis`; they lead from the first patch to the "
+        "second.",
         points,
     )
     check_none(
         np.setdiff1d(second, second[nearest]),
-        f"{periodic.name} do not match: {{count}} of {len(second)} nodes of the second have no partner, first node {{node}} at "
+        f"{periodic.name} do not match: {{count}} of {len(second)} nodes of the second have no "
+        f"partner, first node {{node}} at "
         "({place}). Both patches need equal nodes: mesh one as the copy of the other.",
         points,
     )
@@ -279,17 +356,26 @@ def _transform(
     if not periodic.is_rotation:
         shift = _sharp(other - middle) if periodic.translation is None else periodic.translation
         if not np.abs(shift).max() > 0:
-            raise ValueError(f"{periodic.name}: the translation is zero; give `rotation`, `about` or `axis`.")
+            raise ValueError(
+                f"{periodic.name}: the translation is zero; give `rotation`, `about` or `axis`."
+            )
         return np.eye(d), shift, np.eye(d), 0.0
     about = np.zeros(d) if periodic.about is None else periodic.about
-    axis = np.array([0.0, 0, 1]) if periodic.axis is None else periodic.axis / np.linalg.norm(periodic.axis)
+    axis = (
+        np.array([0.0, 0, 1])
+        if periodic.axis is None
+        else periodic.axis / np.linalg.norm(periodic.axis)
+    )
     angle = periodic.rotation
     if angle is None:
-        start, end = (np.cross(axis, np.pad(place - about, (0, 3 - d))) for place in (middle, other))
+        start, end = (
+            np.cross(axis, np.pad(place - about, (0, 3 - d))) for place in (middle, other)
+        )
         angle = float(np.arctan2(axis @ np.cross(start, end), start @ end))
     if not abs(np.sin(angle / 2)) > 1e-12:
         raise ValueError(f"{periodic.name}: the angle of the rotation is zero.")
-    along, across = np.outer(axis, axis)[:d, :d], np.cross(axis, np.eye(3)).T[:d, :d]
+    along = np.outer(axis, axis)[:d, :d]
+    across = np.cross(axis, np.eye(3)).T[:d, :d]
     matrix = np.cos(angle) * (np.eye(d) - along) + np.sin(angle) * across + along  # Rodrigues
     return matrix, about - matrix @ about, along, angle
 
@@ -298,10 +384,17 @@ def _check_vectors(periodic: Periodic, dimension: int) -> None:
     for name in ("translation", "about", "axis"):
         value = getattr(periodic, name)
         if value is not None and value.shape != (dimension,):
-            raise ValueError(f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} dimensions.")
+            raise ValueError(
+                f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} "
+                "dimensions."
+            )
     if dimension == 2 and periodic.axis is not None:
         raise ValueError(f"{periodic.name}: a rotation in 2-D has no `axis`; give `about`.")
-    if dimension == 3 and periodic.is_rotation and (periodic.axis is None or not periodic.axis.any()):
+    if (
+        dimension == 3
+        and periodic.is_rotation
+        and (periodic.axis is None or not periodic.axis.any())
+    ):
         raise ValueError(f"{periodic.name}: a rotation in 3-D needs an `axis` that is not zero.")
 
 

@@ -21,12 +21,23 @@ from .._mesh.mesh import Mesh
 from .outer_faces import Faces, Ids, row_of
 from .symmetry import Plane, optional
 from .tracks import SMOOTH
-from .walls import ALONG_AXIS, AbstractWall, CurvedFaces, Faceted, Flat, FlatFaces, Round, faces_around
+from .walls import (
+    ALONG_AXIS,
+    AbstractWall,
+    CurvedFaces,
+    Faceted,
+    Flat,
+    FlatFaces,
+    Round,
+    faces_around,
+)
 
 Walls = list[tuple[AbstractWall, np.ndarray]]
 
-CONTINUES = 0.5  # least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole
-DEVIATION = 1e-5  # distance of nodes on a surface, relative to the patch's extent: files have few digits
+# least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole
+CONTINUES = 0.5
+# distance of nodes on a surface, relative to the patch's extent: files have few digits
+DEVIATION = 1e-5
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -49,12 +60,18 @@ class Revolution:
     profile: np.ndarray | None
 
     def __init__(self, axis=None, origin=None, profile=None):
-        axis, origin = optional("axis", axis, (3,)), optional("origin", origin, (2,), (3,))
+        axis = optional("axis", axis, (3,))
+        origin = optional("origin", origin, (2,), (3,))
         profile = optional("profile", profile, (None, 2))
         if axis is not None and not np.any(axis):
-            raise ValueError(f"the axis of a surface of revolution is a direction in 3-D that is not zero, not {axis}.")
+            raise ValueError(
+                "the axis of a surface of revolution is a direction in 3-D that is not zero, not "
+                f"{axis}."
+            )
         if profile is not None and not (np.diff(profile[:, 0]) > 0).all():
-            raise ValueError("`profile` must be (k, 2): places along the axis, ascending, and radii.")
+            raise ValueError(
+                "`profile` must be (k, 2): places along the axis, ascending, and radii."
+            )
         vars(self).update(axis=axis, origin=origin, profile=profile)
 
 
@@ -83,19 +100,31 @@ class Slide:
     def __init__(self, patch, on: Plane | Revolution | None = None):
         check_patch("patch", patch)
         if not (on is None or isinstance(on, Plane | Revolution)):
-            raise ValueError(f"a patch slides on a jm.Plane, a jm.Revolution or its own faces (None), not {on!r}.")
+            raise ValueError(
+                "a patch slides on a jm.Plane, a jm.Revolution or its own faces (None), not "
+                f"{on!r}."
+            )
         vars(self).update(patch=patch, on=on)
 
     @property
     def name(self) -> str:
-        return f"the sliding patch {self.patch!r}" if isinstance(self.patch, str) else "a sliding patch"
+        return (
+            f"the sliding patch {self.patch!r}"
+            if isinstance(self.patch, str)
+            else "a sliding patch"
+        )
 
 
 def walls_of_patch(
-    slide: Slide, nodes: Ids, points: np.ndarray, faces: Faces | None, moving: np.ndarray | Sequence[int] = ()
+    slide: Slide,
+    nodes: Ids,
+    points: np.ndarray,
+    faces: Faces | None,
+    moving: np.ndarray | Sequence[int] = (),
 ) -> Walls:
     """Makes walls: own faces are divided at sharp edges, and filled up below `moving` bodies."""
-    exact, dimension = points.astype(float), points.shape[1]
+    exact = points.astype(float)
+    dimension = points.shape[1]
     if not len(nodes):
         raise ValueError(f"{slide.name} has no nodes.")
     nodes = nodes[canonical_order(exact[nodes])]
@@ -107,14 +136,17 @@ def walls_of_patch(
         wall = Flat(slide.on.normal, slide.on.origin)
     else:
         raise ValueError(
-            f"the plane of {slide.name} has {len(slide.on.normal)} components, the mesh {dimension} dimensions."
+            f"the plane of {slide.name} has {len(slide.on.normal)} components, the mesh "
+            f"{dimension} dimensions."
         )
     off = np.abs(np.asarray(wall.height(jnp.asarray(exact[nodes]))[0]))
     allowed = DEVIATION * np.ptp(exact[nodes], axis=0).max()
     check_none(
         nodes[worst_first(off, allowed)],
-        f"{slide.name} does not lie on its surface: {{count}} of {len(nodes)} nodes are off, the worst is node {{node}} at "
-        f"({{place}}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or None for the patch's faces.",
+        f"{slide.name} does not lie on its surface: {{count}} of {len(nodes)} nodes are off, the "
+        f"worst is node {{node}} at "
+        f"({{place}}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or "
+        "None for the patch's faces.",
         exact,
     )
     return [(wall, nodes)]
@@ -123,14 +155,20 @@ def walls_of_patch(
 def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> AbstractWall:
     dimension = patch.shape[1]
     if (on.axis is None) != (dimension == 2):
-        raise ValueError(f"{slide.name}: a surface of revolution has an axis in 3-D, and none in 2-D.")
+        raise ValueError(
+            f"{slide.name}: a surface of revolution has an axis in 3-D, and none in 2-D."
+        )
     origin = np.zeros(dimension) if on.origin is None else on.origin
     if origin.shape != (dimension,):
-        raise ValueError(f"{slide.name}: `origin` has shape {origin.shape}; the mesh has {dimension} dimensions.")
+        raise ValueError(
+            f"{slide.name}: `origin` has shape {origin.shape}; the mesh has {dimension} dimensions."
+        )
     axis = np.zeros(dimension) if on.axis is None else on.axis / np.linalg.norm(on.axis)
     line, profile = _line_or_profile(patch, on.profile, axis, origin)
     if line is None:
-        from scipy.interpolate import CubicSpline  # here: it would take a tenth of the time of all imports
+        from scipy.interpolate import (
+            CubicSpline,
+        )  # here: it would take a tenth of the time of all imports
 
         spline = CubicSpline(*profile.T, bc_type="natural" if len(profile) > 2 else "not-a-knot")
         return Round(axis, origin, spline.x, spline.c)
@@ -146,10 +184,12 @@ def _line_or_profile(
     """The line a z + b r = c of a patch, if it lies on one; places and radii of nodes, sorted."""
     if given is not None:
         return (None if len(given) > 1 else np.array([0, 1, given[0, 1]])), given
-    arm, size = patch - origin, np.ptp(patch, axis=0).max()
+    arm = patch - origin
+    size = np.ptp(patch, axis=0).max()
     along = arm @ axis
     profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
-    middle, normal = profile.mean(axis=0), np.array([0.0, 1.0])
+    middle = profile.mean(axis=0)
+    normal = np.array([0.0, 1.0])
     if axis.any() and np.ptp(profile[:, 1]) > 1e-9 * size:
         normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
     is_line = not axis.any() or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
@@ -158,10 +198,13 @@ def _line_or_profile(
     return np.array([*normal, middle @ normal]) if is_line else None, profile
 
 
-def _of_faces(slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Faces | None, moves: np.ndarray) -> Walls:
+def _of_faces(
+    slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Faces | None, moves: np.ndarray
+) -> Walls:
     if faces is None:
         raise ValueError(
-            f"{slide.name} slides on its faces, but points alone have no faces: pass the mesh with its cells, or a surface, "
+            f"{slide.name} slides on its faces, but points alone have no faces: pass the mesh "
+            "with its cells, or a surface, "
             "jm.Slide(nodes, jm.Plane(normal, origin))."
         )
     dimension = points.shape[1]
@@ -170,13 +213,20 @@ def _of_faces(slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Faces 
     for corners in faces.values():
         # quads are cut into triangles about the node that comes first by place
         of_patch = in_order(row[corners][(row[corners] >= 0).all(axis=1)])
-        pieces += [of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))]
+        pieces += [
+            of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))
+        ]
     elements = np.concatenate(pieces)
     if not len(elements):
-        raise ValueError(f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on.")
+        raise ValueError(
+            f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on."
+        )
     if not np.ptp(points[nodes], axis=0).max() > 0:
         place = place_of(points[nodes[0]])
-        raise MeshError(f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.", nodes)
+        raise MeshError(
+            f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.",
+            nodes,
+        )
     return _parted(nodes, points, filled(elements, points[nodes], moves))
 
 
@@ -187,7 +237,9 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     area = normals(points[nodes[elements]])
     size = np.linalg.norm(area, axis=1)
     has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
-    elements, unit, walls = elements[has_area], area[has_area] / size[has_area, None], []
+    elements = elements[has_area]
+    unit = area[has_area] / size[has_area, None]
+    walls = []
     faces = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(faces.size), (elements.ravel(), faces)))
     beside = (touch.T @ touch).tocoo()
@@ -199,7 +251,8 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     for number in range(part.max() + 1):
         corners = elements[part == number]
         rows = np.unique(corners) if part.any() else np.arange(len(nodes))
-        ids, corners = nodes[rows], np.searchsorted(rows, corners).astype(np.int32)
+        ids = nodes[rows]
+        corners = np.searchsorted(rows, corners).astype(np.int32)
         try:
             plane = Plane.through(points, ids)
             walls.append((FlatFaces(plane.normal, plane.origin, ids, points[ids], corners), ids))
@@ -237,7 +290,9 @@ def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.nd
     first = np.flatnonzero(~np.isin(start, end) & moves[start])
     gap = vertices[start[first]][None] - vertices[end[last]][:, None]
     size = np.linalg.norm(gap, axis=2)
-    ahead = np.minimum(np.sum(gap * along[last][:, None], axis=2), np.sum(gap * along[first][None], axis=2))
+    ahead = np.minimum(
+        np.sum(gap * along[last][:, None], axis=2), np.sum(gap * along[first][None], axis=2)
+    )
     cost = np.where((size > 0) & (ahead > CONTINUES * size), size, np.inf)
     if not cost.size:
         return faces[:0]
@@ -248,7 +303,8 @@ def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.nd
 
 def _across(rim: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """Triangles (k, 3) across a rim, unless they would turn off from the faces beside it."""
-    nodes, ends = np.unique(rim), vertices[rim]
+    nodes = np.unique(rim)
+    ends = vertices[rim]
     area = np.cross(ends[:, 0] - ends[0, 0], ends[:, 1] - ends[0, 0]).sum(axis=0)
     beside = normals(vertices[faces[np.isin(faces, nodes).sum(axis=1) > 1]])
     if not (unit_rows(beside) @ area).mean() > CONTINUES * np.linalg.norm(area):
@@ -274,17 +330,27 @@ def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
     """
     if mesh is None or not mesh.is_curved:
         return walls
-    return [(_curved(wall, mesh) if type(wall) is Faceted else wall, nodes) for wall, nodes in walls]
+    return [
+        (_curved(wall, mesh) if type(wall) is Faceted else wall, nodes) for wall, nodes in walls
+    ]
 
 
 def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
     nodes = np.asarray(wall.nodes)
-    sides = {kind: ids for kind, ids in boundary_sides(cells, len(mesh.points), nodes).items() if len(ids)}
-    pieces = sum(len(ids) * (2 if kind == "quad" else 1) for kind, ids in linear_cells(sides).items())
+    sides = {
+        kind: ids
+        for kind, ids in boundary_sides(cells, len(mesh.points), nodes).items()
+        if len(ids)
+    }
+    pieces = sum(
+        len(ids) * (2 if kind == "quad" else 1) for kind, ids in linear_cells(sides).items()
+    )
     if len(sides) != 1 or pieces != len(wall.faces):
         return wall
     ((kind, ids),) = sides.items()
     rows = row_of(nodes, len(mesh.points))[ids]
     rows = rows[np.lexsort(np.sort(rows, axis=1).T)]
-    return CurvedFaces(wall.nodes, wall.vertices, wall.faces, faces_around(rows, len(nodes)), rows, kind)
+    return CurvedFaces(
+        wall.nodes, wall.vertices, wall.faces, faces_around(rows, len(nodes)), rows, kind
+    )

@@ -15,7 +15,8 @@ from .._kernels.module import Module
 from .._mesh.mesh import Mesh
 from .outer_faces import Ids, Points, mask, outer_faces
 
-TOLERANCE = 1e-8  # distance from a plane, relative to the mesh's extent, within which a node lies on it
+# distance from a plane, relative to the mesh's extent, within which a node lies on it
+TOLERANCE = 1e-8
 
 
 class Plane(Module):
@@ -37,7 +38,8 @@ class Plane(Module):
         length = np.linalg.norm(normal)
         if normal.shape != origin.shape or not length > 0:
             raise ValueError(
-                f"a plane needs a normal that is not zero and an origin of as many components, got {normal}, {origin}."
+                "a plane needs a normal that is not zero and an origin of as many components, "
+                f"got {normal}, {origin}."
             )
         self.normal, self.origin = normal / length, origin
 
@@ -51,16 +53,22 @@ class Plane(Module):
         nodes = rows_of("nodes", nodes, len(points))
         patch = points[nodes].astype(float)
         if len(patch) < points.shape[1]:
-            raise ValueError(f"{len(patch)} nodes do not determine a plane in {points.shape[1]} dimensions.")
+            raise ValueError(
+                f"{len(patch)} nodes do not determine a plane in {points.shape[1]} dimensions."
+            )
         origin = patch.mean(axis=0)
         normal = np.linalg.svd(patch - origin, full_matrices=False)[2][-1]
         axis = np.abs(normal).argmax()
-        if np.abs(np.delete(normal, axis)).max() < 1e-7:  # the usual case: keep the coordinate bit for bit
-            normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
+        if (
+            np.abs(np.delete(normal, axis)).max() < 1e-7
+        ):  # the usual case: keep the coordinate bit for bit
+            normal = np.eye(len(normal))[axis]
+            origin[axis] = np.median(patch[:, axis])
         deviation = np.abs((patch - origin) @ normal)
         check_none(
             nodes[worst_first(deviation, tolerance(points))],
-            f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({{place}}) is {deviation.max():.3g} off.",
+            f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({{place}}) is "
+            f"{deviation.max():.3g} off.",
             points,
         )
         return Plane(normal, origin)
@@ -72,8 +80,12 @@ class Plane(Module):
 
         **Raises:** `ValueError` for a patch that is bent, and for a name without a patch.
         """
-        points, nodes, outer = np.asarray(mesh.points), mesh.patch(patch), outer_faces(mesh)
-        faces = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
+        points = np.asarray(mesh.points)
+        nodes = mesh.patch(patch)
+        outer = outer_faces(mesh)
+        faces = (
+            mesh.cells if outer is None else outer.corners
+        )  # the cells of a surface mesh are faces
         try:
             return (Plane.through(points, nodes),)
         except MeshError as error:
@@ -83,7 +95,10 @@ class Plane(Module):
             return planes
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
-        if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
+        if (
+            self.normal.shape != other.normal.shape
+            or abs(float(self.normal @ other.normal)) < 1 - 1e-12
+        ):
             return False
         return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
 
@@ -106,9 +121,16 @@ def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> t
     duct one cell wide and high, nodes do not decide which sides are meant.
     """
     planes = _candidates(points, nodes, faces)
-    on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(-1, len(nodes))
-    left, chosen = np.ones(len(nodes), dtype=bool), []
-    while left.any() and len(chosen) < MOST and (on & left).sum(axis=1).max(initial=0) >= points.shape[1]:
+    on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(
+        -1, len(nodes)
+    )
+    left = np.ones(len(nodes), dtype=bool)
+    chosen = []
+    while (
+        left.any()
+        and len(chosen) < MOST
+        and (on & left).sum(axis=1).max(initial=0) >= points.shape[1]
+    ):
         chosen.append(int((on & left).sum(axis=1).argmax()))
         left &= ~on[chosen[-1]]
     largest = np.flatnonzero(on.sum(axis=1) == on.sum(axis=1).max(initial=0))
@@ -123,9 +145,13 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list
     # corners: it is fitted to all nodes nearby.
     inside = mask(len(points), nodes)
     sides = [ids[inside[ids].all(axis=1)][:, : points.shape[1]] for ids in faces]
-    corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *sides])].astype(float)
-    area, extent = normals(corners), np.ptp(points, axis=0).max()
-    corners, normal = corners[area.any(axis=1), 0], unit_rows(area[area.any(axis=1)])
+    corners = points[
+        np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *sides])
+    ].astype(float)
+    area = normals(corners)
+    extent = np.ptp(points, axis=0).max()
+    corners = corners[area.any(axis=1), 0]
+    normal = unit_rows(area[area.any(axis=1)])
     height = np.sum(normal * (corners - points.mean(axis=0)), axis=1) / extent
     keys = np.round(np.column_stack([normal, height]), 4) + 0.0
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
@@ -154,7 +180,8 @@ def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
     cosines = np.abs(normals @ normals.T)
     if np.minimum(cosines, np.abs(cosines - 1)).max() > 1e-9:
         raise ValueError(
-            "several symmetry planes must be parallel or at right angles to each other: hold the others in `fixed`."
+            "several symmetry planes must be parallel or at right angles to each other: hold the "
+            "others in `fixed`."
         )
     for plane in planes:
         _check_bounds(plane, points)
@@ -164,7 +191,8 @@ def check_dimension(planes: Sequence[Plane], dimension: int) -> None:
     for plane in planes:
         if len(plane.normal) != dimension:
             raise ValueError(
-                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {dimension} dimensions."
+                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has "
+                f"{dimension} dimensions."
             )
 
 
@@ -175,19 +203,26 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
     if not on.any():
         nearest = np.abs(height).argmin()
         raise MeshError(
-            f"{name} holds no node of the mesh: the nearest, node {{node}}, is {abs(height[nearest]):.3g} away (tolerance "
+            f"{name} holds no node of the mesh: the nearest, node {{node}}, is "
+            f"{abs(height[nearest]):.3g} away (tolerance "
             f"{tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch.",
             np.array([nearest]),
         )
-    above, below = ~on & (height > 0), ~on & (height < 0)
+    above = ~on & (height > 0)
+    below = ~on & (height < 0)
     off = np.abs(height) * (above if above.sum() < below.sum() else below)
     check_none(
         worst_first(off, 0),
-        f"{name} has nodes on both sides: {{count}} of {len(points)} lie beyond it, the farthest is node {{node}} at ({{place}}), "
-        f"{off.max():.3g} away. A symmetry plane bounds the mesh: pass one half of the mesh, or no plane.",
+        f"{name} has nodes on both sides: {{count}} of {len(points)} lie beyond it, the farthest "
+        f"is node {{node}} at ({{place}}), "
+        f"{off.max():.3g} away. A symmetry plane bounds the mesh: pass one half of the mesh, or "
+        "no plane.",
         points,
     )
 
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
-    return np.array([sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes], bool)
+    return np.array(
+        [sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes],
+        bool,
+    )

@@ -16,8 +16,11 @@ from .periodic import Nodal, Pairing
 from .symmetry import Plane
 from .walls import AbstractWall, Faceted, Flat, Places, Round, SmoothFaces, solved
 
-STEPS = 6  # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
-SMOOTH = np.cos(np.deg2rad(5))  # cosine of the angle below which two sliding patches meet without an edge
+# Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
+STEPS = 6
+SMOOTH = np.cos(
+    np.deg2rad(5)
+)  # cosine of the angle below which two sliding patches meet without an edge
 
 
 class Track(eqx.Module):
@@ -38,7 +41,8 @@ class Track(eqx.Module):
 
     def along(self, points: Nodal, u: Nodal) -> Nodal:
         """Changes displacements so that the rows keep their distance from the walls. Traced."""
-        start, displacement = points[self.rows], u[self.rows]
+        start = points[self.rows]
+        displacement = u[self.rows]
         if self.is_linear:
             normals = self._heights(start)[1]
             above = jnp.einsum("kwd,kd->kw", normals, displacement, precision="highest")
@@ -67,7 +71,9 @@ class Track(eqx.Module):
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
-        return Track(place[np.asarray(self.rows)], tuple(wall.renumbered(place) for wall in self.walls))
+        return Track(
+            place[np.asarray(self.rows)], tuple(wall.renumbered(place) for wall in self.walls)
+        )
 
 
 def smoothed(track: Track) -> Track:
@@ -94,7 +100,11 @@ def tracks_of(
         is_apex[nodes] |= wall.is_apex(points[nodes])
     on = [mask(n, nodes) for _, nodes in walls]
     sliding = np.flatnonzero(mask(n, *(nodes for _, nodes in walls)) & ~is_apex)
-    flags = np.array([*on, *(plane.holds(points) for plane in planes)], dtype=bool).reshape(-1, n)[:, sliding].T
+    flags = (
+        np.array([*on, *(plane.holds(points) for plane in planes)], dtype=bool)
+        .reshape(-1, n)[:, sliding]
+        .T
+    )
     groups, number = np.unique(flags, axis=0, return_inverse=True)
     tracks: list[Track] = []
     corners: list[np.ndarray] = [np.flatnonzero(is_apex)]
@@ -114,8 +124,10 @@ def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.n
     first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
     check_none(
         nodes[worst_first(np.abs(np.sum(first * second, axis=1)), SMOOTH)],
-        "two sliding patches, or a sliding patch and a symmetry plane, meet at {count} nodes without an edge, the worst "
-        "is node {node} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or remove one.",
+        "two sliding patches, or a sliding patch and a symmetry plane, meet at {count} nodes "
+        "without an edge, the worst "
+        "is node {node} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or "
+        "remove one.",
         points,
     )
 
@@ -129,8 +141,11 @@ def check_repeated(
 ) -> None:
     if not tracks or not pairings:
         return
-    exact, dimension = points.astype(float), points.shape[1]
-    off = np.zeros((len(points), dimension, dimension))  # projections onto the normals of a node's walls
+    exact = points.astype(float)
+    dimension = points.shape[1]
+    off = np.zeros(
+        (len(points), dimension, dimension)
+    )  # projections onto the normals of a node's walls
     off[corners] = np.eye(dimension)
     for track in tracks:
         off[track.rows] = track.off(jnp.asarray(exact))
@@ -141,8 +156,11 @@ def check_repeated(
         if wrong.size:
             node, partner = (int(side[wrong[0]]) for side in (first, second))
             raise MeshError(
-                f"{len(wrong)} periodic pairs slide along walls that do not repeat each other, the worst is node {{node}} at "
-                f"({place_of(points[node])}) and its partner {partner}: they cannot stay on both walls and move alike. Name them "
-                "in `fixed`, or let both slide on a surface that repeats, jm.Slide(patch, jm.Plane(normal, origin)).",
+                f"{len(wrong)} periodic pairs slide along walls that do not repeat each other, "
+                f"the worst is node {{node}} at "
+                f"({place_of(points[node])}) and its partner {partner}: they cannot stay on both "
+                "walls and move alike. Name them "
+                "in `fixed`, or let both slide on a surface that repeats, jm.Slide(patch, "
+                "jm.Plane(normal, origin)).",
                 first[wrong],
             )

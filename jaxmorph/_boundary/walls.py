@@ -28,12 +28,18 @@ Coordinates = Float[Either, "v d"]
 Ids = Int[Either, " v"]
 Corners = Int[Either, "e d"]
 
-ALONG_AXIS = 1e-7  # component of a unit normal that counts as zero: coordinates in files have few digits
-END = 1e-9  # distance from the end of faces, relative to their extent, or share of a corner, that counts as zero
+# component of a unit normal that counts as zero: coordinates in files have few digits
+ALONG_AXIS = 1e-7
+# distance from the end of faces that counts as zero: relative to their extent, or share of a corner
+END = 1e-9
 BLOCK = 512  # nodes in a block
-SEARCH, POLISH = 8, 2  # steps of Gauss and Newton inside each face near a point; of Newton on the nearest face
+SEARCH, POLISH = (
+    8,
+    2,
+)  # steps of Gauss and Newton inside each face near a point; of Newton on the nearest face
 LIFTS = 4  # steps along the normal to a smooth surface; each leaves a small share of the distance
-CANCELLED = 1e-3  # length of a sum of unit normals, over their number, that is no direction: a thin plate's
+# length of a sum of unit normals, over their number, that is no direction: a thin plate's
+CANCELLED = 1e-3
 
 
 class AbstractWall(Module):
@@ -86,7 +92,9 @@ class Round(AbstractWall):
 
     axis: Float[Either, " d"]  # direction, zero in 2-D
     origin: Float[Either, " d"]  # a point on the axis
-    knots: Float[Either, " l"]  # places along the axis; of one straight piece without ends 0 and infinity
+    knots: Float[
+        Either, " l"
+    ]  # places along the axis; of one straight piece without ends 0 and infinity
     spline: Float[Either, "4 k"]  # coefficients of the radius, cubic ones first
 
     @property
@@ -101,7 +109,8 @@ class Round(AbstractWall):
         outward = arm - along[:, None] * axis[None]
         radius = norm(outward)
         outward = outward / jnp.where(radius > 0, radius, 1)[:, None]
-        knots, spline = jnp.asarray(self.knots, x.dtype), jnp.asarray(self.spline, x.dtype)
+        knots = jnp.asarray(self.knots, x.dtype)
+        spline = jnp.asarray(self.spline, x.dtype)
         piece = jnp.clip(jnp.searchsorted(knots, along, side="right") - 1, 0, spline.shape[1] - 1)
         t, (cubic, square, slope, value) = along - knots[piece], spline[:, piece]
         steep = slope + t * (2 * square + 3 * t * cubic)
@@ -110,12 +119,16 @@ class Round(AbstractWall):
         return above, share[:, None] * (outward - steep[:, None] * axis[None])
 
     def has_end(self, x):
-        along, (low, *_, high) = (x - np.asarray(self.origin)) @ np.asarray(self.axis), np.asarray(self.knots)
+        along, (low, *_, high) = (
+            (x - np.asarray(self.origin)) @ np.asarray(self.axis),
+            np.asarray(self.knots),
+        )
         slack = 1e-9 * (high - low)
         return np.asarray((along < low - slack) | (along > high + slack))
 
     def is_apex(self, x):
-        axis, arm = np.asarray(self.axis), x - np.asarray(self.origin)
+        axis = np.asarray(self.axis)
+        arm = x - np.asarray(self.origin)
         radius = np.linalg.norm(arm - (arm @ axis)[:, None] * axis, axis=1)
         return np.asarray(axis.any() & (radius <= ALONG_AXIS * np.ptp(x, axis=0).max()))
 
@@ -130,9 +143,12 @@ class FlatFaces(Flat):
     faces: Corners
 
     def at(self, points):
-        patch, old = points[self.nodes], jnp.asarray(self.normal, points.dtype)
+        patch = points[self.nodes]
+        old = jnp.asarray(self.normal, points.dtype)
         areas = area_vectors(patch[jnp.asarray(self.faces)])
-        areas = areas * jnp.where(jnp.matmul(areas, old) < 0, -1, 1)[:, None]  # both sides of a baffle add up
+        areas = (
+            areas * jnp.where(jnp.matmul(areas, old) < 0, -1, 1)[:, None]
+        )  # both sides of a baffle add up
         total = jnp.sum(areas, axis=0)
         normal = total / norm(total)
         # The usual wall is at right angles to an axis: an exact normal keeps the coordinate bit for
@@ -142,9 +158,12 @@ class FlatFaces(Flat):
         return FlatFaces(normal, jnp.mean(patch, axis=0), self.nodes, patch, self.faces)
 
     def has_end(self, x):
-        normal, patch = np.asarray(self.normal), np.asarray(self.vertices)
+        normal = np.asarray(self.normal)
+        patch = np.asarray(self.vertices)
         inside = x - ((x - np.asarray(self.origin)) @ normal)[:, None] * normal
-        return np.asarray(closest(patch[np.asarray(self.faces)], inside)[2] > END * np.ptp(patch, axis=0).max())
+        return np.asarray(
+            closest(patch[np.asarray(self.faces)], inside)[2] > END * np.ptp(patch, axis=0).max()
+        )
 
     def renumbered(self, place):
         return dataclasses.replace(self, nodes=place[np.asarray(self.nodes)])
@@ -173,8 +192,12 @@ class Faceted(AbstractWall):
         faces = np.asarray(self.faces)
         face, shares, _ = closest(np.asarray(self.vertices)[faces], x)
         # corners whose opposite edge (2-D: end) is of no other face
-        sides = np.stack([np.delete(np.sort(faces, axis=1), k, axis=1) for k in range(faces.shape[1])], axis=1)
-        _, place, count = np.unique(sides.reshape(faces.size, -1), axis=0, return_inverse=True, return_counts=True)
+        sides = np.stack(
+            [np.delete(np.sort(faces, axis=1), k, axis=1) for k in range(faces.shape[1])], axis=1
+        )
+        _, place, count = np.unique(
+            sides.reshape(faces.size, -1), axis=0, return_inverse=True, return_counts=True
+        )
         is_rim = (count[place.ravel()] == 1).reshape(faces.shape)
         is_rim = np.take_along_axis(is_rim, np.argsort(np.argsort(faces, axis=1), axis=1), axis=1)
         return np.asarray(((shares <= END) & is_rim[face]).any(axis=1))
@@ -188,7 +211,9 @@ class Faceted(AbstractWall):
     def nearest(self, x: Places) -> tuple[Places, Places]:
         vertices = jnp.asarray(self.vertices, x.dtype)
         normals = self.normals(vertices)
-        return jax.lax.map(lambda point: self._nearest(point, vertices, normals), x, batch_size=BLOCK)
+        return jax.lax.map(
+            lambda point: self._nearest(point, vertices, normals), x, batch_size=BLOCK
+        )
 
     def normals(self, vertices: Vertices) -> Vertices:
         """Computes unit normals at the vertices, smoothed over their faces."""
@@ -201,11 +226,14 @@ class Faceted(AbstractWall):
         place, chosen = _closest(x, corners)
         # At a node several faces meet. There the tangent is at right angles to the mean normal of
         # the faces.
-        node, smooth = vertices[vertex], normals[vertex]
+        node = vertices[vertex]
+        smooth = normals[vertex]
         size = jnp.max(jnp.sum((corners[:, 1] - corners[:, 0]) ** 2, axis=1))
         is_node = jnp.sum((x - node) ** 2) <= 1e-20 * size
         tangent = x - jnp.sum((x - node) * smooth) * smooth
-        return jnp.where(is_node, tangent, place), jnp.where(is_node, smooth, normal_of(corners[chosen]))
+        return jnp.where(is_node, tangent, place), jnp.where(
+            is_node, smooth, normal_of(corners[chosen])
+        )
 
     def _near(self, x: Point, vertices: Vertices, faces: Any) -> tuple[Number, Int[Array, "w s"]]:
         """The vertex nearest to x, and the nodes of the faces near it."""
@@ -233,7 +261,10 @@ def nearest_of(x: Point, corners: Float[Array, "c d"]) -> Point:
         return on_edges[0]
     normal = normal_of(corners)
     in_plane = x - jnp.sum((x - corners[0]) * normal) * normal
-    is_inside = jnp.min(jnp.matmul(jnp.cross(edges, in_plane[None] - corners), normal, precision="highest")) >= 0
+    is_inside = (
+        jnp.min(jnp.matmul(jnp.cross(edges, in_plane[None] - corners), normal, precision="highest"))
+        >= 0
+    )
     return jnp.where(is_inside, in_plane, on_edges[_first_nearest(x, on_edges)])
 
 
@@ -248,7 +279,9 @@ def faces_around(elements: Int[np.ndarray, "e c"], count: int) -> Int[np.ndarray
     near = csr_array(touch @ touch.T @ touch)
     sizes = np.diff(near.indptr)
     steps = np.minimum(np.arange(sizes.max())[None], np.maximum(sizes - 1, 0)[:, None])
-    return near.indices[np.minimum(near.indptr[:-1, None] + steps, len(near.indices) - 1)].astype(np.int32)
+    return near.indices[np.minimum(near.indptr[:-1, None] + steps, len(near.indices) - 1)].astype(
+        np.int32
+    )
 
 
 class CurvedFaces(Faceted):
@@ -268,25 +301,35 @@ class CurvedFaces(Faceted):
     def _nearest(self, x, vertices, normals):
         powers, matrix = polynomials(self.kind)
         corners = vertices[self._near(x, vertices, self.sides)[1]]
-        coefficients = jnp.einsum("ks,wsd->wkd", jnp.asarray(matrix, x.dtype), corners, precision="highest")
+        coefficients = jnp.einsum(
+            "ks,wsd->wkd", jnp.asarray(matrix, x.dtype), corners, precision="highest"
+        )
         first = jnp.argmin(jnp.sum((corners - x[None, None]) ** 2, axis=2), axis=1)
         start = jnp.asarray(lagrange_types()[self.kind].reference, x.dtype)[first]
         place = functools.partial(_place, powers=powers)
-        found = jax.lax.stop_gradient(jax.vmap(self._searched, in_axes=(None, 0, 0))(x, start, coefficients))
+        found = jax.lax.stop_gradient(
+            jax.vmap(self._searched, in_axes=(None, 0, 0))(x, start, coefficients)
+        )
         chosen = _first_nearest(x, jax.vmap(place)(found, coefficients))
-        at, own = found[chosen], coefficients[chosen]
+        at = found[chosen]
+        own = coefficients[chosen]
         # the last steps go beyond the face, and carry derivatives also of a node on its edge
         for _ in range(POLISH):
             gradient = jax.grad(lambda at: jnp.sum((place(at, own) - x) ** 2))
             at = at - solved(jax.jacfwd(gradient)(at), gradient(at))
         slope = jax.jacfwd(place)(at, own)
-        return place(at, own), normal_of(jnp.concatenate([jnp.zeros_like(x)[None], *slope.T[:, None]]))
+        return place(at, own), normal_of(
+            jnp.concatenate([jnp.zeros_like(x)[None], *slope.T[:, None]])
+        )
 
-    def _searched(self, x: Point, start: Float[Array, " e"], coefficients: Float[Array, "k d"]) -> Float[Array, " e"]:
+    def _searched(
+        self, x: Point, start: Float[Array, " e"], coefficients: Float[Array, "k d"]
+    ) -> Float[Array, " e"]:
         place = functools.partial(_place, powers=polynomials(self.kind)[0])
 
         def nearer(at, _):
-            slope, off = jax.jacfwd(place)(at, coefficients), place(at, coefficients) - x
+            slope = jax.jacfwd(place)(at, coefficients)
+            off = place(at, coefficients) - x
             right = jnp.sum(slope * off[:, None], axis=0)
             step = solved(jnp.sum(slope[:, :, None] * slope[:, None], axis=0), right)
             at = jnp.clip(at - jnp.clip(step, -0.5, 0.5), 0, 1)
@@ -297,14 +340,18 @@ class CurvedFaces(Faceted):
 
 def _place(at: Float[Array, " e"], coefficients: Float[Array, "k d"], powers: np.ndarray) -> Point:
     """Evaluates a face's polynomial; whole powers are safe at zero in every derivative."""
-    monomials = [math.prod(x**power for x, power in zip(at, row, strict=True)) for row in powers.tolist()]
+    monomials = [
+        math.prod(x**power for x, power in zip(at, row, strict=True)) for row in powers.tolist()
+    ]
     return jnp.sum(jnp.stack(monomials)[:, None] * coefficients, axis=0)
 
 
 def solved(matrix: Float[Array, "e e"], right: Float[Array, " e"]) -> Float[Array, " e"]:
     """Solves a symmetric system of one or two unknowns; a singular matrix gives zero."""
     signs = jnp.asarray([[1, -1], [-1, 1]])[: len(right), : len(right)]
-    adjugate = matrix[::-1, ::-1] * signs  # of one unknown the matrix itself, and the square its determinant
+    adjugate = (
+        matrix[::-1, ::-1] * signs
+    )  # of one unknown the matrix itself, and the square its determinant
     size = jnp.sum(matrix[0] * adjugate[0])
     return jnp.sum(adjugate * right[None], axis=1) / jnp.where(size != 0, size, jnp.inf)
 
@@ -333,12 +380,15 @@ class SmoothFaces(Faceted):
         computing vertex normals from facet normals, J. Graph. Tools 4, 1999.
         """
         faces = jnp.asarray(self.faces)
-        corners, size = vertices[faces], faces.shape[1]
+        corners = vertices[faces]
+        size = faces.shape[1]
         areas = area_vectors(corners)
         others = jnp.stack([jnp.roll(corners, -step, axis=1) - corners for step in range(1, size)])
         squared = jnp.prod(jnp.sum(others**2, axis=3), axis=0)
         weight = norm(areas)[:, None] / jnp.where(squared > 0, squared, jnp.inf)
-        total, weights = _summed(faces, len(vertices), weight[..., None] * _unit(areas, 0)[:, None], weight)
+        total, weights = _summed(
+            faces, len(vertices), weight[..., None] * _unit(areas, 0)[:, None], weight
+        )
         # Round an inner vertex each neighbour comes first once and last once: ids cancel out.
         if size == 3:
             turns = jnp.roll(faces, -1, axis=1) - jnp.roll(faces, 1, axis=1)
@@ -356,14 +406,18 @@ class SmoothFaces(Faceted):
         faces = jnp.asarray(self.faces)
         size = faces.shape[1]
         first, second = np.array(list(itertools.permutations(range(size), 2))).T
-        here, there = faces[:, first], faces[:, second]
-        other, side = unit[there], vertices[here] - vertices[there]
+        here = faces[:, first]
+        there = faces[:, second]
+        other = unit[there]
+        side = vertices[here] - vertices[there]
         squared = jnp.sum(side**2, axis=2)
         length = jnp.where(squared > 0, squared, 1)
         reach = jnp.max(squared[:, 0])
         weight = jnp.where(is_rim[there] | (squared <= 0), 0, reach / length) ** 2
         share = jnp.sum(other * side, axis=2) / length
-        total, weights = _summed(here, len(unit), weight[..., None] * (other - 2 * share[..., None] * side), weight)
+        total, weights = _summed(
+            here, len(unit), weight[..., None] * (other - 2 * share[..., None] * side), weight
+        )
         goes_on = norm(total) > CANCELLED * weights
         return jnp.where(goes_on[:, None], _unit(total, CANCELLED * weights), unit)
 
@@ -378,15 +432,23 @@ class SmoothFaces(Faceted):
         return jax.lax.scan(nearer, (x, jnp.zeros_like(x)), length=LIFTS)[0]
 
 
-def _summed(rows: Int[Array, "e c"], count: int, vectors: Float[Array, "e c d"], weights: Float[Array, "e c"]):
+def _summed(
+    rows: Int[Array, "e c"],
+    count: int,
+    vectors: Float[Array, "e c d"],
+    weights: Float[Array, "e c"],
+):
     """Sums of vectors and of weights by row."""
     total = jnp.zeros((count, vectors.shape[2]), vectors.dtype).at[rows].add(vectors)
     return total, jnp.zeros(count, weights.dtype).at[rows].add(weights)
 
 
-def _raised(x: Point, corners: Float[Array, "w d d"], normals: Float[Array, "w d d"]) -> tuple[Point, Point]:
+def _raised(
+    x: Point, corners: Float[Array, "w d d"], normals: Float[Array, "w d d"]
+) -> tuple[Point, Point]:
     place, chosen = _closest(x, corners)
-    corner, normal = corners[chosen], normals[chosen]
+    corner = corners[chosen]
+    normal = normals[chosen]
     sides = corner[1:] - corner[0][None]
     gram = jnp.matmul(sides, sides.T, precision="highest")
     rest = solved(gram, jnp.matmul(sides, place - corner[0], precision="highest"))
@@ -395,7 +457,9 @@ def _raised(x: Point, corners: Float[Array, "w d d"], normals: Float[Array, "w d
     mean = jnp.matmul(shares, normal, precision="highest")
     lift = jnp.matmul(shares * above, normal, precision="highest")
     length = norm(mean)  # zero where both sides of a plate cancel out
-    return place + lift / 2, jnp.where(length > CANCELLED, mean / jnp.where(length > 0, length, 1), normal_of(corner))
+    return place + lift / 2, jnp.where(
+        length > CANCELLED, mean / jnp.where(length > 0, length, 1), normal_of(corner)
+    )
 
 
 def _unit(vectors: Vertices, noise: Float[Array, " v"] | int) -> Vertices:

@@ -21,7 +21,9 @@ from .._quality.distortion import node_scales, signs_of_pieces, targets
 from .motion import Distortion, Ways
 
 
-def prepared(boundary: Boundary, mesh: Mesh, dtype, ideal: bool, size_weight: float) -> tuple[Distortion, Pattern]:
+def prepared(
+    boundary: Boundary, mesh: Mesh, dtype, ideal: bool, size_weight: float
+) -> tuple[Distortion, Pattern]:
     (n, d), pairings = mesh.points.shape, boundary.pairings
     held, tracks = _held(boundary, mesh)
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, d).items()}
@@ -47,16 +49,24 @@ def prepared(boundary: Boundary, mesh: Mesh, dtype, ideal: bool, size_weight: fl
 
 def _held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]]:
     """Nodes that do not move, and tracks of those that slide."""
-    points, held = boundary.points, [boundary.moving, boundary.fixed]
+    points = boundary.points
+    held = [boundary.moving, boundary.fixed]
     sliding = mask(len(points), *(track.rows for track in boundary.tracks))
     on_plane = boundary.on_planes.T
     pairs = zip(boundary.planes, on_plane, strict=True)
-    walls = [(Flat(plane.normal, plane.origin), np.flatnonzero(is_on & ~sliding)) for plane, is_on in pairs]
+    walls = [
+        (Flat(plane.normal, plane.origin), np.flatnonzero(is_on & ~sliding))
+        for plane, is_on in pairs
+    ]
     tracks, corners = tracks_of(walls, (), points)
     tracks = *boundary.tracks, *tracks
     edges = [track.rows for track in tracks if len(track.walls) > 1]
     ways = [track.rows for track in tracks]
-    ways += [np.append(side, pair.alone) for pair in boundary.pairings for side in (pair.first, pair.second)]
+    ways += [
+        np.append(side, pair.alone)
+        for pair in boundary.pairings
+        for side in (pair.first, pair.second)
+    ]
     ways = [*ways, *map(np.flatnonzero, on_plane), boundary.free]
     sides = _boundary(mesh, [mask(len(points), nodes, *held, corners, *edges) for nodes in ways])
     return np.concatenate([sides, *held, corners]).astype(int), tuple(map(smoothed, tracks))
@@ -72,7 +82,15 @@ def _boundary(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
 
 
 @compiled
-def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], signs, free: Bool[Array, " n"], ways, ideal, size):
+def _energy(
+    cells: dict[str, Array],
+    reference: Float[Array, "n d"],
+    signs,
+    free: Bool[Array, " n"],
+    ways,
+    ideal,
+    size,
+):
     goals = targets(cells, reference, signs, ideal)
     scale = node_scales(cells, goals, len(reference))
     return Distortion(cells, goals, scale, free, jnp.ones((), reference.dtype), ways, float(size))

@@ -52,7 +52,8 @@ def curve(
     """
     if not mesh.is_curved:
         raise ValueError(
-            f"{mesh} has linear cells alone, which stay straight: `elevate(mesh, 2)` gives it nodes to curve."
+            f"{mesh} has linear cells alone, which stay straight: `elevate(mesh, 2)` gives it "
+            "nodes to curve."
         )
     nodes = nodes_named(moving, "moving", mesh, len(mesh.points))
     wall = np.asarray(mesh.points)[nodes]
@@ -60,7 +61,10 @@ def curve(
     _check_reach(mesh, nodes, places - wall)
     before = quality(mesh)
     if int(before.inverted):
-        warn(f"{int(before.inverted)} of {before.count} cells are invalid before the wall is curved, and may stay so.")
+        warn(
+            f"{int(before.inverted)} of {before.count} cells are invalid before the wall is "
+            "curved, and may stay so."
+        )
     plan = prepare(mesh, nodes, fixed, method=method, symmetry=symmetry)
     return mesh.moved(deform(plan, jnp.asarray(places - wall)))
 
@@ -71,13 +75,17 @@ def _places(surface: Any, wall: np.ndarray) -> np.ndarray:
     if callable(surface):
         surface = surface(wall)
         if not hasattr(surface, "shape"):
-            raise ValueError(f"`surface` gives {shown(surface)} for the nodes of the wall, not places {wall.shape}.")
+            raise ValueError(
+                f"`surface` gives {shown(surface)} for the nodes of the wall, not places "
+                f"{wall.shape}."
+            )
     return finite_array("surface", surface, wall.shape)
 
 
 def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:
     """Raises `ValueError` for places farther from their nodes than faces there are long."""
-    points, reach = np.asarray(mesh.points), np.zeros(len(mesh.points))
+    points = np.asarray(mesh.points)
+    reach = np.zeros(len(mesh.points))
     outer = outer_faces(mesh)
     for ids in () if outer is None else outer.corners.values():
         extent = np.linalg.norm(np.ptp(points[ids], axis=1), axis=1)
@@ -86,7 +94,8 @@ def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:
     away = np.linalg.norm(u, axis=1)
     check_none(
         nodes[worst_first(away, order * reach[nodes])],
-        f"{{count}} of {len(nodes)} nodes of the wall are farther from the surface than its faces there are long, the worst is "
+        f"{{count}} of {len(nodes)} nodes of the wall are farther from the surface than its faces "
+        "there are long, the worst is "
         f"node {{node}} at ({{place}}), {away.max():.3g} away: is it the wall's?",
         points,
     )

@@ -57,7 +57,8 @@ class Improvement(Module):
     cells: int = eqx.field(static=True)
 
     def __str__(self) -> str:
-        residual, unproven = float(self.residual), int(self.unproven)
+        residual = float(self.residual)
+        unproven = int(self.unproven)
         if residual < MINIMUM:
             how = "at a minimum"
         elif residual < 1:
@@ -65,12 +66,20 @@ class Improvement(Module):
         else:
             how = f"stopped early, residual {residual:.1g}"
         if int(self.lost):
-            how += f"; {int(self.lost)} stay inverted at a corner with held nodes alone, which no free node can mend"
-        proven = "proven to fold nowhere inside" if unproven == 0 else f"proven to fold nowhere but for {unproven}"
+            how += (
+                f"; {int(self.lost)} stay inverted at a corner with held nodes alone, which no "
+                "free node can mend"
+            )
+        proven = (
+            "proven to fold nowhere inside"
+            if unproven == 0
+            else f"proven to fold nowhere but for {unproven}"
+        )
         if int(self.from_start):
             proven += f" ({int(self.from_start)} of them as on the undeformed mesh or better)"
         return (
-            f"{int(self.before)} of {self.cells} cells were inverted, {int(self.after)} are now, {proven}; "
+            f"{int(self.before)} of {self.cells} cells were inverted, {int(self.after)} are now, "
+            f"{proven}; "
             f"mean distortion {float(self.energy):.3g} after {int(self.steps)} steps, {how}"
         )
 
@@ -137,7 +146,9 @@ def improve(
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
     if (own := boundary.mesh) is None:
-        raise ValueError("this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...).")
+        raise ValueError(
+            "this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...)."
+        )
     check_solid(own, "there is nothing to improve")
     start = places(own, points)
     if is_known(start):
@@ -163,7 +174,9 @@ def improve(
     return eqx.tree_at(lambda it: it.steps, chosen, stiff.steps)
 
 
-def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[Improvement, QualityReport]:
+def _ended(
+    mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum
+) -> tuple[Improvement, QualityReport]:
     distortion = plain.distortion
     energy, slope, improved, fixed = judged(distortion, minimum, start.astype(minimum.y.dtype))
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
@@ -171,17 +184,23 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     report = quality(mesh, moved)
     margin = proven_margin(mesh, moved, depth=1)
     with jax.ensure_compile_time_eval():
-        own, owner = proven_margin(mesh, mesh.points, depth=1), owners(jax.tree.map(np.asarray, mesh.cells))
+        own = proven_margin(mesh, mesh.points, depth=1)
+        owner = owners(jax.tree.map(np.asarray, mesh.cells))
         old = quality(mesh).is_inverted  # these are judged by the mesh on the new points alone
     before, is_inverted = (
-        jnp.where(old, quality(mesh.moved(x)).is_inverted, judgement.is_inverted) & judgement.counted
+        jnp.where(old, quality(mesh.moved(x)).is_inverted, judgement.is_inverted)
+        & judgement.counted
         for x, judgement in ((start, quality(mesh, start)), (moved, report))
     )
     lost = jnp.zeros_like(is_inverted)
     for kind, is_fixed in fixed.items():
         lost = lost.at[owner[kind]].max(is_fixed)
-    unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
-    steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
+    unproven = ~(margin > 0)
+    as_before = (own <= 0) & (margin >= own - SAME)
+    steps = jnp.asarray(minimum.steps)
+    residual = jnp.max(jnp.abs(slope))
     counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & is_inverted)
-    was, now, energy = jnp.sum(before), jnp.sum(is_inverted), energy / sum(map(len, distortion.cells.values()))
+    was = jnp.sum(before)
+    now = jnp.sum(is_inverted)
+    energy = energy / sum(map(len, distortion.cells.values()))
     return Improvement(moved, was, now, *counts, energy, residual, steps, report.count), report

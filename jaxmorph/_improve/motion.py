@@ -14,7 +14,15 @@ from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
 from .._host.linear.products import determinant
 from .._quality import measures
-from .._quality.distortion import Bounds, Target, energy, energy_of_cells, samples, stiffened, stretch
+from .._quality.distortion import (
+    Bounds,
+    Target,
+    energy,
+    energy_of_cells,
+    samples,
+    stiffened,
+    stretch,
+)
 from .._quality.vector import Vector, corners
 
 Nodal = Float[Array, "n d"]  # a place, or a vector, of every node
@@ -62,7 +70,8 @@ class Ways(eqx.Module):
         return points
 
 
-SHIFT = 1e-12  # added to a Hessian's diagonal (order one): it may be singular where cells are inverted
+# added to a Hessian's diagonal (order one): it may be singular where cells are inverted
+SHIFT = 1e-12
 
 
 class Distortion(eqx.Module):
@@ -91,7 +100,8 @@ class Distortion(eqx.Module):
     def _energy(self, points: Nodal) -> Float[Array, ""]:
         total = jnp.zeros((), points.dtype)
         for kind, ids in self.cells.items():
-            x, goal = corners(points, ids), self.targets[kind]
+            x = corners(points, ids)
+            goal = self.targets[kind]
             total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size, self.bounds))
         return total
 
@@ -102,9 +112,14 @@ class Distortion(eqx.Module):
 
     def _samples(self, points: Nodal) -> tuple[Array, Array, Array]:
         """The mask of samples that count, |T|^2 / d and det T, of all types."""
-        rows = [samples(kind, corners(points, ids), self.targets[kind]) for kind, ids in self.cells.items()]
+        rows = [
+            samples(kind, corners(points, ids), self.targets[kind])
+            for kind, ids in self.cells.items()
+        ]
         parts = ([self.targets[kind].counts > 0 for kind in self.cells], *zip(*rows, strict=True))
-        counts, squared, tau = (jnp.concatenate([part.ravel() for part in every]) for every in parts)
+        counts, squared, tau = (
+            jnp.concatenate([part.ravel() for part in every]) for every in parts
+        )
         return counts, squared, tau
 
     def least(self, y: Nodal, base: Nodal) -> Float[Array, ""]:
@@ -113,7 +128,10 @@ class Distortion(eqx.Module):
 
     def worst(self, y: Nodal, base: Nodal) -> Float[Array, ""]:
         counts, squared, tau = self._samples(self.points(y, base))
-        return jnp.max(jnp.where(counts, energy(squared, tau, self.softness, self.size, y.shape[1]), 0), initial=0)
+        return jnp.max(
+            jnp.where(counts, energy(squared, tau, self.softness, self.size, y.shape[1]), 0),
+            initial=0,
+        )
 
     def movable(self) -> "Distortion":
         """Leaves out samples whose nodes are all held: no motion lowers their distortion."""
@@ -125,7 +143,8 @@ class Distortion(eqx.Module):
 
     def lost(self, points: Nodal) -> dict[str, Bool[Array, " _k"]]:
         """Marks the cells with an inverted sample whose nodes are all held, by type."""
-        lost, movable = {}, self.movable().targets
+        lost = {}
+        movable = self.movable().targets
         for kind, ids in self.cells.items():
             is_held = (self.targets[kind].counts > 0) & (movable[kind].counts == 0)
             tau = samples(kind, corners(points, ids), self.targets[kind])[1]
@@ -139,7 +158,9 @@ class Distortion(eqx.Module):
         # The stretch T = A W^-1 of a sample is linear in the corners. The last axis of the result
         # runs over cells fastest, then over the second corner z, then over the first corner c, type
         # after type: the order of `Pattern`.
-        points, parts, d = self.points(y, base), [], base.shape[1]
+        points = self.points(y, base)
+        parts = []
+        d = base.shape[1]
         # Derivatives of places by y, whose axis is the last; a partner moves by its first node's y.
         slopes = _columns(lambda y: self.points(y, base), y)
 
@@ -148,11 +169,20 @@ class Distortion(eqx.Module):
             return value if self.bounds is None else stiffened(value, tau, self.bounds)
 
         for kind, ids in self.cells.items():
-            goal, share, slope = self.targets[kind], _shares(kind), slopes[ids]
+            goal = self.targets[kind]
+            share = _shares(kind)
+            slope = slopes[ids]
             matrices = _stacked(stretch(kind, corners(points, ids), goal)).transpose(2, 3, 1, 0)
-            second = _convex(of_sample, matrices, floor) * (goal.counts / len(share))[..., None, None, None, None]
-            by_corner = jnp.einsum("sce,ebsk->skcb", share, _stacked(goal.inverse), precision="highest")
-            pairs = jnp.einsum("skcb,skabfg,skzg->kcazf", by_corner, second, by_corner, precision="highest")
+            second = (
+                _convex(of_sample, matrices, floor)
+                * (goal.counts / len(share))[..., None, None, None, None]
+            )
+            by_corner = jnp.einsum(
+                "sce,ebsk->skcb", share, _stacked(goal.inverse), precision="highest"
+            )
+            pairs = jnp.einsum(
+                "skcb,skabfg,skzg->kcazf", by_corner, second, by_corner, precision="highest"
+            )
             pairs = jnp.einsum("kcax,kcazf,kzfy->xyczk", slope, pairs, slope, precision="highest")
             parts.append(pairs.reshape(d, d, -1))
         parts.append(jnp.moveaxis(self._alone(y, base, floor), 0, 2))
@@ -165,15 +195,21 @@ class Distortion(eqx.Module):
             return added
         force = jax.grad(self._energy)(self.points(y, base))
         curved = _columns(jax.grad(lambda y: jnp.sum(force * self.points(y, base))), y)
-        return added + jnp.where(jnp.asarray(floor) < 0, (curved + jnp.swapaxes(curved, 1, 2)) / 2, 0)
+        return added + jnp.where(
+            jnp.asarray(floor) < 0, (curved + jnp.swapaxes(curved, 1, 2)) / 2, 0
+        )
 
 
-def _convex(energy: Callable, stretch: Float[Array, "s k d d"], floor: Any) -> Float[Array, "s k d d d d"]:
+def _convex(
+    energy: Callable, stretch: Float[Array, "s k d d"], floor: Any
+) -> Float[Array, "s k d d d d"]:
     """Second derivatives of energy(|T|^2 / d, det T) by entries of T, with eigenvalues from `floor`
     (Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005).
     """
     d = stretch.shape[-1]
-    hessian = jax.hessian(lambda entries: energy(jnp.sum(entries**2) / d, determinant(list(entries.reshape(d, d)))))
+    hessian = jax.hessian(
+        lambda entries: energy(jnp.sum(entries**2) / d, determinant(list(entries.reshape(d, d))))
+    )
     values, vectors = jnp.linalg.eigh(jax.vmap(hessian)(stretch.reshape(-1, d * d)))
     scaled = vectors * jnp.maximum(values, floor)[:, None]
     return jnp.matmul(scaled, vectors.mT, precision="highest").reshape(*stretch.shape, d, d)

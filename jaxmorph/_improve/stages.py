@@ -17,15 +17,21 @@ from .._kernels.compile import compiled
 from .._quality.distortion import Bounds
 from .motion import Distortion, Nodal, Ways
 
-QUARTER = 0.05  # least cosine between a wall's normals at a node's start and end; below it, no minimum
+# least cosine between a wall's normals at a node's start and end; below it, no minimum
+QUARTER = 0.05
 
-SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
+SHARPEST = 1e-3
+GENTLER = 0.3
+STAGES = 5
 """Softness of the barrier in the last stage, its largest factor per stage, and most stages."""
 
-SHARE, RUNG, RUNGS = 0.95, 1.02, 40
+SHARE = 0.95
+RUNG = 1.02
+RUNGS = 40
 """Worst sample over its bound where a stage begins, ratio of two rungs, and most stages."""
 
-CLOSE = 0.03  # least tolerance between two stages of stiffening: a looser one would end them too early
+# least tolerance between two stages of stiffening: a looser one would end them too early
+CLOSE = 0.03
 
 
 class Search(NamedTuple):
@@ -46,11 +52,15 @@ class Minimum(NamedTuple):
 
 def softened(distortion: Distortion, base: Nodal, search: Search) -> Minimum:
     """Finds the minimum in stages, in which the barrier at det T = 0 sharpens."""
-    softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
+    softness = jnp.asarray(1 / GENTLER)
+    held = jax.lax.stop_gradient(base)
     distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))
-    y, count, stage = jnp.zeros_like(base), 0, distortion
+    y = jnp.zeros_like(base)
+    count = 0
+    stage = distortion
     for last in (False,) * (STAGES - 1) + (True,):
-        before, least = softness, SHARPEST if last else -2 * _least(distortion, y, held)
+        before = softness
+        least = SHARPEST if last else -2 * _least(distortion, y, held)
         softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
         stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
         end = (last | (softness < before), search.enough(last))
@@ -66,7 +76,9 @@ def stiffened(plain: Minimum, base: Nodal, search: Search) -> Minimum:
     """
     y, held = map(jax.lax.stop_gradient, (plain.y, base))
     distortion, y, steps = _climbed(plain.distortion, y, held, search)
-    y, last = _minimise(distortion, y, base, search, (True, jnp.minimum(search.enough(last=True), CLOSE / 10)))
+    y, last = _minimise(
+        distortion, y, base, search, (True, jnp.minimum(search.enough(last=True), CLOSE / 10))
+    )
     return Minimum(distortion, y, plain.steps + steps + last)
 
 
@@ -75,11 +87,16 @@ def _climbed(distortion: Distortion, y, base, search: Search):
     """Moves the bounds rung by rung until the worst samples leave no room for the next. Returns the
     rungs where the smallest determinant is largest, and the steps of all rungs.
     """
-    distortion, enough = distortion.movable(), jnp.stack([jnp.maximum(search.tolerance, CLOSE)] * 2)
+    distortion = distortion.movable()
+    enough = jnp.stack([jnp.maximum(search.tolerance, CLOSE)] * 2)
 
     def rungs(y):
-        closest = jnp.stack([1 / jnp.maximum(distortion.worst(y, base), 1e-6), distortion.least(y, base)])
-        highest = jnp.log(SHARE * jnp.maximum(closest, 0)) / jnp.log(RUNG)  # -inf where a cell is inverted: no bound
+        closest = jnp.stack(
+            [1 / jnp.maximum(distortion.worst(y, base), 1e-6), distortion.least(y, base)]
+        )
+        highest = jnp.log(SHARE * jnp.maximum(closest, 0)) / jnp.log(
+            RUNG
+        )  # -inf where a cell is inverted: no bound
         return jnp.floor(highest).astype(base.dtype)
 
     def stiff(rungs):
@@ -123,7 +140,16 @@ def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
     tags = frozenset({lx.positive_semidefinite_tag})
 
     def minimum(y):
-        run = optx.minimise(distortion, solver, y, base, max_steps=max_steps, adjoint=adjoint, throw=False, tags=tags)
+        run = optx.minimise(
+            distortion,
+            solver,
+            y,
+            base,
+            max_steps=max_steps,
+            adjoint=adjoint,
+            throw=False,
+            tags=tags,
+        )
         return run.value, run.stats["num_steps"]
 
     return jax.lax.cond(wanted, minimum, lambda y: (y, jnp.asarray(0)), y)
@@ -136,18 +162,25 @@ _least = compiled(Distortion.least)
 @compiled
 def judged(plain: Distortion, minimum: Minimum, base: Nodal):
     distortion, y, _ = minimum
-    value, slope = plain(y, base), jax.grad(distortion)(y, base)
-    points, ways = distortion.points(y, base), distortion.ways
+    value = plain(y, base)
+    slope = jax.grad(distortion)(y, base)
+    points = distortion.points(y, base)
+    ways = distortion.ways
     if not ways.is_linear:
         # A quarter of a turn from its start, a node's slope vanishes, at a minimum or not.
         # The cosine is that of the normals on one wall, that of the tangents between two walls.
-        along = 1 + jnp.sum(ways.off * ways.at(points).off, axis=(1, 2)) - jnp.trace(ways.off, axis1=1, axis2=2)
+        along = (
+            1
+            + jnp.sum(ways.off * ways.at(points).off, axis=(1, 2))
+            - jnp.trace(ways.off, axis1=1, axis2=2)
+        )
         least = jnp.min(along, where=distortion.free, initial=1.0)
         slope = jnp.where(least > QUARTER**2, slope, jnp.inf)
     return value, slope, points, plain.lost(points)
 
 
-NEAR = 1.0  # largest derivative (order one) at which the whole Hessian is taken: quadratic convergence
+# largest derivative (order one) at which the whole Hessian is taken: quadratic convergence
+NEAR = 1.0
 
 
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Nodal) -> Nodal:
@@ -210,5 +243,7 @@ class ProjectedNewton(optx.AbstractQuasiNewton):
         inverse = eqx.Partial(_on_host, solve, self.pattern, blocks, self.distortion.shift())
         structure = jax.ShapeDtypeStruct(grad.shape, grad.dtype)
         # not converted: a closure converted anew would be another type, and so another state
-        operator = lx.FunctionLinearOperator(inverse, structure, lx.symmetric_tag, closure_convert=False)
+        operator = lx.FunctionLinearOperator(
+            inverse, structure, lx.symmetric_tag, closure_convert=False
+        )
         return optx.FunctionInfo.EvalGradHessianInv(f, grad, operator)

@@ -21,10 +21,14 @@ def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *argum
     It must not call JAX. Under `vmap` it is called for each element. It has no derivative:
     `jax.lax.custom_linear_solve`, for example, gives it one.
     """
-    return _call_p.bind(*arguments, function=function, shape=result.shape, dtype=np.dtype(result.dtype), batch=())
+    return _call_p.bind(
+        *arguments, function=function, shape=result.shape, dtype=np.dtype(result.dtype), batch=()
+    )
 
 
-def _called(*arguments: Any, function: Callable, shape: tuple, dtype: np.dtype, batch: tuple) -> np.ndarray:
+def _called(
+    *arguments: Any, function: Callable, shape: tuple, dtype: np.dtype, batch: tuple
+) -> np.ndarray:
     """Calls the function for a batch, whose axes come first, of size 1 where nothing varies."""
     results = np.empty((*batch, *shape), dtype)
     arrays = [np.asarray(argument) for argument in arguments]
@@ -68,7 +72,10 @@ def _sharding(context: Any) -> Any:
 def _batched(arguments: Any, axes: Any, *, batch: tuple, **params: Any) -> tuple[Array, int]:
     pairs = list(zip(arguments, axes, strict=True))
     size = next(array.shape[axis] for array, axis in pairs if axis is not None)
-    rows = [jnp.expand_dims(array, 0) if axis is None else jnp.moveaxis(array, axis, 0) for array, axis in pairs]
+    rows = [
+        jnp.expand_dims(array, 0) if axis is None else jnp.moveaxis(array, axis, 0)
+        for array, axis in pairs
+    ]
     return _call_p.bind(*rows, batch=(size, *batch), **params), 0
 
 

@@ -21,7 +21,9 @@ OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
 }
 
-UNTUNED = {"xla_backend_optimization_level": 0}  # a third of the compile time, for few runs on little data
+UNTUNED = {
+    "xla_backend_optimization_level": 0
+}  # a third of the compile time, for few runs on little data
 
 _is_quick = contextvars.ContextVar("_is_quick", default=False)
 _is_for_cpu = contextvars.ContextVar("_is_for_cpu", default=False)
@@ -44,12 +46,16 @@ def compiled(function: Function) -> Function:
     plain = eqx.filter_jit(function)
 
     @functools.cache
-    def direct(only_arrays: bool, is_quick: bool, for_cpu: bool) -> Callable:  # tracing depends on `for_cpu`
+    def direct(
+        only_arrays: bool, is_quick: bool, for_cpu: bool
+    ) -> Callable:  # tracing depends on `for_cpu`
         # `jax.jit` is quicker to call, `filter_jit` knows static arguments
         compile: Any = jax.jit if only_arrays else eqx.filter_jit
         options = OPTIONS | (UNTUNED if is_quick else {})
         known = {name: value for name, value in options.items() if _knows(name, value)}
-        return compile(function, compiler_options=known)  # XLA refuses a program for an unknown option
+        return compile(
+            function, compiler_options=known
+        )  # XLA refuses a program for an unknown option
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
@@ -83,7 +89,9 @@ def is_direct(*trees: Any) -> bool:
     if _is_for_cpu.get() or not is_known(trees):
         return False
     leaves = jax.tree.leaves(trees)
-    devices = next((leaf.sharding.device_set for leaf in leaves if isinstance(leaf, jax.Array)), set())
+    devices = next(
+        (leaf.sharding.device_set for leaf in leaves if isinstance(leaf, jax.Array)), set()
+    )
     on_cpu = all(device.platform == "cpu" for device in devices)
     return on_cpu and is_known(jnp.zeros(()))  # a tracer is made even of a constant under `jit`
 

@@ -15,19 +15,33 @@ from jaxtyping import Array, Float
 
 from .compile import as_for_cpu
 
-BLOCK, WARPS = 512, 2  # points of a program of the kernel, and its groups of 32 threads: eight points a thread
+BLOCK, WARPS = (
+    512,
+    2,
+)  # points of a program of the kernel, and its groups of 32 threads: eight points a thread
 FEW = 2**19  # points below which sources are divided too: blocks of points alone do not fill a card
-FEW_BLOCK, FEW_WARPS = 64, 1  # `BLOCK` and `WARPS` for fewer points
+FEW_BLOCK = 64
+FEW_WARPS = 1  # `BLOCK` and `WARPS` for fewer points
 
-PROGRAMS, LEAST_SHARE = 2**17, 256  # programs that keep a card busy to the end, least sources of a program
-LEAST_CAPABILITY = 8  # major compute capability below which Triton, by which Pallas compiles, has no kernels
+PROGRAMS, LEAST_SHARE = (
+    2**17,
+    256,
+)  # programs that keep a card busy to the end, least sources of a program
+# major compute capability below which Triton, by which Pallas compiles, has no kernels
+LEAST_CAPABILITY = 8
 
 ELEMENTWISE = {
     *("abs", "add", "cos", "div", "exp", "exp2", "integer_pow", "log", "log1p", "logistic"),
     *("max", "min", "mul", "neg", "pow"),
     *("rsqrt", "sign", "sin", "sqrt", "square", "sub", "tanh"),
     *("and", "eq", "ge", "gt", "le", "lt", "ne", "not", "or", "select_n"),
-    *("bitcast_convert_type", "broadcast_in_dim", "convert_element_type", "shift_left", "shift_right_logical"),
+    *(
+        "bitcast_convert_type",
+        "broadcast_in_dim",
+        "convert_element_type",
+        "shift_left",
+        "shift_right_logical",
+    ),
 }
 """Operations of a kernel, by names of JAX, which may change: other functions run as loops."""
 
@@ -35,11 +49,18 @@ ELEMENTWISE = {
 def has_kernels() -> bool:
     if jax.default_backend() != "gpu":
         return False
-    major = re.match(r"(\d+)\.\d+$", str(getattr(jax.devices()[0], "compute_capability", "")))  # of AMD: gfx90a
+    major = re.match(
+        r"(\d+)\.\d+$", str(getattr(jax.devices()[0], "compute_capability", ""))
+    )  # of AMD: gfx90a
     return major is not None and int(major[1]) >= LEAST_CAPABILITY
 
 
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "closed_call": "call_jaxpr"}
+CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "closed_call": "call_jaxpr",
+}
 """Operations that hold a jaxpr, and its parameter, by names of JAX, which may change."""
 
 
@@ -51,7 +72,10 @@ def is_elementwise(phi: Callable, dtype: Any) -> bool:
 
 def _allowed(jaxpr: Any) -> bool:
     calls = [(each.primitive.name, each.params) for each in jaxpr.eqns]
-    return all(_allowed(held[CALLS[name]].jaxpr) if name in CALLS else name in ELEMENTWISE for name, held in calls)
+    return all(
+        _allowed(held[CALLS[name]].jaxpr) if name in CALLS else name in ELEMENTWISE
+        for name, held in calls
+    )
 
 
 def fused_sum(
@@ -80,7 +104,9 @@ def fused_sum(
         numbers = [constants_ref[i] for i in range(len(constants))]
 
         def add(j, sums):
-            value = phi(sum((x[axis] - sources_ref[j, axis]) ** 2 for axis in range(dimension)), *numbers)
+            value = phi(
+                sum((x[axis] - sources_ref[j, axis]) ** 2 for axis in range(dimension)), *numbers
+            )
             return tuple(total + weights_ref[j, row] * value for row, total in enumerate(sums))
 
         first = pl.program_id(1) * share
@@ -101,6 +127,13 @@ def fused_sum(
 
 def _layout(n: int, count: int) -> tuple[int, int, int, int]:
     """For `n` points and `count` sources: block, warps, count of blocks, sources of a part."""
-    block, warps = (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
+    block, warps = (
+        (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
+    )
     blocks = -(-n // block)
-    return block, warps, blocks, count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))
+    return (
+        block,
+        warps,
+        blocks,
+        count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS)),
+    )

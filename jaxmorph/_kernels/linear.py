@@ -22,7 +22,9 @@ def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any])
     moving = [i for i, tangent in enumerate(tangents) if i and not isinstance(tangent, ad.Zero)]
 
     def of_moving(*values):
-        return compute(*(dict(enumerate(primals)) | dict(zip(moving, values, strict=True))).values())
+        return compute(
+            *(dict(enumerate(primals)) | dict(zip(moving, values, strict=True))).values()
+        )
 
     return jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1]
 
@@ -71,8 +73,14 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
 
     def abstract(values, *others, **options):
         # JAX may keep account of arrays that vary between devices.
-        varies = {"vma": values.vma.union(*(other.vma for other in others))} if hasattr(values, "vma") else {}
-        return values.update(shape=(rows(*others, **options), values.shape[1]), weak_type=False, **varies)
+        varies = (
+            {"vma": values.vma.union(*(other.vma for other in others))}
+            if hasattr(values, "vma")
+            else {}
+        )
+        return values.update(
+            shape=(rows(*others, **options), values.shape[1]), weak_type=False, **varies
+        )
 
     primitive.def_impl(_program(primitive, compute))
     primitive.def_abstract_eval(abstract)
@@ -95,14 +103,18 @@ def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Flo
     return _product.bind(rows.T, block, axis=0).T
 
 
-def few_rows_times_transposed(rows: Float[Array, "k c"], block: Float[Array, "s c"]) -> Float[Array, "k s"]:
+def few_rows_times_transposed(
+    rows: Float[Array, "k c"], block: Float[Array, "s c"]
+) -> Float[Array, "k s"]:
     """`rows @ block.T` as `few_rows_times`, without a transposed copy of the block."""
     return _product.bind(rows.T, block, axis=1).T
 
 
 def _contract(rows, block, axis):
     dimensions = (((rows.ndim - 1,), (axis,)), ((), ()))
-    return jax.lax.dot_general(rows, block, dimensions, precision="highest")  # a GPU would round float32 to ten bits
+    return jax.lax.dot_general(
+        rows, block, dimensions, precision="highest"
+    )  # a GPU would round float32 to ten bits
 
 
 def _few_rows(columns, block, *, axis):
@@ -111,13 +123,17 @@ def _few_rows(columns, block, *, axis):
     return jnp.stack([_contract(row, block, axis) for row in columns.T], axis=1)
 
 
-def few_rows_in_one_loop(columns: Float[Array, "s k"], block: Float[Array, "..."], axis: int) -> Float[Array, "c k"]:
+def few_rows_in_one_loop(
+    columns: Float[Array, "s k"], block: Float[Array, "..."], axis: int
+) -> Float[Array, "c k"]:
     """The product as one reduction of all rows, for GPUs: the block is never in memory."""
     if columns.shape[1] > MOST_ROWS:
         return _contract(columns.T, block, axis).T
     terms = tuple(block * (row[:, None] if axis == 0 else row[None]) for row in columns.T)
     zeros = (jnp.zeros((), block.dtype),) * len(terms)
-    return jnp.stack(jax.lax.reduce(terms, zeros, lambda *pair: tuple(map(operator.add, *pair)), (axis,)), axis=1)
+    return jnp.stack(
+        jax.lax.reduce(terms, zeros, lambda *pair: tuple(map(operator.add, *pair)), (axis,)), axis=1
+    )
 
 
 _product = linear_primitive(
@@ -127,4 +143,6 @@ _product = linear_primitive(
     turned=lambda block, axis: ((block,), {"axis": 1 - axis}),  # XLA would compute block.T anew
 )
 for _platform in ("cuda", "rocm"):
-    mlir.register_lowering(_product, mlir.lower_fun(few_rows_in_one_loop, multiple_results=False), platform=_platform)
+    mlir.register_lowering(
+        _product, mlir.lower_fun(few_rows_in_one_loop, multiple_results=False), platform=_platform
+    )

@@ -16,7 +16,8 @@ _ONE = 0x3FF0000000000000
 _MANTISSA = 0x000FFFFFFFFFFFFF
 _EXPONENT_1 = 0x0010000000000000  # one more in the exponent
 
-_TWO_52 = 0x4330000000000000  # of 2^52; with an integer k < 2^52 in the mantissa, these are the bits of 2^52 + k
+# of 2^52; with an integer k < 2^52 in the mantissa, these are the bits of 2^52 + k
+_TWO_52 = 0x4330000000000000
 _HALF_LOG_2 = 0.34657359027997264  # log(2) / 2
 
 _RECIPROCAL = (2.955511829448898, -2.889776453422684, 0.9349031257061479)
@@ -82,7 +83,8 @@ def _half_log(x):
     bits = jax.lax.bitcast_convert_type(x, jnp.uint64) + jnp.uint64(_ONE - _ROOT_HALF)
     k = _float(bits >> jnp.uint64(52) | jnp.uint64(_TWO_52)) - (2.0**52 + 1023)
     m = _float((bits & jnp.uint64(_MANTISSA)) + jnp.uint64(_ROOT_HALF - _EXPONENT_1))  # half of it
-    f, d = m - 0.5, m + 0.5
+    f = m - 0.5
+    d = m + 0.5
     y = _polynomial(_RECIPROCAL, d)
     e = 1 - d * y
     y = y + y * (e + e * e)

@@ -28,13 +28,19 @@ class Module(eqx.Module):
 
     def __eq__(self, other: object) -> bool:
         return self is other or (
-            type(self) is type(other) and _has_value(self, other) and _values(self) == _values(other)
+            type(self) is type(other)
+            and _has_value(self, other)
+            and _values(self) == _values(other)
         )
 
     def __getattribute__(self, name: str) -> Any:
         attribute = object.__getattribute__(self, name)
         is_method = isinstance(attribute, types.MethodType) and attribute.__self__ is self
-        return Method(attribute.__func__, self) if is_method and not name.startswith("__") else attribute
+        return (
+            Method(attribute.__func__, self)
+            if is_method and not name.startswith("__")
+            else attribute
+        )
 
 
 class Method(_BoundMethod):
@@ -42,7 +48,10 @@ class Method(_BoundMethod):
         return hash((self.__func__, self.__self__))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Method) and (self.__func__, self.__self__) == (other.__func__, other.__self__)
+        return isinstance(other, Method) and (self.__func__, self.__self__) == (
+            other.__func__,
+            other.__self__,
+        )
 
 
 def _values(module: Any) -> tuple[Any, ...]:

@@ -26,7 +26,9 @@ def constant(values: Either) -> Either:
 
 def as_jax(tree: Any) -> Any:
     """Copies the NumPy arrays of a tree into arrays of JAX, without a program for a new shape."""
-    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree)
+    return jax.tree.map(
+        lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree
+    )
 
 
 def array(values: Any) -> Any:
@@ -39,7 +41,9 @@ def array(values: Any) -> Any:
 def on_host(*values: Any) -> bool:
     """Checks whether values are readable in the host's memory: NumPy can compute with them."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
-    return is_readable(values) and all(device.platform == "cpu" for leaf in arrays for device in leaf.devices())
+    return is_readable(values) and all(
+        device.platform == "cpu" for leaf in arrays for device in leaf.devices()
+    )
 
 
 def taken(values: Any, rows: Any) -> Any:
@@ -57,7 +61,8 @@ def is_readable(*values: Any) -> bool:
 
 def root(squared: Float[Either, "*shape"]) -> Float[Either, "*shape"]:
     """The square root; its derivative at zero is zero."""
-    xp, positive = namespace(squared), squared > 0
+    xp = namespace(squared)
+    positive = squared > 0
     return xp.where(positive, xp.sqrt(xp.where(positive, squared, 1)), 0)
 
 
@@ -93,10 +98,13 @@ def _largest_jvp(axis, primals, tangents):
     # JAX's own rule compares the values with their maximum. If XLA computes the values anew, none
     # may be equal. The place of the maximum is always found.
     (values,), (tangent,) = primals, tangents
-    top, index = _largest(values, axis), jnp.argmax(values, axis=axis, keepdims=True)
+    top = _largest(values, axis)
+    index = jnp.argmax(values, axis=axis, keepdims=True)
     rows = jax.lax.broadcasted_iota(index.dtype, values.shape, axis % values.ndim)
     chosen = (rows == index) | (values == jnp.expand_dims(top, axis))
-    share = jnp.where(chosen, tangent, 0) / jnp.sum(chosen, axis=axis, keepdims=True).astype(tangent.dtype)
+    share = jnp.where(chosen, tangent, 0) / jnp.sum(chosen, axis=axis, keepdims=True).astype(
+        tangent.dtype
+    )
     return top, jnp.sum(share, axis=axis)
 
 

@@ -10,21 +10,51 @@ import numpy as np
 
 from .._host.cells.orders import MESHIO, VTK_ORDER, reordered
 from .._host.cells.pieces import boundary_faces
-from .._host.cells.topology import CORNERS, DIMENSION, KNOWN, NODES, SHAPES, VTK_QUADRATIC, canonical_type, solid
+from .._host.cells.topology import (
+    CORNERS,
+    DIMENSION,
+    KNOWN,
+    NODES,
+    SHAPES,
+    VTK_QUADRATIC,
+    canonical_type,
+    solid,
+)
 from .._host.package.arguments import has_type, native, real_array, shown
 
-PREFIX = "patch:"  # point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere
+# point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere
+PREFIX = "patch:"
 
-MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
+MARKERS = (
+    "patch",
+    "patch_id",
+    "patchid",
+    "marker",
+    "boundary",
+    "boundary_id",
+    "cellentityids",
+    "medit:ref",
+)
 MARKERS += ("modelfaceid", "facet_tags", "name_to_read", "ugrid:ref", "nastran:ref")
 """Names, in lower case, of arrays whose numbers name patches."""
 
-GROUPS = ("gmsh:physical", "netgen:index")  # meshio's arrays of numbers of groups, whose names are field data
+GROUPS = (
+    "gmsh:physical",
+    "netgen:index",
+)  # meshio's arrays of numbers of groups, whose names are field data
 BOUNDING = "gmsh:bounding_entities"  # meshio's name of a set of cells that is no physical group
 
 LAGRANGE = {
-    **{"VTK_LAGRANGE_CURVE": "line", "VTK_LAGRANGE_TRIANGLE": "triangle", "VTK_LAGRANGE_QUADRILATERAL": "quad"},
-    **{"VTK_LAGRANGE_TETRAHEDRON": "tetra", "VTK_LAGRANGE_HEXAHEDRON": "hexahedron", "VTK_LAGRANGE_WEDGE": "wedge"},
+    **{
+        "VTK_LAGRANGE_CURVE": "line",
+        "VTK_LAGRANGE_TRIANGLE": "triangle",
+        "VTK_LAGRANGE_QUADRILATERAL": "quad",
+    },
+    **{
+        "VTK_LAGRANGE_TETRAHEDRON": "tetra",
+        "VTK_LAGRANGE_HEXAHEDRON": "hexahedron",
+        "VTK_LAGRANGE_WEDGE": "wedge",
+    },
 }
 """meshio's names of VTK's cells of any order; the number of nodes tells the order."""
 
@@ -65,13 +95,18 @@ def distinct(patches: Iterable[Patch]) -> tuple[ByName, tuple[str, ...]]:
     found: ByName = {}
     notes = []
     for name, own, nodes in patches:
-        new, nodes = name, np.unique(nodes)
+        new = name
+        nodes = np.unique(nodes)
         while new in found and not np.array_equal(found[new], nodes):
             new = f"{new}_{own}"
         if new in found:
-            notes.append(f"{own} has the name and the nodes of the patch {new}: the two are one patch.")
+            notes.append(
+                f"{own} has the name and the nodes of the patch {new}: the two are one patch."
+            )
         elif new != name:
-            notes.append(f"{own} is called {name}, as another patch with other nodes: it is the patch {new}.")
+            notes.append(
+                f"{own} is called {name}, as another patch with other nodes: it is the patch {new}."
+            )
         found[new] = nodes
     return found, tuple(notes)
 
@@ -123,21 +158,34 @@ class Grid:
 def of_meshio(mesh: Any) -> Grid:
     names = ("point_data", "cell_data", "cell_sets", "field_data")
     if not all(hasattr(mesh, name) for name in ("points", "cells", *names)):
-        raise ValueError(f"`mesh` must be a meshio.Mesh, not {shown(mesh)}. Call Mesh.from_meshio(meshio.read(path)).")
+        raise ValueError(
+            f"`mesh` must be a meshio.Mesh, not {shown(mesh)}. Call "
+            "Mesh.from_meshio(meshio.read(path))."
+        )
     blocks = [kind_of_block(block.type, np.asarray(block.data)) for block in mesh.cells]
-    unknown = dict.fromkeys(kind for kind, ids in blocks if len(ids) and kind not in (*NODES, "vertex"))
+    unknown = dict.fromkeys(
+        kind for kind, ids in blocks if len(ids) and kind not in (*NODES, "vertex")
+    )
     if unknown:
         raise ValueError(f"cells of type {', '.join(unknown)} are not supported; {KNOWN}.")
     arrays = {name: getattr(mesh, name) for name in names}
-    return Grid(np.asarray(mesh.points), blocks, **arrays, point_sets=getattr(mesh, "point_sets", {}), content=mesh)
+    return Grid(
+        np.asarray(mesh.points),
+        blocks,
+        **arrays,
+        point_sets=getattr(mesh, "point_sets", {}),
+        content=mesh,
+    )
 
 
 def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
     if not len(ids):
         return kind, ids
-    shape, order = LAGRANGE.get(kind), MESHIO
+    shape = LAGRANGE.get(kind)
+    order = MESHIO
     if shape is not None:
-        kind, order = sized(shape, ids.shape[1]), VTK_ORDER
+        kind = sized(shape, ids.shape[1])
+        order = VTK_ORDER
     check_width(kind, ids.shape[-1])
     return kind, reordered(kind, ids, order, None) if kind in NODES else ids
 
@@ -153,7 +201,8 @@ def check_width(kind: str, size: int) -> None:
 
 def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
     """Names a cell type as meshio does (VTK's from order 3 on), and orders its nodes so."""
-    ids, names = np.asarray(ids), {shape: name for name, shape in LAGRANGE.items()}
+    ids = np.asarray(ids)
+    names = {shape: name for name, shape in LAGRANGE.items()}
     if kind in CORNERS or kind in VTK_QUADRATIC or SHAPES[kind] not in names:
         return kind, reordered(kind, ids, None, MESHIO)
     return names[SHAPES[kind]], reordered(kind, ids, None, VTK_ORDER)
@@ -163,7 +212,9 @@ def imported(name: str, extra: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ImportError(f"this needs {name.split('modules')[0]}: pip install 'jaxmorph[{extra}]'") from error
+        raise ImportError(
+            f"this needs {name.split('modules')[0]}: pip install 'jaxmorph[{extra}]'"
+        ) from error
 
 
 class Parts(NamedTuple):
@@ -193,8 +244,12 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
         outer = boundary_faces(cells, len(points))
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
         faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
-        notes += (f"{faces} faces, edges or points of the file have no names, and are no patches.",) * bool(faces)
-    origin = Origin(grid.content, numbers_of_cells(cells), *grid.whole, (*notes, *_left(grid, taken)))
+        notes += (
+            f"{faces} faces, edges or points of the file have no names, and are no patches.",
+        ) * bool(faces)
+    origin = Origin(
+        grid.content, numbers_of_cells(cells), *grid.whole, (*notes, *_left(grid, taken))
+    )
     return Parts(np.ascontiguousarray(points), cells, patches, origin)
 
 
@@ -217,14 +272,18 @@ def _points(grid: Grid, cells: Mapping[str, np.ndarray]) -> np.ndarray:
     for kind, corners in cells.items():
         outside = corners[(corners < 0) | (corners >= len(points))]
         if len(outside):
-            raise ValueError(f"a {kind} names node {outside[0]}, but there are {len(points)} points.")
+            raise ValueError(
+                f"a {kind} names node {outside[0]}, but there are {len(points)} points."
+            )
     return points
 
 
 def _sets(grid: Grid) -> Iterator[Patch]:
     for name, values in grid.point_data.items():
         if name.startswith(PREFIX) and np.ndim(values) == 1:
-            yield Patch(urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values))
+            yield Patch(
+                urllib.parse.unquote(name.removeprefix(PREFIX)), "array", np.flatnonzero(values)
+            )
     for name, members in grid.cell_sets.items():
         blocks = grid.of_blocks(members if name != BOUNDING else ())
         nodes = [ids[np.asarray(rows, int)].ravel() for _, ids, rows in blocks if _has_some(rows)]
@@ -236,9 +295,15 @@ def _sets(grid: Grid) -> Iterator[Patch]:
 
 def _physical(grid: Grid) -> Iterator[Patch]:
     """Yields gmsh's physical groups, and Netgen's; an unnamed group is `physical_` and its tag."""
-    names = {tuple(np.asarray(info).tolist()): name for name, info in grid.field_data.items() if np.size(info) == 2}
+    names = {
+        tuple(np.asarray(info).tolist()): name
+        for name, info in grid.field_data.items()
+        if np.size(info) == 2
+    }
     groups = next((grid.cell_data[name] for name in GROUPS if name in grid.cell_data), ())
-    nodes = gathered(((tag, level), nodes) for level, tag, nodes in _by_number(grid.of_blocks(groups)) if tag > 0)
+    nodes = gathered(
+        ((tag, level), nodes) for level, tag, nodes in _by_number(grid.of_blocks(groups)) if tag > 0
+    )
     for (tag, level), members in nodes.items():
         yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
 
@@ -247,8 +312,12 @@ def _marked(grid: Grid) -> tuple[str, ByName]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name, blocks in _marker_arrays(grid):
         found = [each for each in _by_number(blocks) if each[0]]
-        highest = max((level for level, *_ in found), default=0)  # edges beside faces have numbers of their own
-        patches = gathered((f"{name}_{number}", nodes) for level, number, nodes in found if level == highest)
+        highest = max(
+            (level for level, *_ in found), default=0
+        )  # edges beside faces have numbers of their own
+        patches = gathered(
+            (f"{name}_{number}", nodes) for level, number, nodes in found if level == highest
+        )
         if patches:
             return name, patches
     return "", {}
@@ -258,7 +327,8 @@ def _marker_arrays(grid: Grid) -> Iterator[tuple[str, Iterable[Block]]]:
     for name in _markers(grid.cell_data):
         yield name, grid.of_blocks(grid.cell_data[name])
     for name in _markers(grid.point_data):
-        nodes, values = np.arange(len(grid.points)), np.asarray(grid.point_data[name])
+        nodes = np.arange(len(grid.points))
+        values = np.asarray(grid.point_data[name])
         if values.ndim == 1:
             yield name, [(1, nodes[values != 0], values[values != 0])]
 
@@ -276,14 +346,21 @@ def _left(grid: Grid, taken: str) -> Iterator[str]:
     """Yields sentences on sets of cells of full dimension, and on numbers that are no patches.
     `taken` is the array that has become patches.
     """
-    solid = {name: [part for *_, part in grid.of_blocks(parts, full=True)] for name, parts in grid.cell_sets.items()}
-    yield from regions_note(name for name, parts in solid.items() if name != BOUNDING and any(map(_has_some, parts)))
+    solid = {
+        name: [part for *_, part in grid.of_blocks(parts, full=True)]
+        for name, parts in grid.cell_sets.items()
+    }
+    yield from regions_note(
+        name for name, parts in solid.items() if name != BOUNDING and any(map(_has_some, parts))
+    )
     for what, name, parts in _arrays(grid):
         numbers = _numbers(list(map(np.asarray, parts)))
         if not numbers or name in (taken, *GROUPS, "gmsh:geometrical") or name.startswith(PREFIX):
             continue
         listed = ", ".join(map(str, numbers[:SHOWN])) + " ..." * (len(numbers) > SHOWN)
-        way = " They are where it is called patch and nothing else names patches." * (what != "cells")
+        way = " They are where it is called patch and nothing else names patches." * (
+            what != "cells"
+        )
         yield f"the array {name} numbers {what} ({listed}): these are no patches.{way}"
 
 
@@ -315,19 +392,30 @@ def regions_note(names: Iterable[str]) -> Iterator[str]:
 
 
 def _markers(arrays: Arrays) -> list[str]:
-    return sorted((name for name in arrays if name.lower() in MARKERS), key=lambda name: MARKERS.index(name.lower()))
+    return sorted(
+        (name for name in arrays if name.lower() in MARKERS),
+        key=lambda name: MARKERS.index(name.lower()),
+    )
 
 
 def checked_parts(
-    points: Any, cells: Mapping[str, Any] | None, patches: Mapping[str, Any] | None, source: Any = None
+    points: Any,
+    cells: Mapping[str, Any] | None,
+    patches: Mapping[str, Any] | None,
+    source: Any = None,
 ) -> Parts:
-    points, ids, names = floats(points), {}, {}
-    for kind, corners in sorted((cells or {}).items(), key=lambda item: canonical_type(item[0])):  # as JAX sorts keys
+    points = floats(points)
+    ids = {}
+    names = {}
+    for kind, corners in sorted(
+        (cells or {}).items(), key=lambda item: canonical_type(item[0])
+    ):  # as JAX sorts keys
         canonical = canonical_type(kind)
         if canonical in names:
             twice = ", ".join(sorted((kind, names[canonical])))
             raise ValueError(f"cells of one type have several names ({twice}): join them.")
-        ids[canonical], names[canonical] = ids_of(corners), kind
+        ids[canonical] = ids_of(corners)
+        names[canonical] = kind
     nodes = {name: np.unique(ids_of(members)) for name, members in (patches or {}).items()}
     _check_parts(points, ids, nodes)
     return Parts(points, ids, nodes, source)
@@ -339,12 +427,17 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
     n = points.shape[0]
     for kind, corners in cells.items():
         if corners.ndim != 2 or corners.shape[1] != NODES[kind]:
-            raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {NODES[kind]}).")
+            raise ValueError(
+                f"cells of type {kind!r} have shape {corners.shape}; expected (k, {NODES[kind]})."
+            )
     for name, ids in {**cells, **patches}.items():
-        low, high = ids.min(initial=0), ids.max(initial=-1)
+        low = ids.min(initial=0)
+        high = ids.max(initial=-1)
         if low < 0 or high >= n:
             bad = high if high >= n else low
-            raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
+            raise ValueError(
+                f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1})."
+            )
 
 
 def floats(points) -> Any:

@@ -17,13 +17,20 @@ def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) 
     if old is None:
         new = meshio.Mesh(points, [block_of(kind, corners) for kind, corners in mesh.cells.items()])
     else:
-        sets = {name: dict(getattr(old, name)) for name in ("point_sets", "cell_sets", "field_data")}
+        sets = {
+            name: dict(getattr(old, name)) for name in ("point_sets", "cell_sets", "field_data")
+        }
         new = meshio.Mesh(points, old.cells, dict(old.point_data), dict(old.cell_data), **sets)
     new.point_data.update(point_arrays)
     names = [kind_of_block(block.type, np.asarray(block.data))[0] for block in new.cells]
     kinds = np.repeat(names, [len(block.data) for block in new.cells])
     ends = np.cumsum([len(block.data) for block in new.cells])[:-1]
-    new.cell_data.update({name: np.split(values, ends) for name, values in _of_cells(mesh, cell_arrays, kinds).items()})
+    new.cell_data.update(
+        {
+            name: np.split(values, ends)
+            for name, values in _of_cells(mesh, cell_arrays, kinds).items()
+        }
+    )
     return new
 
 
@@ -47,11 +54,17 @@ def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays |
         new = old.NewInstance()
         new.ShallowCopy(old)
         was = vtk.coordinates(old)
-        new.SetPoints(vtk.points_of(_points(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)))
+        new.SetPoints(
+            vtk.points_of(
+                _points(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)
+            )
+        )
     point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
     vtk.add_arrays(new.GetPointData(), point_arrays)
     if cell_arrays:
-        vtk.add_arrays(new.GetCellData(), _of_cells(mesh, cell_arrays, vtk.kinds_of(vtk.unstructured(new))))
+        vtk.add_arrays(
+            new.GetCellData(), _of_cells(mesh, cell_arrays, vtk.kinds_of(vtk.unstructured(new)))
+        )
     return new
 
 
@@ -71,16 +84,22 @@ def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
     return points
 
 
-def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
+def _checked(
+    mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None
+) -> tuple[Arrays, Arrays]:
     """Checks lengths, adds patches as point arrays, and a third component 0 to 2-D vectors."""
     cells = sum(map(len, mesh.cells.values()))
     both = []
-    for arrays, rows, what in ((point_data, len(mesh.points), "points"), (cell_data, cells, "cells")):
+    for arrays, rows, what in (
+        (point_data, len(mesh.points), "points"),
+        (cell_data, cells, "cells"),
+    ):
         both.append({name: np.asarray(values) for name, values in (arrays or {}).items()})
         for name, values in both[-1].items():
             if values.ndim not in (1, 2) or len(values) != rows:
                 raise ValueError(
-                    f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}."
+                    f"array {name!r} has shape {values.shape}; expected one row for each of "
+                    f"{rows} {what}."
                 )
             if values.dtype.kind not in "biuf":
                 raise ValueError(f"array {name!r} holds {values.dtype}; files hold real numbers.")
@@ -99,12 +118,18 @@ def _of_cells(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.nd
     # row of NaN at the end.
     place = np.full(len(kinds), -1)
     if "polyhedron" in kinds:  # a cell that was cut has the value of its first piece
-        solid, ids = vtk.solid_cells(kinds), mesh.source.cell_ids
+        solid = vtk.solid_cells(kinds)
+        ids = mesh.source.cell_ids
         place[solid[ids[::-1]]] = np.arange(len(ids))[::-1]
     first = 0
     for kind, corners in mesh.cells.items() if "polyhedron" not in kinds else ():
-        place[kinds == kind] = first + np.arange(len(corners))  # cells of one type have one order in both
+        place[kinds == kind] = first + np.arange(
+            len(corners)
+        )  # cells of one type have one order in both
         first += len(corners)
     if (place < 0).any():
-        arrays = {name: np.concatenate([each, np.full((1, *each.shape[1:]), np.nan)]) for name, each in arrays.items()}
+        arrays = {
+            name: np.concatenate([each, np.full((1, *each.shape[1:]), np.nan)])
+            for name, each in arrays.items()
+        }
     return {name: values[place] for name, values in arrays.items()}

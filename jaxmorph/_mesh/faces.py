@@ -45,7 +45,10 @@ class Faces:
     def renumbered(self, first: int) -> "Faces":
         """Counts the cells from `first` on."""
         return Faces(
-            self.labels, self.starts, self.owner + first, np.where(self.neighbour < 0, -1, self.neighbour + first)
+            self.labels,
+            self.starts,
+            self.owner + first,
+            np.where(self.neighbour < 0, -1, self.neighbour + first),
         )
 
     def after(self, values: np.ndarray) -> np.ndarray:
@@ -53,11 +56,15 @@ class Faces:
         return following(values, self.starts)
 
     def all_neighbours(self) -> np.ndarray:
-        return np.append(self.neighbour, np.full(len(self.owner) - len(self.neighbour), -1, self.neighbour.dtype))
+        return np.append(
+            self.neighbour, np.full(len(self.owner) - len(self.neighbour), -1, self.neighbour.dtype)
+        )
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Gathers ids (..., size) of faces of `size` corners; `~f` is f seen by its neighbour."""
-        rows = self.labels[self.starts[np.where(faces < 0, ~faces, faces)][..., None] + np.arange(size)]
+        rows = self.labels[
+            self.starts[np.where(faces < 0, ~faces, faces)][..., None] + np.arange(size)
+        ]
         return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
 
     def padded(self, faces: np.ndarray) -> np.ndarray:
@@ -106,11 +113,17 @@ def joined_faces(parts: list[Faces]) -> Faces:
     # Outer faces are padded to one width, so that `twins` pairs them. The first of two equal faces
     # stays, with the owner of the second as its neighbour.
     fields = ("labels", "sizes", "owner", "neighbour")
-    labels, sizes, owner, neighbour = (np.concatenate([getattr(part, name) for part in parts]) for name in fields)
+    labels, sizes, owner, neighbour = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in fields
+    )
     faces = Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), owner, neighbour)
-    outer, width = np.flatnonzero(neighbour < 0), int(sizes.max())
+    outer = np.flatnonzero(neighbour < 0)
+    width = int(sizes.max())
     groups = [outer[sizes[outer] == size] for size in np.unique(sizes[outer]).tolist()]
-    columns = [sorted_columns(columns_of(faces.corners(rows, int(sizes[rows[0]]))), width) for rows in groups]
+    columns = [
+        sorted_columns(columns_of(faces.corners(rows, int(sizes[rows[0]]))), width)
+        for rows in groups
+    ]
     rows = np.concatenate(groups)
     other = twins([np.concatenate(column) for column in zip(*columns, strict=True)])
     first = (other >= 0) & (np.arange(len(rows)) < other)
@@ -129,14 +142,19 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     ordered, starts = faces.of_cells()
     counts = np.diff(starts)
     sizes = np.minimum(faces.sizes, 9).astype(np.int8)[np.where(ordered < 0, ~ordered, ordered)]
-    triangles, quads = (np.add.reduceat(sizes == size, starts[:-1], dtype=np.int32) for size in (3, 4))
+    triangles, quads = (
+        np.add.reduceat(sizes == size, starts[:-1], dtype=np.int32) for size in (3, 4)
+    )
     left = np.ones(len(counts), bool)
-    cells, ids = {}, {}
+    cells = {}
+    ids = {}
     for kind, (f, t, q) in _SHAPES.items():
         candidates = np.flatnonzero((counts == f) & (triangles == t) & (quads == q))
         if len(candidates):
             corners, good = _typed(faces, kind, ordered, sizes, starts[candidates])
-            cells[kind], ids[kind] = (corners, candidates) if good.all() else (corners[good], candidates[good])
+            cells[kind], ids[kind] = (
+                (corners, candidates) if good.all() else (corners[good], candidates[good])
+            )
             left[ids[kind]] = False
     if left.any():
         ids["polyhedron"] = np.flatnonzero(left)
@@ -148,13 +166,17 @@ def open_cells(faces: Faces) -> np.ndarray:
     # A node has a random number. An edge has the squared difference of its two numbers, which is
     # zero if a corner comes twice. In a closed cell every edge comes an even number of times, so
     # that an "exclusive or" over the edges of its faces leaves zero.
-    number = np.random.default_rng(0).integers(2**64, size=int(faces.labels.max(initial=0)) + 1, dtype=np.uint64)
+    number = np.random.default_rng(0).integers(
+        2**64, size=int(faces.labels.max(initial=0)) + 1, dtype=np.uint64
+    )
     of_face = np.empty(len(faces.owner), np.uint64)
     for at in range(0, len(of_face), BLOCK):
         starts = faces.starts[at : at + BLOCK + 1]
         here = number[faces.labels[starts[0] : starts[-1]]]
         starts = starts - starts[0]
-        of_face[at : at + BLOCK] = np.bitwise_xor.reduceat((here - following(here, starts)) ** 2, starts[:-1])
+        of_face[at : at + BLOCK] = np.bitwise_xor.reduceat(
+            (here - following(here, starts)) ** 2, starts[:-1]
+        )
     inner = np.flatnonzero(faces.neighbour >= 0)
     left = np.zeros(faces.count, np.uint64)
     np.bitwise_xor.at(left, faces.owner, of_face)
@@ -189,7 +211,9 @@ def _from_base(faces: Faces, kind: str, around: np.ndarray) -> Pair:
     base = faces.corners(around[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
     walls = around[:, 2:] if kind == "wedge" else around[:, 1:]
-    start = np.ascontiguousarray(np.moveaxis(faces.corners(walls, side), 0, 2))  # operations then run along cells
+    start = np.ascontiguousarray(
+        np.moveaxis(faces.corners(walls, side), 0, 2)
+    )  # operations then run along cells
     corners = np.ascontiguousarray(base.T)
     is_base = (start == corners[:, None, None]).any(axis=0)
     # A wall has one edge that leaves the base; the face opposite to the base has none.

@@ -53,7 +53,9 @@ class Mesh(Module):
     def __init__(self, points, cells=None, patches=None, source=None):
         check("cells", cells, Mapping[str, Any] | None, Mesh)
         check("patches", patches, Mapping[str, Any] | None, Mesh)
-        self.points, self.cells, self.patches, self.source = checked_parts(points, cells, patches, source)
+        self.points, self.cells, self.patches, self.source = checked_parts(
+            points, cells, patches, source
+        )
 
     @checked
     def patch(self, *names: str) -> np.ndarray:
@@ -66,7 +68,9 @@ class Mesh(Module):
         """
         if not names:
             return np.zeros(0, dtype=np.int64)
-        return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in self.patch_names(*names)]))
+        return np.unique(
+            np.concatenate([np.asarray(self.patches[name]) for name in self.patch_names(*names)])
+        )
 
     @checked
     def patch_names(self, *names: str) -> tuple[str, ...]:
@@ -77,13 +81,20 @@ class Mesh(Module):
     def groups(self) -> Mapping[str, tuple[str, ...]]:
         """Groups of patches in the file, by name: an OpenFOAM case's `inGroups`."""
         groups = getattr(self.source, "groups", {})
-        within = {name: tuple(patch for patch in patches if patch in self.patches) for name, patches in groups.items()}
+        within = {
+            name: tuple(patch for patch in patches if patch in self.patches)
+            for name, patches in groups.items()
+        }
         return {name: patches for name, patches in within.items() if patches}
 
     @property
     def kinds(self) -> Mapping[str, str]:
         """Kinds of patches in the file, by name: `BCFarfield` (CGNS), `wall` (OpenFOAM)."""
-        return {name: kind for name, kind in getattr(self.source, "kinds", {}).items() if name in self.patches}
+        return {
+            name: kind
+            for name, kind in getattr(self.source, "kinds", {}).items()
+            if name in self.patches
+        }
 
     @property
     def file_nodes(self) -> np.ndarray:
@@ -117,7 +128,9 @@ class Mesh(Module):
     def cell_ids(self) -> np.ndarray:
         """File numbers (k,) of `cells`; pieces of a polyhedron share a number."""
         ids = getattr(self.source, "cell_ids", None)
-        return np.arange(sum(len(corners) for corners in self.cells.values())) if ids is None else ids
+        return (
+            np.arange(sum(len(corners) for corners in self.cells.values())) if ids is None else ids
+        )
 
     @property
     def between(self) -> np.ndarray | None:
@@ -134,8 +147,13 @@ class Mesh(Module):
         counts = exchange.numbers_of_cells(self.cells)
         if self.polyhedra is not None:
             is_whole = ~np.isin(self.cell_ids, self.polyhedra.cut)
-            counts = {kind: int(is_whole[first:][: counts[kind]].sum()) for kind, first in self._firsts.items()}
-            counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(self.polyhedra.cut)
+            counts = {
+                kind: int(is_whole[first:][: counts[kind]].sum())
+                for kind, first in self._firsts.items()
+            }
+            counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(
+                self.polyhedra.cut
+            )
         return {kind: count for kind, count in counts.items() if count}
 
     @property
@@ -148,7 +166,9 @@ class Mesh(Module):
         """This mesh with linear cells: pieces of order-p cells between all nodes; else itself."""
         if not self.is_curved:
             return self
-        cells = linear_cells(self.cells, np.concatenate if is_known(*self.cells.values()) else jnp.concatenate)
+        cells = linear_cells(
+            self.cells, np.concatenate if is_known(*self.cells.values()) else jnp.concatenate
+        )
         return self._with("cells", {kind: cells[kind] for kind in sorted(cells)})
 
     @checked
@@ -165,11 +185,23 @@ class Mesh(Module):
         faces `boundary_faces` lists.
         """
         if self.polyhedra is not None:
-            raise ValueError(f"{self} has polyhedra or polygons: jm.boundary_faces(mesh) lists their outer faces.")
-        inner = {kind: np.asarray(ids) for kind, ids in self.cells.items() if DIMENSION[kind] == self.points.shape[1]}
-        numbers = [first + np.arange(len(self.cells[kind])) for kind, first in self._firsts.items() if kind in inner]
+            raise ValueError(
+                f"{self} has polyhedra or polygons: jm.boundary_faces(mesh) lists their outer "
+                "faces."
+            )
+        inner = {
+            kind: np.asarray(ids)
+            for kind, ids in self.cells.items()
+            if DIMENSION[kind] == self.points.shape[1]
+        }
+        numbers = [
+            first + np.arange(len(self.cells[kind]))
+            for kind, first in self._firsts.items()
+            if kind in inner
+        ]
         among = self.patch(*patches) if patches else None
-        sides, owners = {}, [np.zeros(0, np.int64)]
+        sides = {}
+        owners = [np.zeros(0, np.int64)]
         for kind, (ids, owner) in sorted(owned_sides(inner, len(self.points), among).items()):
             is_outer = slice(None) if self.between is None else ~is_among(ids, self.between)
             sides[kind] = ids[is_outer]
@@ -178,7 +210,9 @@ class Mesh(Module):
 
     @property
     def _firsts(self) -> dict[str, int]:  # the number of the first cell of each type
-        return dict(zip(self.cells, np.cumsum([0, *map(len, self.cells.values())]).tolist(), strict=False))
+        return dict(
+            zip(self.cells, np.cumsum([0, *map(len, self.cells.values())]).tolist(), strict=False)
+        )
 
     @checked
     def refined(self, steps: int) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
@@ -193,14 +227,22 @@ class Mesh(Module):
         """
         whole("steps", steps)
         points, tables = _lattices(self, steps)
-        found, numbers = {}, self._firsts
+        found = {}
+        numbers = self._firsts
         for kind, table in tables.items():
             for shape, rows in steps_of(SHAPES[kind], steps).items():
                 owner = numbers[kind] + np.repeat(np.arange(len(table)), len(rows))
-                found.setdefault(shape, []).append((table[:, rows].reshape(-1, rows.shape[1]), owner))
-        joined = {shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)] for shape in sorted(found)}
+                found.setdefault(shape, []).append(
+                    (table[:, rows].reshape(-1, rows.shape[1]), owner)
+                )
+        joined = {
+            shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)]
+            for shape in sorted(found)
+        }
         owners = [*(owner for _, owner in joined.values()), np.zeros(0, int)]
-        return Mesh(points, {shape: ids for shape, (ids, _) in joined.items()}), np.concatenate(owners)
+        return Mesh(points, {shape: ids for shape, (ids, _) in joined.items()}), np.concatenate(
+            owners
+        )
 
     @checked
     def moved(self, points: PointsLike) -> "Mesh":
@@ -210,13 +252,18 @@ class Mesh(Module):
         """
         places = floats(points)
         if tuple(places.shape) != tuple(self.points.shape):
-            raise ValueError(f"`points` has shape {tuple(places.shape)}; this mesh has {tuple(self.points.shape)}.")
+            raise ValueError(
+                f"`points` has shape {tuple(places.shape)}; this mesh has "
+                f"{tuple(self.points.shape)}."
+            )
         return self._with("points", places)
 
     def _with(self, name: str, value: Any) -> "Mesh":
         other = object.__new__(Mesh)
         for field in dataclasses.fields(self):
-            object.__setattr__(other, field.name, value if field.name == name else getattr(self, field.name))
+            object.__setattr__(
+                other, field.name, value if field.name == name else getattr(self, field.name)
+            )
         return other
 
     @staticmethod
@@ -236,7 +283,10 @@ class Mesh(Module):
 
     @checked
     def to_meshio(
-        self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
+        self,
+        *,
+        point_data: dict[str, ArrayLike] | None = None,
+        cell_data: dict[str, ArrayLike] | None = None,
     ) -> Any:
         """Makes a `meshio.Mesh`: the one that this mesh came from, with other points, or a new one.
 
@@ -260,14 +310,18 @@ class Mesh(Module):
         if not hasattr(type(grid), "cells_dict"):
             if not hasattr(grid, "cast_to_unstructured_grid"):
                 raise ValueError(
-                    f"`grid` must be a single grid of PyVista, not {shown(grid)}; one of several blocks has `combine`."
+                    f"`grid` must be a single grid of PyVista, not {shown(grid)}; one of several "
+                    "blocks has `combine`."
                 )
             grid = grid.cast_to_unstructured_grid()
         return Mesh(*vtk.mesh_of(grid))
 
     @checked
     def to_pyvista(
-        self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
+        self,
+        *,
+        point_data: dict[str, ArrayLike] | None = None,
+        cell_data: dict[str, ArrayLike] | None = None,
     ) -> Any:
         """Makes a `pyvista.UnstructuredGrid`; patches, arguments and errors as of `to_meshio`."""
         return export.to_pyvista(self._parts, point_data, cell_data)
@@ -278,8 +332,13 @@ class Mesh(Module):
 
     def __repr__(self) -> str:
         n, d = self.points.shape
-        cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items()) or "no cells"
-        patches = ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
+        cells = (
+            ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items())
+            or "no cells"
+        )
+        patches = (
+            ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
+        )
         return f"Mesh({n} points in {d}-D; {cells}; patches: {patches})"
 
 
@@ -303,7 +362,10 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     if order not in ORDERS[1:]:
         raise ValueError(f"`order` is {order}; meshes of order 2, 3 and 4 can be made.")
     if mesh.is_curved or mesh.polyhedra is not None or not mesh.cells:
-        raise ValueError(f"{mesh} cannot be elevated: linear cells are needed, of the types {', '.join(CORNERS)}.")
+        raise ValueError(
+            f"{mesh} cannot be elevated: linear cells are needed, of the types "
+            f"{', '.join(CORNERS)}."
+        )
     old = np.asarray(mesh.points)
     places, tables = _lattices(mesh, order)
     number = np.full(len(places), -1)
@@ -320,18 +382,29 @@ def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]
     """Points (p, d) of lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
     # A point between corners is known by these and their weights, in ascending order: cells that
     # share a face agree on it. The corners come first.
-    points, shapes = np.asarray(mesh.points), {kind: SHAPES[kind] for kind in mesh.cells}
-    corners = {kind: np.asarray(mesh.cells[kind])[:, : CORNERS[shape]] for kind, shape in shapes.items()}
+    points = np.asarray(mesh.points)
+    shapes = {kind: SHAPES[kind] for kind in mesh.cells}
+    corners = {
+        kind: np.asarray(mesh.cells[kind])[:, : CORNERS[shape]] for kind, shape in shapes.items()
+    }
     used = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, corners.values())]))
-    keys, places, tables, first = [np.zeros((0, 16), np.int64)], [points[:0]], {}, 0
+    keys = [np.zeros((0, 16), np.int64)]
+    places = [points[:0]]
+    tables = {}
+    first = 0
     for kind, shape in shapes.items():
         keys.append(node_keys(corners[kind], of_order(shape, steps)).reshape(-1, 16))
-        inner, nodes = places_of(kind, steps)[CORNERS[shape] :], points[np.asarray(mesh.cells[kind])]
+        inner = places_of(kind, steps)[CORNERS[shape] :]
+        nodes = points[np.asarray(mesh.cells[kind])]
         places.append(np.einsum("sn,knd->ksd", inner, nodes).reshape(-1, points.shape[1]))
-    _, rows, number = np.unique(np.concatenate(keys), axis=0, return_index=True, return_inverse=True)
+    _, rows, number = np.unique(
+        np.concatenate(keys), axis=0, return_index=True, return_inverse=True
+    )
     for kind, part in zip(shapes, keys[1:], strict=True):
         count = len(places_of(kind, steps)) - CORNERS[shapes[kind]]  # also of a type without cells
-        new = len(used) + number.ravel()[first : first + len(part)].reshape(len(corners[kind]), count)
+        new = len(used) + number.ravel()[first : first + len(part)].reshape(
+            len(corners[kind]), count
+        )
         tables[kind] = np.concatenate([np.searchsorted(used, corners[kind]), new], axis=1)
         first += len(part)
     return np.concatenate([points[used], np.concatenate(places)[rows]]).astype(points.dtype), tables
@@ -343,5 +416,7 @@ def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.n
         for name, nodes in mesh.patches.items():
             inside = np.zeros(n, bool)
             inside[np.asarray(nodes)] = True
-            patches[name].append(faces[inside[faces[:, : CORNERS[SHAPES[kind]]]].all(axis=1)].ravel())
+            patches[name].append(
+                faces[inside[faces[:, : CORNERS[SHAPES[kind]]]].all(axis=1)].ravel()
+            )
     return {name: np.concatenate(parts) for name, parts in patches.items()}

@@ -27,7 +27,8 @@ class Polyhedra:
         is_wanted[wanted] = True
         rows = np.flatnonzero(is_wanted[faces.owner] | is_wanted[neighbour])
         labels, which = spread(faces.starts[rows], faces.starts[rows + 1])
-        sides, table = np.concatenate([faces.owner[rows], neighbour[rows]]), []
+        sides = np.concatenate([faces.owner[rows], neighbour[rows]])
+        table = []
         for column in points[faces.labels[labels]].T:
             centre = np.bincount(which, column) / faces.sizes[rows]
             # the last row takes what has no neighbour, number -1
@@ -46,7 +47,9 @@ def cells_of_faces(
     ajar = open_cells(faces)
     if len(ajar):
         first = ajar[0] if numbers is None else numbers[ajar[0]]
-        raise ValueError(f"{len(ajar)} cells do not close, first cell {first}: their faces are damaged")
+        raise ValueError(
+            f"{len(ajar)} cells do not close, first cell {first}: their faces are damaged"
+        )
     typed, ids = standard_cells(faces)
     cut = ids.pop("polyhedron", np.zeros(0, np.int64))
     blocks = [(kind, corners.astype(np.int64), ids[kind]) for kind, corners in typed.items()]
@@ -61,13 +64,16 @@ def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> Pair:
     largest; of equal corners, the first by place. So both cells see equal triangles.
     """
     sizes = faces.sizes[chosen]
-    parts, owners = [], []
+    parts = []
+    owners = []
     for size in np.unique(sizes).tolist():
         rows = np.flatnonzero(sizes == size)
         corners = faces.labels[faces.starts[chosen[rows]][:, None] + np.arange(size)]
         x = points[corners]
         normal = np.cross(x - x[:, :1], np.roll(x, -1, axis=1) - x[:, :1]).sum(axis=1)
-        least = np.stack([_least(np.roll(x, -turn, axis=1), normal) for turn in range(size)], axis=1)
+        least = np.stack(
+            [_least(np.roll(x, -turn, axis=1), normal) for turn in range(size)], axis=1
+        )
         top = least.max(axis=1, keepdims=True)
         best = _first_by_place(x, least >= top - SAME * np.abs(top))
         corners = np.take_along_axis(corners, (best[:, None] + np.arange(size)) % size, axis=1)
@@ -80,7 +86,8 @@ def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> Pair:
 
 def _first_by_place(x: np.ndarray, is_allowed: np.ndarray) -> np.ndarray:
     """Finds the allowed corner (f,) of faces (f, c, d) that comes first in lexical order."""
-    slack, is_first = SAME * np.ptp(x, axis=1).max(axis=1, keepdims=True), is_allowed
+    slack = SAME * np.ptp(x, axis=1).max(axis=1, keepdims=True)
+    is_first = is_allowed
     for axis in range(x.shape[2]):
         along = np.where(is_first, x[..., axis], np.inf)
         is_first = is_first & (along <= along.min(axis=1, keepdims=True) + slack)
@@ -99,7 +106,8 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
     else the node whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
-    parts, owners = [np.zeros((0, 4), faces.labels.dtype)], [np.zeros(0, np.int64)]
+    parts = [np.zeros((0, 4), faces.labels.dtype)]
+    owners = [np.zeros(0, np.int64)]
     for at in range(0, len(cells), BLOCK):
         block = cells[at : at + BLOCK]
         rows, cell = spread(starts[block], starts[block + 1])
@@ -130,13 +138,20 @@ class _Pieces:
     face: np.ndarray
 
     @classmethod
-    def around(cls, faces: Faces, signed: np.ndarray, cell: np.ndarray, points: np.ndarray) -> "_Pieces":
+    def around(
+        cls, faces: Faces, signed: np.ndarray, cell: np.ndarray, points: np.ndarray
+    ) -> "_Pieces":
         chosen, which = np.unique(np.where(signed < 0, ~signed, signed), return_inverse=True)
         corners, owner = triangles(faces, chosen, points)
         begins = np.searchsorted(owner, np.arange(len(chosen) + 1))
         rows, face = spread(begins[which], begins[which + 1])
         triangle = corners[rows]
-        return cls(points, np.where((signed < 0)[face, None], triangle, triangle[:, ::-1]), cell[face], face)
+        return cls(
+            points,
+            np.where((signed < 0)[face, None], triangle, triangle[:, ::-1]),
+            cell[face],
+            face,
+        )
 
     def volumes(self, apex: np.ndarray, rows: np.ndarray) -> Pair:
         """Computes six volumes of tetrahedra below `apex`, one a cell; marks faces away from it."""
@@ -154,10 +169,13 @@ class _Pieces:
         count = int(self.cell[-1]) + 1
         nodes, corners = np.unique(self.corners, return_inverse=True)
         order = canonical_order(self.points[nodes])
-        pairs = np.unique(np.stack([np.repeat(self.cell, 3), np.argsort(order)[corners.ravel()]], axis=1), axis=0)
+        pairs = np.unique(
+            np.stack([np.repeat(self.cell, 3), np.argsort(order)[corners.ravel()]], axis=1), axis=0
+        )
         pairs[:, 1] = nodes[order[pairs[:, 1]]]
         first = np.searchsorted(pairs[:, 0], np.arange(count + 1))
-        apex, best = pairs[first[:-1], 1], np.full(count, -np.inf)
+        apex = pairs[first[:-1], 1]
+        best = np.full(count, -np.inf)
         for turn in range(int(np.diff(first).max())):
             open_cells = (best < ENOUGH) & (np.diff(first) > turn)
             if not open_cells.any():
@@ -165,13 +183,15 @@ class _Pieces:
             tried = pairs[np.minimum(first[:-1] + turn, first[1:] - 1), 1]
             share = self._least(tried, np.flatnonzero(open_cells[self.cell]), count)
             better = open_cells & (share - SAME > best)
-            apex, best = np.where(better, tried, apex), np.where(better, share, best)
+            apex = np.where(better, tried, apex)
+            best = np.where(better, share, best)
         return apex
 
     def _least(self, apex: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
         """Computes the smallest piece of a cell over its mean piece, for all cells."""
         volume, away = self.volumes(apex, rows)
-        cell, volume = self.cell[rows[away]], volume[away]
+        cell = self.cell[rows[away]]
+        volume = volume[away]
         least = np.full(count, np.inf)
         np.minimum.at(least, cell, volume)
         mean = np.bincount(cell, volume, count) / np.maximum(np.bincount(cell, minlength=count), 1)

@@ -12,10 +12,19 @@ from .exchange import Arrays, Grid, Parts, check_width, checked_parts, imported,
 from .faces import Faces, faces_of_cells, joined_faces
 from .polyhedra import cells_of_faces, spread
 
-AXIS_ALIGNED = {8: [0, 1, 3, 2], 11: [0, 1, 3, 2, 4, 5, 7, 6]}  # the order of the corners of pixels and voxels
+AXIS_ALIGNED = {
+    8: [0, 1, 3, 2],
+    11: [0, 1, 3, 2, 4, 5, 7, 6],
+}  # the order of the corners of pixels and voxels
 
 OTHERS = {
-    **{8: ("quad", 2), 11: ("hexahedron", 3), 0: ("empty", 0), 1: ("vertex", 0), 2: ("poly_vertex", 0)},
+    **{
+        8: ("quad", 2),
+        11: ("hexahedron", 3),
+        0: ("empty", 0),
+        1: ("vertex", 0),
+        2: ("poly_vertex", 0),
+    },
     **{4: ("poly_line", 1), 6: ("triangle_strip", 2), 7: ("polygon", 2), 42: ("polyhedron", 3)},
 }
 """Names and dimensions of VTK's other linear cells."""
@@ -48,8 +57,11 @@ def numbers_of(grid: Any) -> np.ndarray:
 def data_of(attributes: Any) -> dict[str, np.ndarray]:
     found = {}
     for k in range(attributes.GetNumberOfArrays()):
-        array, name = attributes.GetArray(k), attributes.GetAbstractArray(k).GetName()
-        if array is not None and name is not None and array.GetDataType() != 1:  # of bits NumPy has no view
+        array = attributes.GetArray(k)
+        name = attributes.GetAbstractArray(k).GetName()
+        if (
+            array is not None and name is not None and array.GetDataType() != 1
+        ):  # of bits NumPy has no view
             found[name if isinstance(name, str) else name.decode("latin-1")] = _as_numpy(array)
     return found
 
@@ -91,7 +103,9 @@ def _kind(number: int, size: int) -> str:
 def solid_cells(kinds: np.ndarray) -> np.ndarray:
     levels = {kind: _LEVELS.get(kind, 3) for kind in set(kinds.tolist())}
     highest = max(levels.values(), default=0)
-    return np.flatnonzero(np.isin(kinds, [kind for kind, level in levels.items() if level == highest]))
+    return np.flatnonzero(
+        np.isin(kinds, [kind for kind, level in levels.items() if level == highest])
+    )
 
 
 def dimension_of(grid: Any) -> int:
@@ -108,8 +122,12 @@ def of_vtk(grid: Any) -> Grid:
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
-    _refuse(kind for kind in sorted(top.keys() - {*NODES, "polyhedron"}) if _LEVELS.get(kind, 3) > 1)
-    blocks, whole, outer = [], (None, None), None
+    _refuse(
+        kind for kind in sorted(top.keys() - {*NODES, "polyhedron"}) if _LEVELS.get(kind, 3) > 1
+    )
+    blocks = []
+    whole = (None, None)
+    outer = None
     if "polyhedron" in top:
         blocks, whole, outer = _polyhedral(grid, points.astype(float), kinds, solid)
     for kind in dict.fromkeys(kinds.tolist()):
@@ -118,7 +136,15 @@ def of_vtk(grid: Any) -> Grid:
     data = data_of(grid.GetCellData())
     cell_data = {name: [values[rows] for *_, rows in blocks] for name, values in data.items()}
     read = [(kind, corners) for kind, corners, _ in blocks]
-    return Grid(points, read, data_of(grid.GetPointData()), cell_data, content=grid, outer=outer, whole=whole)
+    return Grid(
+        points,
+        read,
+        data_of(grid.GetPointData()),
+        cell_data,
+        content=grid,
+        outer=outer,
+        whole=whole,
+    )
 
 
 def _check_ids(what: str, ids: np.ndarray, count: int) -> None:
@@ -133,7 +159,9 @@ def _refuse(kinds: Iterable[str], where: str = "") -> None:
         raise ValueError(f"cells of type {names}{where} are not supported; they would be lost.")
 
 
-def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+def _of_kind(
+    grid: Any, kind: str, rows: np.ndarray
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
     sizes = np.diff(starts)[rows]
     for size in np.unique(sizes).tolist():
@@ -146,7 +174,9 @@ def _of_kind(grid: Any, kind: str, rows: np.ndarray) -> Iterator[tuple[str, np.n
         yield kind, reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes, chosen
 
 
-def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray) -> tuple[list, tuple, np.ndarray]:
+def _polyhedral(
+    grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndarray
+) -> tuple[list, tuple, np.ndarray]:
     """Makes standard cells and tetrahedra of all solid cells of a grid with polyhedra. It returns
     types, corners and the grid's cells, whole cells, and the nodes of outer faces.
     """
@@ -155,10 +185,13 @@ def _polyhedral(grid: Any, points: np.ndarray, kinds: np.ndarray, solid: np.ndar
     sides = [_sides(grid, points, solid, kinds)]
     for kind in dict.fromkeys(kinds[solid][kinds[solid] != "polyhedron"].tolist()):
         cell = np.flatnonzero(kinds[solid] == kind)
-        sides += [faces_of_cells(kind, nodes, cell) for _, nodes, _ in _of_kind(grid, kind, solid[cell])]
+        sides += [
+            faces_of_cells(kind, nodes, cell) for _, nodes, _ in _of_kind(grid, kind, solid[cell])
+        ]
     blocks, whole = cells_of_faces(joined_faces(sides), points, solid)
     blocks.sort(key=lambda block: block[0])
-    faces, cells = whole.faces, np.concatenate([cell for *_, cell in blocks])
+    faces = whole.faces
+    cells = np.concatenate([cell for *_, cell in blocks])
     rows = np.flatnonzero(faces.neighbour < 0)
     outer = np.unique(faces.labels[spread(faces.starts[rows], faces.starts[rows + 1])[0]])
     of_grid = [(kind, corners, solid[cell]) for kind, corners, cell in blocks]
@@ -172,16 +205,19 @@ def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) 
     if len(first) != len(kinds) + 1:
         raise ValueError(f"faces of {len(first) - 1} cells, for {len(kinds)}.")
     rows, cell = spread(first[solid[cells]], first[solid[cells] + 1])
-    face, cell = face_of[rows], cells[cell]
+    face = face_of[rows]
+    cell = cells[cell]
     if len(face) and (face.min() < 0 or face.max() >= len(starts) - 1):
         raise ValueError(f"a polyhedron names face {face.max()}, but there are {len(starts) - 1}.")
     places, which = spread(starts[face], starts[face + 1])
-    labels, sizes = ids[places].astype(np.int64), np.diff(starts)[face]
+    labels = ids[places].astype(np.int64)
+    sizes = np.diff(starts)[face]
     if (sizes < 3).any():
         raise ValueError(f"a face of a polyhedron has {sizes.min()} nodes.")
     _check_ids("a face of a polyhedron", labels, len(points))
     faces = Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), cell, np.full(len(sizes), -1))
-    begins, place = faces.starts[:-1], np.arange(len(labels))
+    begins = faces.starts[:-1]
+    place = np.arange(len(labels))
     back = (begins + faces.starts[1:] - 1)[which] - place
     order = np.where(_inward(faces, points)[which], back, place)
     return dataclasses.replace(faces, labels=labels[order])
@@ -193,8 +229,12 @@ def _inward(faces: Faces, points: np.ndarray) -> np.ndarray:
     # random number. Those of an edge's ends make a number whose sign is that of the way, so that
     # the numbers of such a cell add up to zero.
     random = np.random.default_rng(0).integers(2**64, size=len(points), dtype=np.uint64)
-    here, begins, cell, count = random[faces.labels], faces.starts[:-1], faces.owner, faces.count
-    after, balance = faces.after(here), np.zeros(count, np.uint64)
+    here = random[faces.labels]
+    begins = faces.starts[:-1]
+    cell = faces.owner
+    count = faces.count
+    after = faces.after(here)
+    balance = np.zeros(count, np.uint64)
     np.add.at(balance, np.repeat(cell, faces.sizes), here * after * (here - after))
     # Normals are summed over the triangles between a face's mean and its edges.
     corners = points[faces.labels]
@@ -204,7 +244,9 @@ def _inward(faces: Faces, points: np.ndarray) -> np.ndarray:
     number = np.maximum(np.bincount(cell, minlength=count), 1)
     centre = np.stack([np.bincount(cell, column, count) / number for column in middle.T], axis=1)
     volume = np.einsum("fk,fk->f", normal, middle - centre[cell])
-    most = np.bincount(cell, volume, count)[(balance == 0) & (np.bincount(cell, minlength=count) > 0)]
+    most = np.bincount(cell, volume, count)[
+        (balance == 0) & (np.bincount(cell, minlength=count) > 0)
+    ]
     return np.where(balance[cell] != 0, volume < 0, 2 * (most < 0).sum() > len(most))
 
 
@@ -214,8 +256,11 @@ def mesh_of(grid: Any) -> Parts:
 
 def new_grid(cells: Mapping[str, Any], points: np.ndarray) -> Any:
     """Makes an unstructured grid; refuses high-order pyramids, which VTK lacks."""
-    model, numpy = vtk("vtkCommonDataModel"), vtk("util.numpy_support")
-    numbers, ids, ends = [np.zeros(0, np.uint8)], [np.zeros(0, np.int64)], [np.zeros(1, np.int64)]
+    model = vtk("vtkCommonDataModel")
+    numpy = vtk("util.numpy_support")
+    numbers = [np.zeros(0, np.uint8)]
+    ids = [np.zeros(0, np.int64)]
+    ends = [np.zeros(1, np.int64)]
     for kind, corners in cells.items():
         nodes = reordered(kind, np.asarray(corners), None, VTK_ORDER)
         numbers.append(np.full(len(nodes), number_of(kind), np.uint8))
@@ -245,7 +290,9 @@ def points_of(points: np.ndarray) -> Any:
 def add_arrays(attributes: Any, arrays: Arrays) -> None:
     for name, values in arrays.items():
         kind = {"b": np.uint8, "f": np.float32 if values.dtype.itemsize <= 4 else np.float64}
-        values = np.ascontiguousarray(values, kind.get(values.dtype.kind, values.dtype.newbyteorder("=")))
+        values = np.ascontiguousarray(
+            values, kind.get(values.dtype.kind, values.dtype.newbyteorder("="))
+        )
         array = vtk("util.numpy_support").numpy_to_vtk(values, deep=1)
         array.SetName(name)
         attributes.AddArray(array)

@@ -107,7 +107,9 @@ class AbstractMethod(Module):
         """
         return self.fit(ids, surface, points)
 
-    def carry_place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree) -> PyTree:
+    def carry_place(
+        self, x: Point, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree
+    ) -> PyTree:
         """Changes a point's place after a step of `march`; it stays by default. Traced."""
         return placed
 
@@ -165,12 +167,16 @@ def check_kind(value: Any, kind: type, name: str, example: str, *, optional: boo
     if isinstance(value, kind) or (optional and value is None):
         return
     if isinstance(value, type):
-        raise ValueError(f"`{name}` is the class {value.__name__}: call it, {name}={value.__name__}().")
+        raise ValueError(
+            f"`{name}` is the class {value.__name__}: call it, {name}={value.__name__}()."
+        )
     what = kind.__name__.removeprefix("Abstract").lower()
     raise ValueError(f"`{name}` must be a {what} object such as {name}={example}, not {value!r}.")
 
 
-def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
+def number(
+    name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()"
+) -> Callable[[Any], Any]:
     """A converter to one real number in an interval, `ends` as for `between`, or a `ValueError`."""
 
     def convert(value: Any) -> Scalar:

@@ -10,7 +10,8 @@ from .._kernels.compile import is_for_cpu
 from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing, Points, Rows
 from .sparse import Interpolation
 
-WIDER = 256  # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
+# factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
+WIDER = 256
 FEW = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
@@ -18,11 +19,18 @@ def map_points(field: AbstractField, points: Points, ids: PyTree) -> Points:
     """Evaluates the field at every point; derivatives compute blocks anew and store none."""
     if field.block_size is None:
         return field.evaluate(points, ids)
-    return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
+    return map_rows(
+        jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size
+    )
 
 
 def place_points(
-    method: AbstractMethod, points: Points, ids: PyTree, factors: PyTree, surface: Rows, placed: PyTree = None
+    method: AbstractMethod,
+    points: Points,
+    ids: PyTree,
+    factors: PyTree,
+    surface: Rows,
+    placed: PyTree = None,
 ) -> PyTree:
     """Computes every point's place; or changes places `placed` after a step of `march`."""
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
@@ -46,12 +54,16 @@ def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> 
         if blocks is None:
             return last
         whole = jax.lax.map(function, blocks)
-        return jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b]), whole, last)
+        return jax.tree.map(
+            lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b]), whole, last
+        )
 
     return by_platform(mapped, rows, block)
 
 
-def fold_rows(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: PyTree, block: int) -> PyTree:
+def fold_rows(
+    function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: PyTree, block: int
+) -> PyTree:
     """Folds blocks of rows into one result: `function(result so far, rows)`, from `start` on."""
 
     def folded(rows, block):
@@ -77,7 +89,9 @@ def by_platform(function: Callable[[PyTree, int], PyTree], rows: PyTree, block: 
     if len(jax.tree.leaves(rows)[0]) <= FEW * block or is_for_cpu():
         return function(rows, block)
     return jax.lax.platform_dependent(
-        rows, cpu=lambda rows: function(rows, block), default=lambda rows: function(rows, WIDER * block)
+        rows,
+        cpu=lambda rows: function(rows, block),
+        default=lambda rows: function(rows, WIDER * block),
     )
 
 
@@ -98,4 +112,8 @@ def with_tables_of(old: PyTree, placed: PyTree) -> PyTree:
 
 
 def _map_rows_of(function: Callable, *trees: PyTree) -> PyTree:
-    return jax.tree.map(lambda *leaves: function(*leaves) if is_rows(leaves[0]) else leaves[0], *trees, is_leaf=is_rows)
+    return jax.tree.map(
+        lambda *leaves: function(*leaves) if is_rows(leaves[0]) else leaves[0],
+        *trees,
+        is_leaf=is_rows,
+    )

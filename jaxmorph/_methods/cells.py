@@ -19,7 +19,19 @@ from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, largest, norm
-from .base import AbstractMethod, AbstractWhole, Pairs, Points, Rows, Scalar, check_kind, einsum, matmul, number, or_one
+from .base import (
+    AbstractMethod,
+    AbstractWhole,
+    Pairs,
+    Points,
+    Rows,
+    Scalar,
+    check_kind,
+    einsum,
+    matmul,
+    number,
+    or_one,
+)
 from .blocks import fold_rows
 from .surface import ByKind, Surface
 
@@ -143,9 +155,13 @@ class AbstractCellMethod(AbstractMethod):
         wall = nearest_of(points[:n], points[wall], wall)
         known = np.zeros(n, dtype=bool)
         known[nodes] = True
-        is_free = systems.reached(pairs, known) & ~known & (np.bincount(pairs.ravel(), minlength=n) > 0)
+        is_free = (
+            systems.reached(pairs, known) & ~known & (np.bincount(pairs.ravel(), minlength=n) > 0)
+        )
         frame = _frame(cells.normals)
-        slides = [cells.on_plane[:, np.abs(cells.normals @ axis) > 0.5].any(axis=1) for axis in frame.T]
+        slides = [
+            cells.on_plane[:, np.abs(cells.normals @ axis) > 0.5].any(axis=1) for axis in frame.T
+        ]
         free = is_free[:, None] & ~np.stack(slides, axis=1)
         systems.check_solver(int(free.sum()), points.shape[1])
         volume = np.concatenate([stands, np.zeros(len(points) - n, stands.dtype)]).astype(np.int32)
@@ -157,20 +173,27 @@ class AbstractCellMethod(AbstractMethod):
         # A pair of nodes is one integer, smaller id times n plus larger id. The list of pairs is
         # sorted and unique, so a search finds each cell's entries. Corners at one place get the
         # number beyond it.
-        both = {kind: np.moveaxis(cells[:, self.ends(kind)], 1, 0) for kind, cells in corners.items()}
+        both = {
+            kind: np.moveaxis(cells[:, self.ends(kind)], 1, 0) for kind, cells in corners.items()
+        }
         keys = {kind: np.minimum(i, j) * n + np.maximum(i, j) for kind, (i, j) in both.items()}
         real = [keys[kind][i != j] for kind, (i, j) in both.items()]
         ordered = np.sort(np.concatenate([np.zeros(0, np.int64), *real]))
-        unique = ordered[np.diff(ordered, prepend=-1) > 0]  # NumPy's own takes a table of hashes, and ten times as long
+        unique = ordered[
+            np.diff(ordered, prepend=-1) > 0
+        ]  # NumPy's own takes a table of hashes, and ten times as long
         ids = {}
         for kind, (i, j) in both.items():
             entry = np.where(i != j, np.searchsorted(unique, keys[kind]), len(unique))
-            ids[kind] = CellIds(*as_jax((corners[kind].astype(np.int32), entry.astype(np.int32), i > j)))
+            ids[kind] = CellIds(
+                *as_jax((corners[kind].astype(np.int32), entry.astype(np.int32), i > j))
+            )
         return np.stack(np.divmod(unique, n), axis=1), ids
 
     def fit(self, ids: NodeIds, surface, points):
         places = matmul(points, ids.frame.astype(points.dtype))
-        n, distance = len(places), norm(places - places[ids.wall])
+        n = len(places)
+        distance = norm(places - places[ids.wall])
         first, *others = [self._of_cells(kind, ids, places, distance) for kind in ids.cells]
         values = sum(others, start=first)
         i, j = ids.pairs.T
@@ -205,14 +228,19 @@ class AbstractCellMethod(AbstractMethod):
     def check(self, ids: NodeIds, factors: NodeFactors, u):
         if not _is_solved(self, ids, factors, u):
             raise ValueError(
-                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for. Its stiffness is not finite or "
-                "not positive (cells without volume, a stiffness that differs too much between cells), or conjugate gradients "
-                "did not converge. Try a smaller exponent, or a method that does not solve on cells, such as the default."
+                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for. "
+                "Its stiffness is not finite or "
+                "not positive (cells without volume, a stiffness that differs too much between "
+                "cells), or conjugate gradients "
+                "did not converge. Try a smaller exponent, or a method that does not solve on "
+                "cells, such as the default."
             )
 
 
 @compiled
-def _is_solved(method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows) -> Bool[Array, ""]:
+def _is_solved(
+    method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows
+) -> Bool[Array, ""]:
     return jnp.isfinite(method.field(ids, factors, u, u).values).all()
 
 
@@ -293,7 +321,9 @@ def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q 
     return gradient, weights * jnp.where(top > 0, volume, jnp.abs(safe))
 
 
-def stiffness(of_cell: AbstractStiffness, kind: str, volume: Samples, distance: Float[Array, " c"]) -> Samples:
+def stiffness(
+    of_cell: AbstractStiffness, kind: str, volume: Samples, distance: Float[Array, " c"]
+) -> Samples:
     """Computes the stiffness at the quadrature points. A point takes the mean distance of the
     corners whose shape functions vary there. Where all corners move, nothing depends on the
     stiffness.
@@ -312,7 +342,11 @@ def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Samp
     size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
     least = float(jnp.finfo(matrix.dtype).eps) * or_one(size)
     safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
-    return jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), 2, 0) / safe[:, None, None], determinant, safe
+    return (
+        jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), 2, 0) / safe[:, None, None],
+        determinant,
+        safe,
+    )
 
 
 @functools.cache
@@ -323,7 +357,9 @@ def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
     direction.
     """
     if kind in ("triangle", "tetra"):
-        return derivatives_at_nodes(kind)[:1].round(12), np.array([1 / (2 if kind == "triangle" else 6)])
+        return derivatives_at_nodes(kind)[:1].round(12), np.array(
+            [1 / (2 if kind == "triangle" else 6)]
+        )
     if kind == "quad":
         return derivatives_at_nodes(kind).round(12), np.full(4, 1 / 4)
     slopes, weights = jacobian_samples(kind)
@@ -365,7 +401,9 @@ class Biharmonic(AbstractCellMethod):
     def masses(self, ids, places):
         masses = jnp.zeros(len(places), places.dtype)
         for kind, cells in ids.cells.items():
-            volumes = jax.vmap(lambda corners, kind=kind: gradients(kind, places[corners])[1].sum())(cells.corners)
+            volumes = jax.vmap(
+                lambda corners, kind=kind: gradients(kind, places[corners])[1].sum()
+            )(cells.corners)
             share = jnp.broadcast_to(volumes[:, None], cells.corners.shape) / cells.corners.shape[1]
             masses = masses.at[cells.corners].add(share)
         return or_one(masses)
@@ -446,8 +484,11 @@ class TorsionalSprings(AbstractCellMethod):
     lineal: Scalar = eqx.field(converter=number("lineal", 0, ends="[)"), default=0.1)
 
     def entries(self, kind, corners, distance):
-        simplices, element = np.array(FRAMES[kind]), _triangle if corners.shape[1] == 2 else _tetrahedron
-        blocks = jax.vmap(lambda corners: element(corners, self.lineal.astype(corners.dtype)))(corners[simplices])
+        simplices = np.array(FRAMES[kind])
+        element = _triangle if corners.shape[1] == 2 else _tetrahedron
+        blocks = jax.vmap(lambda corners: element(corners, self.lineal.astype(corners.dtype)))(
+            corners[simplices]
+        )
         total = jnp.zeros((len(corners), len(corners), *blocks.shape[3:]), corners.dtype)
         i, j = self.ends(kind)
         return total.at[simplices[:, :, None], simplices[:, None]].add(blocks)[i, j]
@@ -461,20 +502,31 @@ def _triangle(corners: Float[Array, "3 2"], lineal: Scalar) -> Float[Array, "3 3
     edges = corners[None] - corners[:, None]
     squared = jnp.sum(edges**2, axis=2) + jnp.eye(3, dtype=corners.dtype)
     area = determinant([*edges[0, 1:]])
-    stiff = jnp.stack([squared[0, 1] * squared[0, 2], squared[1, 2] * squared[1, 0], squared[2, 0] * squared[2, 1]])
+    stiff = jnp.stack(
+        [
+            squared[0, 1] * squared[0, 2],
+            squared[1, 2] * squared[1, 0],
+            squared[2, 0] * squared[2, 1],
+        ]
+    )
     rates = jax.jacfwd(angles)(corners)
     turning = einsum("k,kia,kjb->ijab", stiff / area**2, rates, rates)  # 1 / sin^2
     return turning - lineal * edges[..., None] * edges[..., None, :] / squared[..., None, None] ** 2
 
 
-_ENDS = np.array([(i, j, *sorted({0, 1, 2, 3} - {i, j})) for i, j in itertools.permutations(range(4), 2)]).T
+_ENDS = np.array(
+    [(i, j, *sorted({0, 1, 2, 3} - {i, j})) for i, j in itertools.permutations(range(4), 2)]
+).T
 """The two corners of each edge of a tetrahedron, then the two other corners."""
 
 
 def _tetrahedron(corners: Float[Array, "4 3"], lineal: Scalar) -> Float[Array, "4 4"]:
     """Stiffnesses of edges: lineal, and by the angle between the faces opposite to the ends."""
     i, j, k, m = (corners[ends] for ends in _ENDS)
-    normal_i, normal_j = jnp.cross(m - k, i - k), jnp.cross(m - k, j - k)  # both faces have the edge k m
+    normal_i, normal_j = (
+        jnp.cross(m - k, i - k),
+        jnp.cross(m - k, j - k),
+    )  # both faces have the edge k m
     both = jnp.sum(normal_i**2, axis=1) * jnp.sum(normal_j**2, axis=1)
     sine = jnp.sum(jnp.cross(normal_i, normal_j) ** 2, axis=1)
     stiff = (lineal + both / sine) / jnp.sum((j - i) ** 2, axis=1)

@@ -46,7 +46,9 @@ class DelaunayGraph(AbstractPlacing):
 
     def connect(self, surface: Surface, points):
         rows = surface.rows(len(points))
-        vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
+        vertices = np.repeat(
+            rows[:, None], points.shape[1] + 1, axis=1
+        )  # a node of the surface: itself, d + 1 times
         inside = np.flatnonzero(rows == len(surface.points))
         if inside.size:
             vertices[inside] = locate(begun_graph(surface).result(), points, inside)
@@ -76,8 +78,10 @@ def barycentric(x: Point, corners: list[Point], at_node) -> list[Scalar]:
     return [1 - sum(parts, start=jnp.zeros_like(whole)), *parts]
 
 
-NEIGHBOURS = 6  # wall nodes that a point averages; one more node sets the distance at which weights vanish
-REACH = 0.5  # width of the layer, relative to the largest distance from a wall's node to its nearest source
+# wall nodes that a point averages; one more node sets the distance at which weights vanish
+NEIGHBOURS = 6
+# width of the layer, relative to the largest distance from a wall's node to its nearest source
+REACH = 0.5
 CHORD = 0.25  # width of the layer of a wall without matched sources, relative to its mean chord
 SLIGHTLY = 1e-6  # relative difference that keeps the maximum of equal lengths from having a kink
 
@@ -122,17 +126,24 @@ class NearWall(AbstractPlacing):
 
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
-        width = layer_width(self.width, jax.tree.map(np.asarray, extent), np.asarray(surface.points, float))
+        width = layer_width(
+            self.width, jax.tree.map(np.asarray, extent), np.asarray(surface.points, float)
+        )
         row_of_point = surface.rows(len(points))
         reached = row_of_point < len(surface.points)
         inside = np.flatnonzero(~reached)
         wall = np.asarray(extent.wall)
-        near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1, surface.once)
+        near, rows = near_walls(
+            surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1, surface.once
+        )
         correction, correction_at_points = self.correction.connect(surface, points)
         # a node of the surface has itself alone
         nodes = np.where(reached, row_of_point, 0)[:, None].repeat(NEIGHBOURS + 2, axis=1)
-        nodes[inside[near]], reached[inside[near]] = rows, True
-        return Layered(correction, extent), Layered(correction_at_points, WallRow(*as_jax((nodes, reached))))
+        nodes[inside[near]] = rows
+        reached[inside[near]] = True
+        return Layered(correction, extent), Layered(
+            correction_at_points, WallRow(*as_jax((nodes, reached)))
+        )
 
     def fit(self, ids, surface, points):
         width = layer_width(self.width, ids.wall, surface)
@@ -147,7 +158,9 @@ class NearWall(AbstractPlacing):
         return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def carry_place(self, x, ids, factors, surface, placed):
-        correction = self.correction.carry_place(x, ids.correction, factors.correction, surface, placed.correction)
+        correction = self.correction.carry_place(
+            x, ids.correction, factors.correction, surface, placed.correction
+        )
         return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
 
     def field(self, ids, factors, surface, u):
@@ -177,8 +190,12 @@ class Extent(eqx.Module):
     """Walls, as rows of the surface."""
 
     wall: Int[Array, " b"]  # each row's wall
-    pairs: Int[Array, "w 2 2"]  # each wall's row that is farthest from the matched ones, with the nearest; its two ends
-    share: Float[Array, " w"]  # each wall's mean chord, relative to the distance of its ends; zero with matched rows
+    pairs: Int[
+        Array, "w 2 2"
+    ]  # each wall's row that is farthest from the matched ones, with the nearest; its two ends
+    share: Float[
+        Array, " w"
+    ]  # each wall's mean chord, relative to the distance of its ends; zero with matched rows
 
     @classmethod
     def seen(cls, surface: Surface) -> "Extent":
@@ -187,9 +204,12 @@ class Extent(eqx.Module):
     @classmethod
     def _searched(cls, surface: Surface) -> "Extent":
         wall, ends, share = surface.walls
-        share, points, pairs = share.copy(), surface.points, np.stack([0 * ends, ends], axis=1)
+        share = share.copy()
+        points = surface.points
+        pairs = np.stack([0 * ends, ends], axis=1)
         for label in np.unique(wall):
-            here, chosen = np.flatnonzero(wall == label), surface.matched[wall[surface.matched] == label]
+            here = np.flatnonzero(wall == label)
+            chosen = surface.matched[wall[surface.matched] == label]
             matched = nearest_of(points[here], points[chosen], chosen) if len(chosen) else here
             farthest = first_largest(np.linalg.norm(points[here] - points[matched], axis=1))
             pairs[label, 0] = here[farthest], matched[farthest]
@@ -197,7 +217,9 @@ class Extent(eqx.Module):
         return cls(*as_jax((wall.astype(np.int32), pairs.astype(np.int32), share)))
 
 
-def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
+def layer_width(
+    width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]
+) -> Float[Either, " b"]:
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
@@ -224,28 +246,36 @@ class NearWallField(AbstractWhole):
         return map_points(self.wall, points, ids.wall) + ids.outside[:, None] * correction
 
 
-def _blend(x: Point, row: WallRow, width: Float[Array, " b"], surface: Rows) -> tuple[Interpolation, Scalar]:
+def _blend(
+    x: Point, row: WallRow, width: Float[Array, " b"], surface: Rows
+) -> tuple[Interpolation, Scalar]:
     """Returns the wall's part at x, chi u_wall, and 1 - chi."""
-    nearest, other = row.nodes[:-1], row.nodes[-1]
+    nearest = row.nodes[:-1]
+    other = row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
     # the last node was the farthest when it was found: of nodes as far as it is, it alone decides,
     # so there is no kink
     reach = jnp.maximum(distance[-1], (1 - SLIGHTLY) * distance.max()) * (1 + 2 * SLIGHTLY)
     at_node = distance[0] == 0
     safe = jnp.where(at_node, 1, distance)
-    weights = jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2  # Franke and Little, times safe[0]
+    weights = (
+        jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2
+    )  # Franke and Little, times safe[0]
     weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
     layer = or_one(width[nearest[0]])
     gap = norm(surface[other] - x)
     alone = (other == nearest[0]) | (gap == 0)
-    halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
+    halfway = jnp.where(
+        alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap))
+    )  # 1 between two walls
     # the layer ends at its width or half way, whichever is nearer, without a kink
     fourth = (distance[0] / layer) ** 4 + halfway**4
     chi = jnp.where(row.reached & (width[nearest[0]] > 0), WendlandC2(1.0)(root(fourth)), 0)
     return Interpolation(nearest[:-1], chi * (weights / weights.sum()), row.reached), 1 - chi
 
 
-SEARCHED = 1.25  # search distance in radii: beyond 1 another node may come nearer than the nearest node
+# search distance in radii: beyond 1 another node may come nearer than the nearest node
+SEARCHED = 1.25
 SPACING = 2.0  # the automatic radius, relative to the width of the layer of `NearWall`
 
 
@@ -283,15 +313,23 @@ class LocalCorrection(AbstractPlacing):
 
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
-        distance = SEARCHED * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points, float)).max()
+        distance = (
+            SEARCHED
+            * self._radius(
+                jax.tree.map(np.asarray, extent), np.asarray(surface.points, float)
+            ).max()
+        )
         to_surface = Tree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
-        reached, nodes = np.isfinite(to_surface), np.zeros(len(points), dtype=np.int32)
+        reached = np.isfinite(to_surface)
+        nodes = np.zeros(len(points), dtype=np.int32)
         nodes[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
         rows = surface.rows(len(points))
         on_surface = rows < len(surface.points)
         nodes[on_surface] = rows[on_surface]
         searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
-        return LocalIds(extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
+        return LocalIds(extent, searched), Reach(
+            *as_jax((nodes[:, None], (reached | on_surface)[:, None]))
+        )
 
     def control(self, ids):
         return Control() if self.radius is None else Control(reach=float(self.radius))
@@ -308,8 +346,11 @@ class LocalCorrection(AbstractPlacing):
         fades = radius > 0
 
         def is_lost():
-            squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors.radius)
-            nearest = jnp.where(squared < reaches**2, jnp.sqrt(squared) + (SEARCHED - 1) * reaches, jnp.inf).min()
+            squared = squared_distance(x[None], surface)
+            reaches = jax.lax.stop_gradient(factors.radius)
+            nearest = jnp.where(
+                squared < reaches**2, jnp.sqrt(squared) + (SEARCHED - 1) * reaches, jnp.inf
+            ).min()
             listed = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
             return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
 

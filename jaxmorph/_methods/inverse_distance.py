@@ -67,10 +67,15 @@ class InverseDistance(AbstractMethod):
         return not self.rotations
 
     def connect(self, surface: Surface, points):
-        faces = {kind: np.asarray(ids, np.int32) for kind, ids in (surface.faces or {}).items() if len(ids)}
+        faces = {
+            kind: np.asarray(ids, np.int32)
+            for kind, ids in (surface.faces or {}).items()
+            if len(ids)
+        }
         if self.rotations and not faces:
             raise ValueError(
-                "InverseDistance(rotations=True) needs the boundary faces: pass the mesh, prepare(mesh, ...), not points."
+                "InverseDistance(rotations=True) needs the boundary faces: pass the mesh, "
+                "prepare(mesh, ...), not points."
             )
         return InverseDistanceIds(*as_jax((faces, np.int32(surface.moving)))), None
 
@@ -79,7 +84,9 @@ class InverseDistance(AbstractMethod):
         middle = jnp.sum(jnp.where(moves[:, None], surface, 0), axis=0) / ids.moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
         area = _areas(ids.faces, surface) if ids.faces else jnp.ones(len(surface), surface.dtype)
-        return InverseDistanceFactors(area, or_one(extent))  # all nodes at one place: any length serves
+        return InverseDistanceFactors(
+            area, or_one(extent)
+        )  # all nodes at one place: any length serves
 
     def field(self, ids, factors, surface, u):
         turns = _turns(ids.faces, surface, u) if self.rotations else None
@@ -110,7 +117,9 @@ class InverseDistanceField(AbstractField):
         return matmul(weights, about) + turned
 
     def _weights(self, points: Float[Array, "k d"]) -> Float[Array, "k b"]:
-        far, near, alpha = self.method.far, self.method.near, self.method.alpha.astype(points.dtype)
+        far = self.method.far
+        near = self.method.near
+        alpha = self.method.alpha.astype(points.dtype)
         extent = self.factors.extent
         squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * extent) ** 2)
         least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))
@@ -123,7 +132,8 @@ class InverseDistanceField(AbstractField):
 
 def nearest_bound(method: InverseDistance, dtype: Any) -> float:
     """The largest (L / r)^2 in the weight of the nearest nodes."""
-    far, near = method.far, method.near
+    far = method.far
+    near = method.near
     largest = float(jnp.finfo(dtype).max) ** 0.25  # squared in derivatives, and added up
     return largest ** (2 / (near - far)) if near > far else float("inf")
 

@@ -46,7 +46,12 @@ class Multiscale(AbstractPlacing):
 
         **Raises:** `ValueError` for numbers outside of these ranges.
         """
-        base = RBF(WendlandC2(radius), reduction=Share(fraction), fixed_reduction=Share(fraction), degree=None)
+        base = RBF(
+            WendlandC2(radius),
+            reduction=Share(fraction),
+            fixed_reduction=Share(fraction),
+            degree=None,
+        )
         return SurfaceReconstruction(base, Multiscale())
 
     def connect(self, surface: Surface, points):
@@ -57,10 +62,14 @@ class Multiscale(AbstractPlacing):
         rank[order] = np.arange(len(order))
         row, column = overlaps(nodes, order, radius, nodes)
         below = (radius[row] > 0) & (rank[row] > rank[column])
-        nearest, row, column = (ids.astype(np.int32) for ids in (nearest, row[below], column[below]))
+        nearest, row, column = (
+            ids.astype(np.int32) for ids in (nearest, row[below], column[below])
+        )
         forward, backward = (Sweep(*as_jax(sweep)) for sweep in sweeps(row, column, len(nodes)))
         reach = padded(*overlaps(nodes, order, radius, points.astype(float)), len(points))
-        return Hierarchy(*as_jax((nearest, row, column)), forward=forward, backward=backward), Reach(*as_jax(reach))
+        return Hierarchy(
+            *as_jax((nearest, row, column)), forward=forward, backward=backward
+        ), Reach(*as_jax(reach))
 
     def fit(self, ids: "Hierarchy", surface, points):
         squared = _squared(surface - surface[ids.nearest])
@@ -71,7 +80,9 @@ class Multiscale(AbstractPlacing):
         return factors
 
     def place(self, x, ids: Reach, factors: "MultiscaleFactors", surface):
-        return ids.weighted(_wendland(_squared(surface[ids.nodes] - x[None]), factors.squared[ids.nodes]))
+        return ids.weighted(
+            _wendland(_squared(surface[ids.nodes] - x[None]), factors.squared[ids.nodes])
+        )
 
     def field(self, ids: "Hierarchy", factors: "MultiscaleFactors", surface, u):
         has_function = ids.nearest != jnp.arange(len(ids.nearest))
@@ -82,7 +93,9 @@ class Sweep(eqx.Module):
     entries: Int[Array, "s r w"]
     owner: Int[Array, "s r"]
 
-    def substituted(self, source: Int[Array, " e"], entries: Float[Array, " e"], values: Rows) -> Rows:
+    def substituted(
+        self, source: Int[Array, " e"], entries: Float[Array, " e"], values: Rows
+    ) -> Rows:
         used = self.entries >= 0
         weights = jnp.where(used, entries[self.entries], 0)
         nodes = jnp.where(used, source[self.entries], 0)
@@ -122,7 +135,9 @@ class MultiscaleFactors(eqx.Module):
     entries: Float[Array, " e"]
 
 
-def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
+def _wendland(
+    squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]
+) -> Float[Array, "..."]:
     return WendlandC2(1.0)(squared_distance / or_one(squared_radius))
 
 
@@ -147,4 +162,6 @@ def guiding(method: AbstractMethod) -> AbstractMethod:
     if coarse is method and coarse.exact:
         return coarse
     layered = isinstance(method, SurfaceReconstruction) and isinstance(method.correction, NearWall)
-    return SurfaceReconstruction(coarse, NearWall(Multiscale(), method.correction.width) if layered else Multiscale())
+    return SurfaceReconstruction(
+        coarse, NearWall(Multiscale(), method.correction.width) if layered else Multiscale()
+    )

@@ -6,7 +6,15 @@ import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
-from .base import AbstractField, AbstractMethod, AbstractPlacing, AbstractWhole, Control, check_kind, has_part
+from .base import (
+    AbstractField,
+    AbstractMethod,
+    AbstractPlacing,
+    AbstractWhole,
+    Control,
+    check_kind,
+    has_part,
+)
 from .blocks import map_points, place_points
 from .corrections import DelaunayGraph, NearWall, begun_graph
 from .rbf.fitted import FittedRBF
@@ -49,7 +57,9 @@ class SurfaceReconstruction(AbstractPlacing):
 
         **Returns:** a `SurfaceReconstruction`.
         """
-        return cls(RBF(reduction=KDTree(leaves), fixed_reduction=KDTree(fixed_leaves)), DelaunayGraph())
+        return cls(
+            RBF(reduction=KDTree(leaves), fixed_reduction=KDTree(fixed_leaves)), DelaunayGraph()
+        )
 
     @property
     def exact(self) -> bool:
@@ -70,7 +80,9 @@ class SurfaceReconstruction(AbstractPlacing):
         coarse, coarse_ids = self.coarse.connect(everywhere, more)
         coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], coarse_ids)
         coarse_at_surface = jax.tree.map(lambda leaf: leaf[everywhere.nodes], coarse_ids)
-        surface = everywhere.altered(nodes=surface.nodes, matched=self.coarse.control(coarse).matched)
+        surface = everywhere.altered(
+            nodes=surface.nodes, matched=self.coarse.control(coarse).matched
+        )
         correction, correction_at_points = self.correction.connect(surface, points)
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
 
@@ -84,7 +96,11 @@ class SurfaceReconstruction(AbstractPlacing):
         coarse, _, correction = ids
         coarse_factors, placed, correction_factors = factors
         carried = self.coarse.carry(coarse, coarse_factors, surface, points)
-        return carried, placed, self.correction.carry(correction, correction_factors, surface, points)
+        return (
+            carried,
+            placed,
+            self.correction.carry(correction, correction_factors, surface, points),
+        )
 
     def place(self, x, ids, factors, surface):
         coarse = self.coarse.place(x, ids[0], factors[0], surface)
@@ -95,7 +111,8 @@ class SurfaceReconstruction(AbstractPlacing):
         return coarse, self.correction.carry_place(x, ids[1], factors[2], surface, placed[1])
 
     def control(self, ids):
-        coarse, correction = self.coarse.control(ids[0]), self.correction.control(ids[2])
+        coarse = self.coarse.control(ids[0])
+        correction = self.correction.control(ids[2])
         return Control(np.concatenate([coarse.sources, correction.sources]), correction.matched)
 
     def check(self, ids, factors, u):

@@ -23,7 +23,10 @@ from .sparse import Interpolation
 from .surface import ByKind
 
 KEPT = 0.8  # smallest Jacobian ratio that least squares alone leave after a trial motion
-LARGEST = {2: 0.2, 3: 0.5}  # largest displacement of a trial motion, relative to half of the body's length
+LARGEST = {
+    2: 0.2,
+    3: 0.5,
+}  # largest displacement of a trial motion, relative to half of the body's length
 
 # Shares, and how much of the ratio by least squares they must keep in all trial motions. The whole
 # fit may lose more: it alone keeps grid lines at right angles to the wall.
@@ -54,7 +57,9 @@ def share_in(method: Any, share: Any) -> Any:
     return dataclasses.replace(method, coarse=dataclasses.replace(method.coarse, share=share))
 
 
-def near_cells(cells: ByKind, nodes: np.ndarray, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def near_cells(
+    cells: ByKind, nodes: np.ndarray, count: int
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Selects cells near some of `count` nodes, layer by layer: their nodes, and rows of these."""
     linear = {kind: np.asarray(ids)[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}
     is_near = np.zeros(count, dtype=bool)
@@ -75,7 +80,8 @@ def _layers(cells: ByKind, is_near: np.ndarray, most: int) -> ByKind:
     def size(cells: ByKind) -> int:
         return sum(map(len, cells.values()))
 
-    chosen, grown = {}, layer()
+    chosen = {}
+    grown = layer()
     if size(grown) > most:
         return {kind: ids[:: -(-size(grown) // most)] for kind, ids in grown.items()}
     while size(chosen) < size(grown) <= most:
@@ -87,7 +93,12 @@ def _layers(cells: ByKind, is_near: np.ndarray, most: int) -> ByKind:
 
 
 def largest_share(
-    method: Any, surface: Any, vectors: Callable, trials: Iterator[Float[np.ndarray, "m d"]], near: Any, cells: ByKind
+    method: Any,
+    surface: Any,
+    vectors: Callable,
+    trials: Iterator[Float[np.ndarray, "m d"]],
+    near: Any,
+    cells: ByKind,
 ) -> float:
     """Finds the largest share that keeps enough in all trial motions.
 
@@ -96,13 +107,17 @@ def largest_share(
     and for least squares. `near` has points near the walls and their places, between which are the
     `cells`.
     """
-    coarse, rows, factors = method.coarse, surface.points, surface.factors[0]
+    coarse = method.coarse
+    rows = surface.points
+    factors = surface.factors[0]
     matrix = _correction(near.placed[1], len(rows))
     if matrix is None:
         return 1.0
     used = np.unique(matrix.indices)
     matrix = csr_array(matrix[:, used])
-    kernel = np.asarray(_kernel(coarse, factors, as_jax(np.concatenate([np.asarray(rows)[used], near.points]))))
+    kernel = np.asarray(
+        _kernel(coarse, factors, as_jax(np.concatenate([np.asarray(rows)[used], near.points])))
+    )
     ids, inverse = _corners(np.asarray(near.points, float), cells)
     alive = dict(SHARES)
     while u := list(itertools.islice(trials, AT_ONCE)):
@@ -114,7 +129,9 @@ def largest_share(
         moved = field[len(used) :] + _times(matrix, offset)
         for k in range(len(u)):
             fit, plain = (_gradients(_edges(moved[:, of, k], ids), inverse) for of in (0, 1))
-            terms = {share: _invariants(share * fit + (1 - share) * plain) for share in (*alive, 0.0)}
+            terms = {
+                share: _invariants(share * fit + (1 - share) * plain) for share in (*alive, 0.0)
+            }
             for sign in (1, -1):
                 size = _size(terms[0.0], sign)
                 least = _ratios(terms[0.0], size).min(initial=np.inf)
@@ -126,7 +143,9 @@ def largest_share(
     return max(alive)
 
 
-def motions(points: Float[np.ndarray, "m d"], walls: np.ndarray) -> Iterator[Float[np.ndarray, "m d"]]:
+def motions(
+    points: Float[np.ndarray, "m d"], walls: np.ndarray
+) -> Iterator[Float[np.ndarray, "m d"]]:
     """Yields trial motions, half a wall long: powers, waves, bumps along its axes of inertia."""
     labels, counts = np.unique(walls, return_counts=True)
     for label in labels[np.sort(np.argsort(-counts, kind="stable")[:WALLS])]:
@@ -149,7 +168,8 @@ def _shapes(x: Float[np.ndarray, "m d"]) -> Iterator[tuple[np.ndarray, int]]:
     """Yields heights (m,) over the axes, longest first, from -1 to 1, and the axis of motion."""
     thin = x.shape[1] - 1
     for axis, a in enumerate(x.T):
-        powers, turn = [a, a**2, a**3, np.sin(np.pi * a)], 2 * np.pi * a
+        powers = [a, a**2, a**3, np.sin(np.pi * a)]
+        turn = 2 * np.pi * a
         waves = [np.cos(np.pi * a), np.sin(turn), np.cos(turn)]
         yield np.ones(len(x)), axis
         others = np.delete(np.arange(thin + 1), axis).tolist()
@@ -167,7 +187,9 @@ def _bumps(a: np.ndarray, across: np.ndarray) -> list[np.ndarray]:
 def _corners(points: np.ndarray, cells: ByKind) -> tuple[np.ndarray, Float[np.ndarray, "d d c"]]:
     """Lists corners of cells: ids (d + 1, c) of a corner and its edges' ends; inverse edges."""
     none = np.zeros((0, points.shape[1] + 1), dtype=int)
-    ids = np.concatenate([none, *(own[:, frame] for kind, own in cells.items() for frame in FRAMES[kind])]).T
+    ids = np.concatenate(
+        [none, *(own[:, frame] for kind, own in cells.items() for frame in FRAMES[kind])]
+    ).T
     edges = _edges(points, ids).transpose(2, 0, 1)
     has_sign = np.abs(np.linalg.det(edges)) > FLAT * np.prod(np.linalg.norm(edges, axis=1), axis=1)
     inverse = np.linalg.inv(edges[has_sign]).transpose(1, 2, 0)
@@ -206,7 +228,8 @@ def _size(invariants: list[np.ndarray], sign: int) -> float:
         worst = int(ratios.argmin())
         if ratios[worst] >= KEPT - 1e-6:
             break
-        low, of_worst = 0.0, [invariant[[worst]] for invariant in invariants]
+        low = 0.0
+        of_worst = [invariant[[worst]] for invariant in invariants]
         for _ in range(40):
             middle = (low + size) / 2
             is_kept = _ratios(of_worst, sign * middle).item() >= KEPT
@@ -222,17 +245,23 @@ def _correction(placed: Any, count: int) -> csr_array | None:
     correction = _correction(placed.correction, count) if isinstance(placed, WallPlace) else None
     if correction is None:
         return None
-    return csr_array(placed.wall.matrix(count) + diags_array(np.asarray(placed.outside)) @ correction)
+    return csr_array(
+        placed.wall.matrix(count) + diags_array(np.asarray(placed.outside)) @ correction
+    )
 
 
 @compiled
 def _kernel(coarse: FittedRBF, factors: Any, points: Float[Array, "k d"]) -> Float[Array, "k t"]:
     rbf = factors.rbf
-    return coarse.rbf.expansion.rows(rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale)
+    return coarse.rbf.expansion.rows(
+        rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale
+    )
 
 
 @compiled
-def _weights(coarse: FittedRBF, ids: Any, factors: Any, surface: Array, shares: Array, vectors: Array) -> Array:
+def _weights(
+    coarse: FittedRBF, ids: Any, factors: Any, surface: Array, shares: Array, vectors: Array
+) -> Array:
     """Computes weights (k, s, t, d) of the field for shares and displacements (b, s, t, d)."""
 
     def weights(share: Scalar, vectors: Rows) -> Float[Array, "k d"]:

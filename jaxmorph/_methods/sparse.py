@@ -48,7 +48,9 @@ class Interpolation(eqx.Module):
         if self.reached is not None:
             weights = np.where(np.asarray(self.reached).reshape(len(weights), -1), weights, 0)
         starts = np.arange(len(weights) + 1) * weights.shape[1]
-        return csr_array((weights.ravel(), np.array(self.nodes).ravel(), starts), (len(weights), columns))
+        return csr_array(
+            (weights.ravel(), np.array(self.nodes).ravel(), starts), (len(weights), columns)
+        )
 
     def with_table(self, count: int, parts: int) -> "Interpolation":
         """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host."""
@@ -59,25 +61,44 @@ class Interpolation(eqx.Module):
         # first.
         key = id(self.weights), count, parts
         if key not in _made:
-            _made[key] = self._tabled(count, parts), weakref.ref(self.weights, lambda _: _made.pop(key, None))
+            _made[key] = (
+                self._tabled(count, parts),
+                weakref.ref(self.weights, lambda _: _made.pop(key, None)),
+            )
         return dataclasses.replace(self, table=_made[key][0])
 
     def _tabled(self, count: int, parts: int) -> Table:
         # A share's table has positions within the share. The last share overlaps the one before it.
         # All tables get one length: added rows hold no entry, and belong to the last column.
-        nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)
-        reached = np.ones(len(nodes), dtype=bool) if self.reached is None else np.asarray(self.reached)
+        nodes = np.asarray(self.nodes)
+        weights = np.asarray(self.weights)
+        reached = (
+            np.ones(len(nodes), dtype=bool) if self.reached is None else np.asarray(self.reached)
+        )
         size = -(-len(nodes) // parts)
         starts = [min(k * size, len(nodes) - size) for k in range(parts)]
         shares = [slice(start, start + size) for start in starts]
         tables = [tabulate(nodes[share], reached[share], count) for share in shares]
         longest = max(len(owner) for _, owner in tables)
         step = 2 ** max(0, longest.bit_length() - 6)
-        longest = -(-longest // step) * step  # by 3 % at most, so that similar parts of a mesh share compiled code
-        entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
-        owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
-        gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
-        with jax.ensure_compile_time_eval():  # also where JAX traces a call with a plan that is known
+        longest = (
+            -(-longest // step) * step
+        )  # by 3 % at most, so that similar parts of a mesh share compiled code
+        entries = [
+            np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1)
+            for table, _ in tables
+        ]
+        owners = [
+            np.pad(owner, (0, longest - len(owner)), constant_values=count - 1)
+            for _, owner in tables
+        ]
+        gathered = [
+            np.where(at < 0, 0, weights[share].ravel()[at])
+            for at, share in zip(entries, shares, strict=True)
+        ]
+        with (
+            jax.ensure_compile_time_eval()
+        ):  # also where JAX traces a call with a plan that is known
             return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
     def without_table(self) -> "Interpolation":
@@ -91,7 +112,9 @@ class Interpolation(eqx.Module):
         return dataclasses.replace(self, table=dataclasses.replace(table, weights=gathered))
 
 
-_made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}  # cache of the tables of arrays of weights
+_made: dict[
+    tuple[int, int, int], tuple[Table, weakref.ref]
+] = {}  # cache of the tables of arrays of weights
 
 
 class Reach(eqx.Module):
@@ -108,7 +131,9 @@ class InterpolatedField(AbstractWhole):
     u: Rows
 
     def __call__(self, x, ids: Interpolation):
-        return sum((ids.weights[k] * self.u[i] for k, i in enumerate(ids.nodes)), start=jnp.zeros_like(x))
+        return sum(
+            (ids.weights[k] * self.u[i] for k, i in enumerate(ids.nodes)), start=jnp.zeros_like(x)
+        )
 
     def evaluate(self, points, ids: Interpolation):
         return weighted_sum(ids, self.u)
@@ -131,13 +156,17 @@ def _sum(values, weights, *table, turned: bool, count: int):
     # rows of one column are neighbours, so that one sum over sorted segments adds them. Empty
     # places of the table have the weight 0.
     (sorted_weights, nodes, entries, owner), k = table, weights.shape[1]
-    values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
+    values = jax.lax.optimization_barrier(
+        values
+    )  # else what makes them is done again for each gather
     if not turned:
         return sum(weights[:, i, None] * _rows(values, nodes[:, i]) for i in range(k))
     if not len(owner):
         entries = (weights[..., None] * values[:, None]).reshape(-1, values.shape[1])
         return jnp.zeros((count, values.shape[1]), entries.dtype).at[nodes.ravel()].add(entries)
-    points = [jax.lax.div(entries[:, i], jnp.int32(k)) for i in range(entries.shape[1])]  # 0 where there is no entry
+    points = [
+        jax.lax.div(entries[:, i], jnp.int32(k)) for i in range(entries.shape[1])
+    ]  # 0 where there is no entry
     rows = sum(sorted_weights[:, i, None] * _rows(values, at) for i, at in enumerate(points))
     return jax.ops.segment_sum(rows, owner, count, indices_are_sorted=True)
 
@@ -165,9 +194,16 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
     # entries fills ceil(s / WIDTH) rows of the table; its last row is padded. The shift of an entry
     # is the padding of all columns before its own.
     if nodes.size >= 2**31:
-        raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")
-    entries = np.flatnonzero(np.broadcast_to(used.reshape(len(nodes), -1), nodes.shape)).astype(np.int32)
-    row = csr_array((entries, nodes.ravel()[entries], np.array([0, len(entries)], np.int32)), shape=(1, count)).tocsc()
+        raise ValueError(
+            f"{len(nodes)} points are too many for one device; lay the plan over several with "
+            "`shard`."
+        )
+    entries = np.flatnonzero(np.broadcast_to(used.reshape(len(nodes), -1), nodes.shape)).astype(
+        np.int32
+    )
+    row = csr_array(
+        (entries, nodes.ravel()[entries], np.array([0, len(entries)], np.int32)), shape=(1, count)
+    ).tocsc()
     sizes = np.diff(row.indptr)
     lengths = -(-sizes // WIDTH)
     padding = WIDTH * lengths - sizes
@@ -176,7 +212,8 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
     return table.reshape(-1, WIDTH), np.repeat(np.arange(count, dtype=np.int32), lengths)
 
 
-SLACK = 0.05  # search slack, relative to the radius: it serves bases that differ by less than half of it
+# search slack, relative to the radius: it serves bases that differ by less than half of it
+SLACK = 0.05
 
 
 def lost_unless(is_certain: Flag, is_lost: Callable[[], Any]) -> Flag:
@@ -191,9 +228,14 @@ class Searched(eqx.Module):
 
     def certain(self, radius: Scalar, surface: Rows, points: Points) -> Flag:
         """True if all nodes within a radius were surely found: nodes may have come nearer since."""
-        shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
+        shifts = (
+            surface - self.surface,
+            points - self.points[: len(points)],
+        )  # images, which follow, are of the surface
         mean = shifts[0].mean(axis=0)
-        shifts = [jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts]
+        shifts = [
+            jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts
+        ]
         nearer = shifts[0] + jnp.maximum(*shifts)
         return jax.lax.stop_gradient(radius + nearer <= self.distance)
 

@@ -89,9 +89,13 @@ class Surface:
         first, closest = self._chosen(moving, among, self.points[self.moving :])
         rows = np.arange(self.moving, len(self.points))
         second, closest_fixed = self._chosen(fixed, rows, self.points[first])
-        return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
+        return np.concatenate(
+            [first, drop_near(self.points, second, first, min(closest, closest_fixed))]
+        )
 
-    def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
+    def _chosen(
+        self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """Chooses rows by a reduction, with images; also returns the least distance of two."""
         # A source too close to its own image gives way to the nearest node that is not too close,
         # one on the plane if there is any. Two sources that are not too close are farther from each
@@ -107,28 +111,41 @@ class Surface:
         lengths = np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
         np.minimum.at(to_image, self.images[images], lengths)
         is_near = to_image <= closest * (1 + SAME)
-        near, free = chosen[is_near[chosen]], originals[~is_near[originals]]
+        near = chosen[is_near[chosen]]
+        free = originals[~is_near[originals]]
         if near.size:
-            moved = nearest_of(self.points[near], self.points[free], free) if free.size else near[:0]
-            chosen = drop_close(self.points, np.concatenate([moved, chosen[~is_near[chosen]]]), closest)
+            moved = (
+                nearest_of(self.points[near], self.points[free], free) if free.size else near[:0]
+            )
+            chosen = drop_close(
+                self.points, np.concatenate([moved, chosen[~is_near[chosen]]]), closest
+            )
         return rows[np.isin(self.images[rows], chosen)], closest
 
-    def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    def _on_far_walls(
+        self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray
+    ) -> np.ndarray:
         """Chooses rows of walls farther from the `others` (s, d) than they are long."""
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
             return chosen[0]
-        wall, distance = self.walls[0][rows], Tree(others).query(self.points[rows])[0]
+        wall = self.walls[0][rows]
+        distance = Tree(others).query(self.points[rows])[0]
         for label in np.unique(wall):
             members = np.flatnonzero(wall == label)
             corners = self.points[rows[members]]
             if distance[members].min() > (1 + SAME) * np.linalg.norm(np.ptp(corners, axis=0)) > 0:
                 chosen.append(rows[members[reduction(corners)]])
-        return np.concatenate(chosen) if sum(map(len, chosen)) <= reduction.most_on_far_walls else chosen[0]
+        return (
+            np.concatenate(chosen)
+            if sum(map(len, chosen)) <= reduction.most_on_far_walls
+            else chosen[0]
+        )
 
     def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
         """Returns the surface with all of its rows among the points: images are added to them."""
-        absent, nodes = np.flatnonzero(self.nodes < 0), self.nodes.copy()
+        absent = np.flatnonzero(self.nodes < 0)
+        nodes = self.nodes.copy()
         nodes[absent] = len(points) + np.arange(len(absent))
         return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
 

@@ -22,21 +22,50 @@ from .rbf.system import polynomial
 from .reconstruction import SurfaceReconstruction
 
 CODES = (
-    "add", "shift", "take", "put", "sparse", "dense", "cholesky", "ldl", "kernel", "mean", "plane", "turn", "pair",
-    "copy", "forward",
-)  # fmt: skip
+    "add",
+    "shift",
+    "take",
+    "put",
+    "sparse",
+    "dense",
+    "cholesky",
+    "ldl",
+    "kernel",
+    "mean",
+    "plane",
+    "turn",
+    "pair",
+    "copy",
+    "forward",
+)
 """Names of steps: the first has the code 1 in the file."""
 
 FUNCTIONS = (
-    bases.ThinPlateSpline, bases.LinearSpline, bases.CubicSpline,
-    bases.Gaussian, bases.Multiquadric, bases.InverseMultiquadric, bases.InverseQuadratic,
-    bases.WendlandC0, bases.WendlandC2, bases.WendlandC4, bases.WendlandC6,
-    bases.CompactC0, bases.CompactC1, bases.CompactC2a, bases.CompactC2b,
-)  # fmt: skip
+    bases.ThinPlateSpline,
+    bases.LinearSpline,
+    bases.CubicSpline,
+    bases.Gaussian,
+    bases.Multiquadric,
+    bases.InverseMultiquadric,
+    bases.InverseQuadratic,
+    bases.WendlandC0,
+    bases.WendlandC2,
+    bases.WendlandC4,
+    bases.WendlandC6,
+    bases.CompactC0,
+    bases.CompactC1,
+    bases.CompactC2a,
+    bases.CompactC2b,
+)
 """Bases, in the order of their numbers in the file."""
 
-U, POINTS = 0, 1  # registers of the displacement and of the points
-FLAT, TURNED, MINUS = 1, 2, 4  # flags: the components of all rows are one vector; by the transpose; subtracted
+U = 0
+POINTS = 1  # registers of the displacement and of the points
+FLAT, TURNED, MINUS = (
+    1,
+    2,
+    4,
+)  # flags: the components of all rows are one vector; by the transpose; subtracted
 
 
 @dataclasses.dataclass
@@ -73,7 +102,11 @@ class Tape:
     def sparse(self, out: int, source: int, matrix: Any) -> None:
         matrix = csr_array(matrix)
         matrix.eliminate_zeros()
-        arrays = self.array(matrix.indptr, "i8"), self.array(matrix.indices), self.array(matrix.data)
+        arrays = (
+            self.array(matrix.indptr, "i8"),
+            self.array(matrix.indices),
+            self.array(matrix.data),
+        )
         self.step("sparse", out, source, *arrays)
 
     def dense(self, out: int, source: int, matrix: Any, flags: int = 0) -> None:
@@ -90,7 +123,9 @@ class Tape:
         lower, blocks, order = scipy.linalg.ldl(matrix)
         packed = lower[order][np.tril_indices(len(lower))]
         diagonals = np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0)
-        self.step("ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order))
+        self.step(
+            "ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order)
+        )
 
     def rows_in_place(self, name: str, out: int, is_chosen: Any, matrix: Any) -> None:
         """A step "plane" with its normal, or "turn" with its matrix, for the chosen rows."""
@@ -126,11 +161,15 @@ class SurfaceRows:
 
 
 @functools.singledispatch
-def recorded(method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: SurfaceRows) -> Field:
+def recorded(
+    method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: SurfaceRows
+) -> Field:
     """Records the solve of a method as steps, as its `field` does it."""
     raise ValueError(
-        f"{type(method).__name__} cannot be exported. A plan in a file is a linear map without a solve on cells: of RBF, "
-        "FittedRBF, InverseDistance, DelaunayGraph, NearWall, LocalCorrection, Multiscale, and SurfaceReconstruction of two."
+        f"{type(method).__name__} cannot be exported. A plan in a file is a linear map without a "
+        "solve on cells: of RBF, "
+        "FittedRBF, InverseDistance, DelaunayGraph, NearWall, LocalCorrection, Multiscale, and "
+        "SurfaceReconstruction of two."
     )
 
 
@@ -141,7 +180,9 @@ def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
     coarse(tape, at_surface, Places(rows.points, factors[1]))
     tape.step("add", offset, rows.u, number=1)
     tape.step("add", offset, at_surface, number=-1)  # eq. (5)
-    correction = recorded(method.correction, tape, ids[2], factors[2], SurfaceRows(offset, rows.points, rows.count))
+    correction = recorded(
+        method.correction, tape, ids[2], factors[2], SurfaceRows(offset, rows.points, rows.count)
+    )
 
     def add(tape: Tape, out: int, places: Places) -> None:
         coarse(tape, out, places.of(places.placed[0]))
@@ -160,13 +201,17 @@ def _(method, tape, ids, factors, rows) -> Field:
 def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
     count = rows.count
     values = tape.register(count)
-    own, row, column = np.arange(count), ids.row, ids.column
+    own = np.arange(count)
+    row = ids.row
+    column = ids.column
     has_function = ids.nearest != own
     tape.sparse(values, rows.u, csr_array((has_function.astype(float), (own, own)), (count, count)))
     below = csr_array((factors.entries, (row, column)), (count, count))
-    level, higher = np.full(count, -1), np.zeros(count, np.int64)
+    level = np.full(count, -1)
+    higher = np.zeros(count, np.int64)
     while (level != higher).any():  # until each row is above all columns of its entries
-        level, higher = higher, higher.copy()
+        level = higher
+        higher = higher.copy()
         np.maximum.at(higher, row, level[column] + 1)
     arrays = tape.array(below.indptr, "i8"), tape.array(below.indices), tape.array(below.data)
     tape.step("forward", values, -1, *arrays, tape.array(np.argsort(level, kind="stable")))
@@ -179,9 +224,13 @@ def _(method: NearWall, tape, ids, factors, rows) -> Field:
     count = rows.count
 
     def add(tape: Tape, out: int, places: Places) -> None:
-        place, outside = places.placed, places.placed.outside
-        wall, inner = _matrix(places.of(place.wall), count), places.of(place.correction, outside)
-        if isinstance(correction, _Interpolated) and correction.values == rows.u:  # one product in place of two
+        place = places.placed
+        outside = places.placed.outside
+        wall = _matrix(places.of(place.wall), count)
+        inner = places.of(place.correction, outside)
+        if (
+            isinstance(correction, _Interpolated) and correction.values == rows.u
+        ):  # one product in place of two
             tape.sparse(out, rows.u, wall + _matrix(inner, count))
         else:
             tape.sparse(out, rows.u, wall)
@@ -209,11 +258,19 @@ def _matrix(places: Places, columns: int) -> csr_array:
 
 @recorded.register
 def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows) -> Field:
-    alpha, extent, bound = float(method.alpha), float(factors.extent), nearest_bound(method, np.float64)
+    alpha = float(method.alpha)
+    extent = float(factors.extent)
+    bound = nearest_bound(method, np.float64)
     numbers = tape.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
 
     def add(tape: Tape, out: int, places: Places) -> None:
-        arrays = places.points, rows.points, numbers, places.recorded(tape), tape.array(factors.area)
+        arrays = (
+            places.points,
+            rows.points,
+            numbers,
+            places.recorded(tape),
+            tape.array(factors.area),
+        )
         tape.step("mean", out, rows.u, *arrays)
 
     return add
@@ -221,7 +278,8 @@ def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows)
 
 @recorded.register
 def _(method: RBF, tape, ids, factors: RBFFactors, rows) -> Field:
-    coefficients, sources = tape.register(len(factors.lu)), method.control(ids).sources
+    coefficients = tape.register(len(factors.lu))
+    sources = method.control(ids).sources
     tape.sparse(coefficients, rows.u, _stacked([_chosen(sources, rows.count)], len(factors.lu)))
     return _expansion(method.expansion, tape, factors, coefficients)
 
@@ -230,14 +288,20 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
     """Solves for coefficients in the register of values, and returns the field of eq. (1)."""
     kind = type(expansion.basis)
     if factors.cardinals is not None:
-        raise ValueError("RBF with Iterative() cannot be exported: take fewer sources, or jm.RBF(solver=jm.Direct()).")
+        raise ValueError(
+            "RBF with Iterative() cannot be exported: take fewer sources, or "
+            "jm.RBF(solver=jm.Direct())."
+        )
     if kind not in FUNCTIONS:
-        raise ValueError(f"the basis {kind.__name__} cannot be exported: jmplan.h has jaxmorph's own bases.")
+        raise ValueError(
+            f"the basis {kind.__name__} cannot be exported: jmplan.h has jaxmorph's own bases."
+        )
     # the matrix of eq. (3) again: half of a symmetric matrix's factors is enough
     matrix = np.empty_like(factors.lu)
     matrix[factors.order] = (np.tril(factors.lu, -1) + np.eye(len(matrix))) @ np.triu(factors.lu)
     tape.ldl(values, (matrix + matrix.T) / 2)
-    scale, basis = float(factors.scale), expansion.basis
+    scale = float(factors.scale)
+    basis = expansion.basis
     radius = float(getattr(basis, "radius", getattr(basis, "support_radius", 1.0)))
     factor = 1.0 if basis.scale_free else 1 / (scale * radius) ** 2
     numbers = tape.array([*factors.centre, scale, factor])
@@ -253,14 +317,19 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
 
 @recorded.register
 def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field:
-    u, expansion, count = rows.u, method.rbf.expansion, rows.count
+    u = rows.u
+    expansion = method.rbf.expansion
+    count = rows.count
     terms = np.asarray(polynomial(jnp.asarray(factors.rbf.sources), method.rbf.degree))
-    moving, tail = len(ids.moving), len(factors.rbf.lu)
+    moving = len(ids.moving)
+    tail = len(factors.rbf.lu)
     values = tape.register(tail)
     if not len(ids.edges):
         tape.sparse(values, u, _stacked([_chosen(np.append(ids.moving, ids.fixed), count)], tail))
         return _expansion(expansion, tape, factors.rbf, values)
-    affine, rest, outer = map(tape.register, (factors.polynomial.shape[1], count, factors.outside.shape[1]))
+    affine, rest, outer = map(
+        tape.register, (factors.polynomial.shape[1], count, factors.outside.shape[1])
+    )
     tape.dense(affine, u, factors.polynomial, TURNED)
     tape.cholesky(affine, factors.affine)
     tape.step("add", rest, u, number=1)
@@ -271,7 +340,10 @@ def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field
     tape.step("take", at_nodes, rest, tape.array(ids.nodes))
     tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
     share = 1.0 if method.share is None else float(method.share)
-    systems = (share, factors.outer, factors.fit, FLAT), (1 - share, factors.outside, factors.plain, 0)
+    systems = (
+        (share, factors.outer, factors.fit, FLAT),
+        (1 - share, factors.outside, factors.plain, 0),
+    )
     for part, columns, factor, flags in systems:
         if part > 0:
             solved = tape.register(moving)

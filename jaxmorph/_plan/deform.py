@@ -34,10 +34,15 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     **Returns:** all points (n, d), in the mesh's own node order and unit. **Raises:** `ValueError`
     for another shape of `u`.
     """
-    parts = slabs(len(plan.volume.points), plan, u) if isinstance(plan, Plan) and plan.layout is None else ()
+    parts = (
+        slabs(len(plan.volume.points), plan, u)
+        if isinstance(plan, Plan) and plan.layout is None
+        else ()
+    )
     if not parts:
         return _deform(transposable(plan, u), u)
-    shared, volume = _shared(plan, u), without_tables(plan.volume)
+    shared = _shared(plan, u)
+    volume = without_tables(plan.volume)
     moved = on_all_cores(lambda part: _slab(shared, volume, part[0], Constant(part[1])), parts)
     return joined(moved, len(volume.points))
 
@@ -64,7 +69,9 @@ def _rows_of(rows: PyTree, start: Any, size: int) -> PyTree:
 
 @checked
 def pullback(
-    plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
+    plan: Plan,
+    u: Real[ArrayLike, "m d"] | Sequence[Any],
+    cotangent: Real[ArrayLike, "n d"] | Sequence[Any],
 ) -> Float[Array, "m d"]:
     """Pulls sensitivities with respect to all points back to the moving nodes.
 
@@ -83,7 +90,8 @@ def pullback(
         return _pullback(with_transposes(plan), u, cotangent)
     plan, cotangent = with_transposes(plan, number), _of_points(plan, cotangent)
     shared, varying = _with_mask(plan, u)
-    volume, constant = plan.volume, Constant((varying.value, number))
+    volume = plan.volume
+    constant = Constant((varying.value, number))
     places = [np.asarray(k, np.int32) for k in range(number)]
     parts = on_all_cores(lambda k: _share(shared, volume, cotangent, k, constant), places)
     return _put_together(plan, u, varying, parts)
@@ -98,12 +106,16 @@ def _pullback(plan: Plan, u: Any, cotangent: Any) -> Float[Array, "m d"]:
 def _of_points(plan: Plan, cotangent: Any) -> Float[Array, "n d"]:
     cotangent = jnp.asarray(cotangent, plan.points.dtype)
     if cotangent.shape != plan.points.shape:
-        raise ValueError(f"`cotangent` has shape {cotangent.shape}; this plan's points have {plan.points.shape}.")
+        raise ValueError(
+            f"`cotangent` has shape {cotangent.shape}; this plan's points have {plan.points.shape}."
+        )
     return cotangent
 
 
 @checked
-def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
+def velocity(
+    plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m d"]
+) -> Float[Array, "n d"]:
     """Computes the velocity of every node from the velocities `u_dot` of the moving nodes.
 
     Both `u`, the displacements at this time, and `u_dot` are (m, d). The volume of a cell changes
@@ -112,7 +124,8 @@ def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m 
 
     **Returns:** velocities (n, d), zero at fixed nodes. **Raises:** `ValueError` for other shapes.
     """
-    u, u_dot = jnp.asarray(u, plan.points.dtype), jnp.asarray(u_dot, plan.points.dtype)
+    u = jnp.asarray(u, plan.points.dtype)
+    u_dot = jnp.asarray(u_dot, plan.points.dtype)
     if u.shape != u_dot.shape:
         raise ValueError(f"`u_dot` has shape {u_dot.shape}, `u` {u.shape}.")
     return jax.jvp(lambda u: deform(plan, u), (u,), (u_dot,))[1]
@@ -126,10 +139,15 @@ def with_transposes(plan: Any, parts: int = 1) -> Any:
     if not isinstance(plan, Plan) or plan.layout is not None or not is_readable(plan):
         return plan
     placed = with_tables(without_tables(plan.volume.placed), len(plan.surface.points), parts)
-    surface, guide = plan.surface, plan.surface.guide
+    surface = plan.surface
+    guide = plan.surface.guide
     if guide is not None:
-        surface = dataclasses.replace(surface, guide=dataclasses.replace(guide, plan=with_transposes(guide.plan)))
-    return dataclasses.replace(plan, surface=surface, volume=dataclasses.replace(plan.volume, placed=placed))
+        surface = dataclasses.replace(
+            surface, guide=dataclasses.replace(guide, plan=with_transposes(guide.plan))
+        )
+    return dataclasses.replace(
+        plan, surface=surface, volume=dataclasses.replace(plan.volume, placed=placed)
+    )
 
 
 def transposable(plan: Any, *arguments: Any) -> Any:
@@ -141,7 +159,8 @@ def transposable(plan: Any, *arguments: Any) -> Any:
 # for each other at each. Programs of one slab of points each have nothing to wait for. XLA runs the
 # programs that one thread begins one after the other, so a thread for each core begins them.
 LEAST = 2**16  # points of a slab below which a program of its own costs more than it gains
-MOST = 64  # slabs of all points, and shares of a sum: more cores than these would not make a call faster
+# slabs of all points, and shares of a sum: more cores than these would not make a call faster
+MOST = 64
 STEP = 1536  # slabs begin at multiples of this, as blocks do: a block's size changes its last bits
 
 
@@ -154,17 +173,24 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
         return []
     # Every slab ends with the points that are left over when all are divided into steps, as the
     # last slab has to. Rows shared with the next slab are cut off.
-    rest, number = count % STEP, min(MOST, count // LEAST // 2 * 2)
+    rest = count % STEP
+    number = min(MOST, count // LEAST // 2 * 2)
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest
-    return [(np.asarray(start, np.int32), size) for start in [*range(0, count - size, stride), count - size]]
+    return [
+        (np.asarray(start, np.int32), size)
+        for start in [*range(0, count - size, stride), count - size]
+    ]
 
 
 @compiled
 def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
     *others, last = parts
-    stride, before = len(last) - count % STEP, count - len(last)
-    return jnp.concatenate([*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last])
+    stride = len(last) - count % STEP
+    before = count - len(last)
+    return jnp.concatenate(
+        [*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last]
+    )
 
 
 def shares(plan: Plan, *arguments: Any) -> int:
@@ -176,7 +202,8 @@ def shares(plan: Plan, *arguments: Any) -> int:
 
 def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...]:
     """Begins a program for each piece, in a thread for each core. The first call compiles."""
-    number, results = min(cores(), len(pieces)), {0: program(pieces[0])}
+    number = min(cores(), len(pieces))
+    results = {0: program(pieces[0])}
     is_wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
     def begin(places: range) -> None:
@@ -196,7 +223,9 @@ def _with_mask(plan: Plan, u: Any) -> tuple[Shared, Constant]:
     # A leaf depends on u if an operation between the two does, of all that JAX traces. Sources and
     # scales of a field do not: derivatives in them cost more than all else, and nobody asks for
     # them.
-    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_shared(plan, u)))(jnp.asarray(u, plan.points.dtype)).jaxpr
+    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_shared(plan, u)))(
+        jnp.asarray(u, plan.points.dtype)
+    ).jaxpr
     varies = set(traced.invars)
 
     def depends(value: Any) -> bool:
@@ -213,10 +242,13 @@ def _varying(shared: Shared, mask: tuple[bool, ...]) -> list[Array]:
 
 
 @compiled
-def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant) -> list[Array]:
+def _share(
+    shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant
+) -> list[Array]:
     """Pulls cotangents of one share of the points back to the varying part of the common data."""
     mask, number = constant.value
-    count, size = len(cotangent), -(-len(cotangent) // number)
+    count = len(cotangent)
+    size = -(-len(cotangent) // number)
     start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it
 
     def cut(leaf: Any) -> Any:
@@ -226,14 +258,17 @@ def _share(shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constan
         table = _rows_of(leaf.table, k * length, length)
         return dataclasses.replace(_rows_of(leaf.without_table(), start, size), table=table)
 
-    rows, at = jax.tree.map(cut, volume, is_leaf=is_rows), rows_from(start, shared.nodes, size)
+    rows = jax.tree.map(cut, volume, is_leaf=is_rows)
+    at = rows_from(start, shared.nodes, size)
     is_counted = start + jnp.arange(size) >= k * size
     cotangent = jnp.where(is_counted[:, None], _rows_of(cotangent, start, size), 0)
     leaves, structure = jax.tree.flatten(shared)
 
     def moved(values: list[Array]) -> Float[Array, "s d"]:
         replaced = iter(values)
-        mixed = [next(replaced) if varies else leaf for leaf, varies in zip(leaves, mask, strict=True)]
+        mixed = [
+            next(replaced) if varies else leaf for leaf, varies in zip(leaves, mask, strict=True)
+        ]
         return move(jax.tree.unflatten(structure, mixed), rows, at)
 
     return jax.vjp(moved, _varying(shared, mask))[1](cotangent)[0]
@@ -259,10 +294,13 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     a method that solves for all nodes at once.
     """
     if plan.layout is not None:
-        raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")
+        raise ValueError(
+            "this plan is laid over devices already: shard the plan that `prepare` returned."
+        )
     if plan.method.needs_cells:
         raise ValueError(
-            f"{type(plan.method).__name__} solves for all nodes at once: its plan is not laid over devices."
+            f"{type(plan.method).__name__} solves for all nodes at once: its plan is not laid "
+            "over devices."
         )
     layout = Layout.over(devices, len(plan.volume.points))
     volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))

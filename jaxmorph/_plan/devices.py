@@ -29,9 +29,15 @@ class Layout:
             raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
         for device in devices:
             if not isinstance(device, jax.Device):
-                raise ValueError(f"`devices` holds {shown(device)}, which is no device of JAX: pass jax.devices().")
+                raise ValueError(
+                    f"`devices` holds {shown(device)}, which is no device of JAX: pass "
+                    "jax.devices()."
+                )
             if list(devices).count(device) > 1:
-                raise ValueError(f"`devices` has {device} more than once, among {len(devices)}: pass each device once.")
+                raise ValueError(
+                    f"`devices` has {device} more than once, among {len(devices)}: pass each "
+                    "device once."
+                )
         return Layout(Mesh(np.array(devices), (AXIS,)), count)
 
     def placed(self, tree: PyTree, *axes: str) -> PyTree:
@@ -42,7 +48,11 @@ class Layout:
 def pad_rows(leaf: Array, layout: Layout | None) -> Array:
     """Repeats the last row of a leaf until all devices have an equal number of rows."""
     padding = 0 if layout is None else -layout.count % layout.mesh.size
-    return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (padding, *leaf.shape[1:]))]) if padding else leaf
+    return (
+        jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (padding, *leaf.shape[1:]))])
+        if padding
+        else leaf
+    )
 
 
 def rows_from(start: Int[Array, ""], ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
@@ -52,7 +62,10 @@ def rows_from(start: Int[Array, ""], ids: Int[Array, " k"], count: int) -> Int[A
 
 
 def over_points(
-    layout: Layout | None, function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, rows: PyTree
+    layout: Layout | None,
+    function: Callable[[PyTree, PyTree], PyTree],
+    shared: PyTree,
+    rows: PyTree,
 ) -> PyTree:
     """Evaluates `function(shared, rows)`; leaves of `rows` and the result have one row a point.
 
@@ -67,5 +80,7 @@ def over_points(
         return function(eqx.combine(arrays, static), rows)
 
     specs = (PartitionSpec(), PartitionSpec(AXIS))
-    mapped = jax.shard_map(local, mesh=layout.mesh, in_specs=specs, out_specs=PartitionSpec(AXIS), check_vma=False)
+    mapped = jax.shard_map(
+        local, mesh=layout.mesh, in_specs=specs, out_specs=PartitionSpec(AXIS), check_vma=False
+    )
     return mapped(arrays, rows)

@@ -21,7 +21,12 @@ from .._methods.blocks import without_tables
 from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, recorded
 from .plan import Guide, Plan, VolumePart
 
-MAGIC, VERSION, HEAD, WORDS = b"JMPLAN\r\n", 1, 18, 9  # begin and version of a file; words of its header, and of a step
+MAGIC, VERSION, HEAD, WORDS = (
+    b"JMPLAN\r\n",
+    1,
+    18,
+    9,
+)  # begin and version of a file; words of its header, and of a step
 KINDS = {"<f8": 1, "<i8": 2, "<i4": 3}  # of arrays in a file
 PLANES = [["0", "1"], ["0", "2"], ["1", "2"]]
 
@@ -74,7 +79,9 @@ def export(
     count = len(plan.points)
     chosen = np.arange(count) if nodes is None else rows_of("nodes", nodes, count)
     if len(np.unique(chosen)) < len(chosen):
-        raise ValueError(f"`nodes` names {len(chosen) - len(np.unique(chosen))} points more than once.")
+        raise ValueError(
+            f"`nodes` names {len(chosen) - len(np.unique(chosen))} points more than once."
+        )
     place = np.full(int(np.asarray(plan.surface.nodes).max(initial=0)) + count + 1, -1)
     place[chosen] = np.arange(len(chosen))
     tape = Tape(plan.points.shape[1])
@@ -83,12 +90,20 @@ def export(
     volume = jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], without_tables(plan.volume))
     first = _recorded(tape, plan, volume, place)
     moving = tape.array(place[np.asarray(plan.moving)], "i8")
-    rest, own = tape.array(volume.points), [-1, 0, 1]
+    rest = tape.array(volume.points)
+    own = [-1, 0, 1]
     if layer is not None:
         if tape.dimension != 2:
             raise ValueError("`layer` is for the plan of a plane; this plan is in 3-D.")
         own = [tape.array(rows_of("layer.points", layer.points, len(chosen))), *layer.axes]
-    sizes = tape.dimension, len(chosen), plan.n_moving, len(tape.arrays), len(tape.rows), len(tape.steps)
+    sizes = (
+        tape.dimension,
+        len(chosen),
+        plan.n_moving,
+        len(tape.arrays),
+        len(tape.rows),
+        len(tape.steps),
+    )
     _write(path, tape, [*sizes, first, rest, moving, *own])
 
 
@@ -96,8 +111,15 @@ def _check(plan: Plan) -> None:
     if plan.layout is not None:
         raise ValueError("this plan is laid over devices: export the plan that `prepare` returned.")
     if not plan.is_linear:
-        what = type(plan.method).__name__ if not plan.method.linear else "a plan with curved sliding walls"
-        raise ValueError(f"{what} is not linear in u: a plan in a file is one linear map. Take plan.is_linear plans.")
+        what = (
+            type(plan.method).__name__
+            if not plan.method.linear
+            else "a plan with curved sliding walls"
+        )
+        raise ValueError(
+            f"{what} is not linear in u: a plan in a file is one linear map. Take plan.is_linear "
+            "plans."
+        )
     if plan.points.dtype != np.float64:
         raise ValueError(
             f"this plan is in {plan.points.dtype}; solvers compute in double precision. Call "
@@ -107,7 +129,10 @@ def _check(plan: Plan) -> None:
 
 def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> int:
     """Records the plan; returns the number of the first step on the points."""
-    own, guide = tape.register(len(plan.surface.nodes)), plan.surface.guide  # as `kept(plan, extended(plan, u))`
+    own, guide = (
+        tape.register(len(plan.surface.nodes)),
+        plan.surface.guide,
+    )  # as `kept(plan, extended(plan, u))`
     tape.sparse(own, U, eye(tape.rows[own], tape.rows[U]))
     if guide is not None:
         own = _guided(tape, guide, own)
@@ -120,9 +145,14 @@ def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> 
     if volume.rests is not None:
         tape.rows_in_place("turn", POINTS, volume.rests, np.zeros((tape.dimension,) * 2))
     tape.step("shift", POINTS, -1, tape.array(volume.points))
-    rows = np.arange(tape.rows[own]) if plan.method.exact else np.asarray([] if guide is None else guide.rows, int)
+    rows = (
+        np.arange(tape.rows[own])
+        if plan.method.exact
+        else np.asarray([] if guide is None else guide.rows, int)
+    )
     at = place[np.asarray(plan.surface.nodes)[rows]]
-    rows, at = rows[at >= 0], at[at >= 0]
+    rows = rows[at >= 0]
+    at = at[at >= 0]
     order = np.argsort(at)
     if len(rows):
         tape.step("put", POINTS, assigned, tape.array(at[order]), tape.array(rows[order]))
@@ -141,7 +171,8 @@ def _keep(tape: Tape, rows: int, images: Images, on_plane: Any) -> None:
 
 def _alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:
     for pairing in pairings:
-        first, second = tape.array(pairing.first), tape.array(pairing.second)
+        first = tape.array(pairing.first)
+        second = tape.array(pairing.second)
         tape.step("pair", rows, -1, first, second, tape.array(pairing.matrix))
         is_alone = np.isin(np.arange(tape.rows[rows]), np.asarray(pairing.alone))
         tape.rows_in_place("turn", rows, is_alone, pairing.keeps)
@@ -156,8 +187,10 @@ def _on_walls(tape: Tape, rows: int, tracks: Sequence[Track], points: np.ndarray
 
 def _guided(tape: Tape, guide: Guide, vectors: int) -> int:
     """Displacements of the own rows by the guide, as `Guide.__call__`."""
-    plan, points = guide.plan, np.asarray(guide.plan.points)
-    known, every = len(plan.surface.nodes), tape.rows[vectors]
+    plan = guide.plan
+    points = np.asarray(guide.plan.points)
+    known = len(plan.surface.nodes)
+    every = tape.rows[vectors]
     first = eye(known, every)
     u, led, moved = (tape.register(rows) for rows in (every, known, every))
     tape.sparse(u, vectors, first.T @ first)
@@ -178,18 +211,22 @@ def _guided(tape: Tape, guide: Guide, vectors: int) -> int:
 
 
 def _field(tape: Tape, plan: Plan, own: int) -> Field:
-    images, surface = plan.images, plan.surface
+    images = plan.images
+    surface = plan.surface
     u = tape.register(len(images.rows))
     tape.step("take", u, own, tape.array(images.rows))
     for kind, matrix in enumerate(np.asarray(images.matrices)[1:], start=1):
         tape.rows_in_place("turn", u, np.asarray(images.kind) == kind, matrix)
     rows = SurfaceRows(u, tape.array(surface.points), tape.rows[u])
-    return recorded(plan.method, tape, *jax.tree.map(np.asarray, (surface.ids, surface.factors)), rows)
+    return recorded(
+        plan.method, tape, *jax.tree.map(np.asarray, (surface.ids, surface.factors)), rows
+    )
 
 
 def _assigned(tape: Tape, plan: Plan, own: int) -> int:
     """Places of the own rows; periodic pairs that match bit for bit still do afterwards."""
-    places, base = tape.register(tape.rows[own]), np.asarray(plan.surface_points)
+    places = tape.register(tape.rows[own])
+    base = np.asarray(plan.surface_points)
     tape.step("add", places, own, number=1)
     tape.step("shift", places, -1, tape.array(base))
     for pairing in plan.surface.pairings:
@@ -206,7 +243,10 @@ def _write(path: Path, tape: Tape, counts: Sequence[int]) -> None:
     tables = HEAD + 3 * len(tape.arrays) + len(tape.rows) + WORDS * len(tape.steps)
     sizes = [-(-array.nbytes // 8) for array in tape.arrays]
     offsets = 8 * (tables + np.cumsum([0, *sizes[:-1]]))
-    table = [(KINDS[array.dtype.str], array.size, offset) for array, offset in zip(tape.arrays, offsets, strict=True)]
+    table = [
+        (KINDS[array.dtype.str], array.size, offset)
+        for array, offset in zip(tape.arrays, offsets, strict=True)
+    ]
     words = np.zeros(tables + sum(sizes), "<u8")
     integers = np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)])
     words[HEAD:tables] = integers.astype("<i8").view("<u8")

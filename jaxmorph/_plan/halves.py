@@ -29,7 +29,8 @@ from .._methods.surface import ByKind, Surface
 from .plan import Plan, SurfacePart, VolumePart
 from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of, with_share
 
-SAME = 1e-12  # largest difference of a surface node's place in piece and half, as a share of the extent
+# largest difference of a surface node's place in piece and half, as a share of the extent
+SAME = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,12 +79,16 @@ class SurfaceHalf:
         ids = rows_of("nodes", nodes, 2**62)
         rows = rows_among(self.moving, ids)
         if (rows < 0).any():
-            raise ValueError(f"{(rows < 0).sum()} of {len(ids)} nodes do not move, first {ids[rows < 0][0]}.")
+            raise ValueError(
+                f"{(rows < 0).sum()} of {len(ids)} nodes do not move, first {ids[rows < 0][0]}."
+            )
         return rows
 
     @checked
     def attach(
-        self, points: Real[np.ndarray, "n d"] | Sequence[Any], nodes: Integer[np.ndarray, " n"] | Sequence[int]
+        self,
+        points: Real[np.ndarray, "n d"] | Sequence[Any],
+        nodes: Integer[np.ndarray, " n"] | Sequence[int],
     ) -> Plan:
         """Prepares the plan of one piece of the mesh.
 
@@ -105,22 +110,37 @@ class SurfaceHalf:
         # A method connects to one list of points: the n points of the piece, then the half's points
         # that the piece lacks. So tolerances come from the whole mesh. Then the rows from n on are
         # cut off; their numbers stay in the plan, for surface nodes that other pieces have.
-        plan, given = self.plan, checked_points(points)
+        plan = self.plan
+        given = checked_points(points)
         if given.shape[1] != plan.points.shape[1]:
-            raise ValueError(f"`points` has shape {given.shape}; the surface has {plan.points.shape[1]} dimensions.")
+            raise ValueError(
+                f"`points` has shape {given.shape}; the surface has {plan.points.shape[1]} "
+                "dimensions."
+            )
         if not len(given):
             raise ValueError("the piece has no points.")
-        surface, place = self._surface, self._places(nodes, given)
+        surface = self._surface
+        place = self._places(nodes, given)
         self._check_sides(surface, given, place)
-        x, count, base = given.astype(plan.points.dtype), len(given), np.asarray(plan.points)
+        x = given.astype(plan.points.dtype)
+        count = len(given)
+        base = np.asarray(plan.points)
         x[place[place >= 0]] = base[place >= 0]
         rows = np.where(place < 0, count + np.cumsum(place < 0) - 1, place)
         together = np.concatenate([x, base[place < 0]])
         surface = surface.altered(nodes=np.where(surface.nodes < 0, -1, rows[surface.nodes]))
-        ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], plan.method.connect(surface, together)[1]))
+        ids = as_jax(
+            jax.tree.map(lambda leaf: leaf[:count], plan.method.connect(surface, together)[1])
+        )
         planes = plan.boundary.planes
-        on_plane = np.array([plane.holds(together)[:count] for plane in planes], bool).reshape(len(planes), count).T
-        own = dataclasses.replace(plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32)))
+        on_plane = (
+            np.array([plane.holds(together)[:count] for plane in planes], bool)
+            .reshape(len(planes), count)
+            .T
+        )
+        own = dataclasses.replace(
+            plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
+        )
         base = as_jax(x)
         volume = VolumePart(base, as_jax(on_plane), ids, _placed(plan.method, own, base, ids))
         return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
@@ -142,10 +162,16 @@ class SurfaceHalf:
         near = []
         for mesh, nodes in pieces:
             of_walls = np.flatnonzero(np.isin(nodes, self.moving))
-            rows, cells = near_cells(solid(mesh.linear.cells, mesh.points.shape[1]), of_walls, len(mesh.points))
+            rows, cells = near_cells(
+                solid(mesh.linear.cells, mesh.points.shape[1]), of_walls, len(mesh.points)
+            )
             near.append((np.asarray(nodes)[rows], np.asarray(mesh.points)[rows], cells))
         parts = [near] if comm is None else comm.gather(near)
-        method = None if parts is None else self._judged([piece for part in parts for piece in part]).plan.method
+        method = (
+            None
+            if parts is None
+            else self._judged([piece for part in parts for piece in part]).plan.method
+        )
         method = method if comm is None else comm.bcast(method)
         return dataclasses.replace(self, plan=dataclasses.replace(self.plan, method=method))
 
@@ -160,7 +186,8 @@ class SurfaceHalf:
         for start, (_, _, cells) in zip(starts, pieces, strict=False):
             for kind, corners in cells.items():
                 together.setdefault(kind, []).append(row[start + corners])
-        ids, cells = ids[first], {kind: np.concatenate(together[kind]) for kind in sorted(together)}
+        ids = ids[first]
+        cells = {kind: np.concatenate(together[kind]) for kind in sorted(together)}
         near, cells = near_cells(cells, np.flatnonzero(np.isin(ids, self.moving)), len(ids))
         return self._with_share(points[first[near]], ids[near], cells)
 
@@ -169,7 +196,9 @@ class SurfaceHalf:
             part = self.attach(points, nodes)
         except ValueError:  # pieces that do not fit are told of when they are attached
             return self
-        return dataclasses.replace(self, plan=with_share(self.plan, self._surface, part.volume, cells))
+        return dataclasses.replace(
+            self, plan=with_share(self.plan, self._surface, part.volume, cells)
+        )
 
     def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
         """Refuses points on a free side, if the surface was prepared without."""
@@ -179,7 +208,8 @@ class SurfaceHalf:
         is_inner[place[place >= 0]] = False
         if has_free_sides(surface.points, is_inner, points):
             raise ValueError(
-                "this piece has nodes on a flat side of the mesh that is neither moving, fixed nor a symmetry plane. Name the "
+                "this piece has nodes on a flat side of the mesh that is neither moving, fixed "
+                "nor a symmetry plane. Name the "
                 "side, or pass is_open=True to prepare_surface, which changes the field."
             )
 
@@ -198,21 +228,28 @@ class SurfaceHalf:
         ids = as_array("nodes", nodes)
         if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
             raise ValueError(
-                f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of {len(points)} points."
+                f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of "
+                f"{len(points)} points."
             )
         rows = np.where(ids < 0, -1, rows_among(self.nodes, ids))
         present = np.flatnonzero(rows >= 0)
         rows = rows[present]
         twice = np.flatnonzero(np.bincount(rows, minlength=len(self.nodes)) > 1)
         if twice.size:
-            raise ValueError(f"{twice.size} nodes are named more than once in `nodes`, first {self.nodes[twice[0]]}.")
+            raise ValueError(
+                f"{twice.size} nodes are named more than once in `nodes`, first "
+                f"{self.nodes[twice[0]]}."
+            )
         base = np.asarray(self.plan.points)
         distance = np.abs(points[present] - base[rows]).max(axis=1, initial=0.0)
-        wrong = np.flatnonzero(distance > max(4 * roundoff(base), SAME * np.ptp(base, axis=0).max()))
+        wrong = np.flatnonzero(
+            distance > max(4 * roundoff(base), SAME * np.ptp(base, axis=0).max())
+        )
         if wrong.size:
             worst = wrong[distance[wrong].argmax()]
             raise MeshError(
-                f"{wrong.size} surface nodes lie elsewhere than in the half: id {ids[present[worst]]}, point {{node}}, by "
+                f"{wrong.size} surface nodes lie elsewhere than in the half: id "
+                f"{ids[present[worst]]}, point {{node}}, by "
                 f"{distance[worst]:.3g}. Attach the mesh on which the surface was prepared.",
                 present[wrong],
             )
@@ -259,7 +296,9 @@ def prepare_surface(
     _check_kinds(boundary, method)
     count = len(boundary.points)
     if faces is not None:
-        boundary = with_faces(boundary, OuterFaces.numbered(Mesh(boundary.points, dict(faces)).cells))
+        boundary = with_faces(
+            boundary, OuterFaces.numbered(Mesh(boundary.points, dict(faces)).cells)
+        )
     ids = np.arange(count) if nodes is None else _unique_ids(nodes, count)
     boundary = boundary if is_open is None else changed(boundary, is_open=is_open)
     method = default_for(boundary) if method is None else method
@@ -267,7 +306,8 @@ def prepare_surface(
     boundary = between_planes(boundary, method)
     is_open = has_open_side(boundary) if boundary.is_open is None else boundary.is_open
     # the outermost nodes and one node of every symmetry plane set the tolerances
-    points, place = boundary.of_cells, np.delete(np.arange(count), boundary.loose)
+    points = boundary.of_cells
+    place = np.delete(np.arange(count), boundary.loose)
     on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
     fence = place[np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes])]
     rows = np.union1d(boundary.nodes, fence)
@@ -284,15 +324,24 @@ def prepare_surface(
 
 def _unique_ids(nodes: Any, count: int) -> np.ndarray:
     ids = as_array("nodes", nodes)
-    if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
-        raise ValueError(f"`nodes` must be {count} ids, one for every point of the boundary; only -1 may come twice.")
+    if (
+        ids.shape != (count,)
+        or ids.dtype.kind not in "iu"
+        or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum()
+    ):
+        raise ValueError(
+            f"`nodes` must be {count} ids, one for every point of the boundary; only -1 may come "
+            "twice."
+        )
     return ids
 
 
 def has_open_side(boundary: Boundary) -> bool:
     """Checks, by points alone, whether a flat side is free: not moving, fixed or symmetric."""
     surface = surface_of(changed(boundary, pairings=()))[0]
-    return has_free_sides(surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points)
+    return has_free_sides(
+        surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points
+    )
 
 
 def prepare_in_chunks(
@@ -333,7 +382,8 @@ def _chunks(
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
     # A chunk of k has the surface and every k-th other node. A chunk that is one node short takes
     # the first other node again: so all chunks have one length and share compiled code.
-    points, every = boundary.points, np.arange(len(boundary.points))
+    points = boundary.points
+    every = np.arange(len(boundary.points))
     if size is None:
         yield every, plan_of(boundary, method)
         return

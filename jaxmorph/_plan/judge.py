@@ -43,7 +43,10 @@ class BoundaryQuality:
             "off_surface": "sliding nodes at most {:.2g} off their surface",
             "mismatch": "periodic pairs match to {:.2g}",
         }
-        parts = [f"{words[name].format(getattr(self, name))} (node {node})" for name, node in self.nodes.items()]
+        parts = [
+            f"{words[name].format(getattr(self, name))} (node {node})"
+            for name, node in self.nodes.items()
+        ]
         parts += [f"{len(self.ended)} at its end"] if len(self.ended) else []
         return "; ".join(parts) or "no planes, sliding or periodic patches"
 
@@ -60,7 +63,8 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
     """
     plan.check_surface("boundary_quality")
     points = finite_array("points", points, tuple(plan.points.shape))
-    surface, largest = np.asarray(plan.surface_nodes), {"off_plane": 0.0, "off_surface": 0.0, "mismatch": 0.0}
+    surface = np.asarray(plan.surface_nodes)
+    largest = {"off_plane": 0.0, "off_surface": 0.0, "mismatch": 0.0}
     worst: dict[str, int] = {}
     for name, nodes, distance in deviations(plan, points):
         if len(nodes) and (name not in worst or distance.max() > largest[name]):
@@ -70,7 +74,9 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
 
 def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Yields distances of moved points by plane, wall and pairing: field, nodes, distances."""
-    for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):
+    for plane, is_on in zip(
+        plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True
+    ):
         yield "off_plane", np.flatnonzero(is_on), np.abs(plane.height(points[is_on]))
     surface = np.asarray(plan.surface_nodes)
     for track in plan.surface.tracks:
@@ -84,10 +90,12 @@ def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray
 
 def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]:
     """Sliding rows newly at or beyond an end of their only wall."""
-    base, rows = np.asarray(plan.surface_points), [np.zeros(0, dtype=int)]
+    base = np.asarray(plan.surface_points)
+    rows = [np.zeros(0, dtype=int)]
     for track in plan.surface.tracks:
         if len(track.walls) == 1:
-            here, wall = np.asarray(track.rows), track.walls[0]
+            here = np.asarray(track.rows)
+            wall = track.walls[0]
             rows.append(here[wall.has_end(places[here]) & ~wall.has_end(base[here])])
     return np.concatenate(rows)
 
@@ -96,6 +104,8 @@ def ends(nodes: np.ndarray, points: np.ndarray) -> str:
     if not len(nodes):
         return ""
     return (
-        f"{len(nodes)} sliding nodes come to the end of their surface, first node {nodes[0]} at ({place_of(points[0])}): they pile "
-        "up there or leave it. Move less, or slide on a larger surface, jm.Slide(patch, jm.Revolution(...))."
+        f"{len(nodes)} sliding nodes come to the end of their surface, first node {nodes[0]} at "
+        f"({place_of(points[0])}): they pile "
+        "up there or leave it. Move less, or slide on a larger surface, jm.Slide(patch, "
+        "jm.Revolution(...))."
     )

@@ -65,7 +65,8 @@ class Guide(Module):
     rows: Int[Array, " r"]  # own rows with an assigned place, also for a method that is not exact
 
     def __call__(self, vectors: Own) -> Own:
-        plan, known = self.plan, len(self.plan.surface.nodes)
+        plan = self.plan
+        known = len(self.plan.surface.nodes)
         displacement = plan.images.kept(vectors[:known])
         u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
         moved = deform_surface(plan, u[:known]) - plan.points
@@ -104,7 +105,11 @@ class VolumePart(eqx.Module):
 
     def seen(self, at: Point) -> Float[Array, "n d"]:
         """The points as a method sees them: nodes of no cell are `at` one place."""
-        return self.points if self.rests is None else jnp.where(self.rests[:, None], at[None], self.points)
+        return (
+            self.points
+            if self.rests is None
+            else jnp.where(self.rests[:, None], at[None], self.points)
+        )
 
 
 class Plan(Module):
@@ -129,7 +134,9 @@ class Plan(Module):
     @property
     def points(self) -> Float[Array, "n d"]:
         """Base coordinates: where a zero displacement leaves the points."""
-        return self.volume.points if self.layout is None else self.volume.points[: self.layout.count]
+        return (
+            self.volume.points if self.layout is None else self.volume.points[: self.layout.count]
+        )
 
     @property
     def moving(self) -> Int[Array, " m"]:
@@ -139,7 +146,9 @@ class Plan(Module):
     @property
     def fixed(self) -> Int[Array, " f"]:
         """Node ids of the fixed nodes."""
-        return taken(self.surface.nodes, slice(self.n_moving, len(self.surface.nodes) - self.n_guided))
+        return taken(
+            self.surface.nodes, slice(self.n_moving, len(self.surface.nodes) - self.n_guided)
+        )
 
     @property
     def guided(self) -> Int[Array, " g"]:
@@ -149,12 +158,16 @@ class Plan(Module):
     @property
     def boundary(self) -> Boundary:
         """What moves, stays, slides and repeats, on the host; a plan keeps no faces."""
-        points, moving, fixed, guided = map(np.asarray, (self.points, self.moving, self.fixed, self.guided))
+        points, moving, fixed, guided = map(
+            np.asarray, (self.points, self.moving, self.fixed, self.guided)
+        )
         pairings, tracks = jax.tree.map(np.asarray, (self.surface.pairings, self.surface.tracks))
         pairings, tracks = renumbered(pairings, tracks, np.concatenate([moving, fixed, guided]))
         loose = np.zeros(0, int) if self.volume.rests is None else np.flatnonzero(self.volume.rests)
         lists = {"moving": moving, "fixed": fixed, "guided": guided, "loose": loose}
-        return boundary_of_lists(points, planes=self.images.planes, pairings=pairings, tracks=tracks, **lists)
+        return boundary_of_lists(
+            points, planes=self.images.planes, pairings=pairings, tracks=tracks, **lists
+        )
 
     @property
     def is_linear(self) -> bool:
@@ -190,7 +203,9 @@ class Plan(Module):
         if not self.is_piece:
             return taken(self.points, self.surface.nodes)
         rows = jnp.zeros((len(self.surface.nodes), self.points.shape[1]), self.points.dtype)
-        return rows.at[_rows_of_originals(self.images, len(rows))].set(self.surface.points, mode="drop")
+        return rows.at[_rows_of_originals(self.images, len(rows))].set(
+            self.surface.points, mode="drop"
+        )
 
     @property
     def moving_points(self) -> Float[Array, "m d"]:
@@ -198,16 +213,20 @@ class Plan(Module):
         return taken(self.surface_points, slice(self.n_moving))
 
     def check_surface(self, call: str) -> None:
-        if self.is_piece and (absent := int((np.asarray(self.surface_nodes) >= len(self.points)).sum())):
+        if self.is_piece and (
+            absent := int((np.asarray(self.surface_nodes) >= len(self.points)).sum())
+        ):
             raise ValueError(
-                f"this plan is of a piece, and {absent} surface nodes are in other pieces: call {call} with the plan of "
+                f"this plan is of a piece, and {absent} surface nodes are in other pieces: call "
+                f"{call} with the plan of "
                 "the surface, half.plan."
             )
 
     def check_mesh(self, mesh: Mesh) -> None:
         if tuple(mesh.points.shape) != tuple(self.points.shape):
             raise ValueError(
-                f"`mesh` has points {tuple(mesh.points.shape)}; this plan was made for {tuple(self.points.shape)}."
+                f"`mesh` has points {tuple(mesh.points.shape)}; this plan was made for "
+                f"{tuple(self.points.shape)}."
             )
 
     @checked
@@ -221,10 +240,13 @@ class Plan(Module):
         return kept(self, extended(self, u))
 
     def __repr__(self) -> str:
-        points, nodes = self.volume.points, self.surface.nodes
+        points = self.volume.points
+        nodes = self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
-            n, d = points.shape[-2:] if self.layout is None else (self.layout.count, points.shape[-1])
+            n, d = (
+                points.shape[-2:] if self.layout is None else (self.layout.count, points.shape[-1])
+            )
             fixed = nodes.shape[-1] - self.n_moving - self.n_guided
             guided = [f"{self.n_guided} guided"] if self.n_guided else []
             parts = [f"{n} points in {d}-D", *parts, f"{fixed} fixed", *guided, f"{points.dtype}"]
@@ -235,10 +257,13 @@ class Plan(Module):
 
 @compiled
 def _offset(plan: Plan, u: Any) -> Own:
-    vectors, surface = plan.of_surface(u), plan.surface
+    vectors = plan.of_surface(u)
+    surface = plan.surface
     if not isinstance(plan.method, SurfaceReconstruction):
         return jnp.zeros_like(vectors)  # nothing is left to a correction
-    offset = plan.method.offset(surface.ids, surface.factors, surface.points, surface.images.vectors(vectors))
+    offset = plan.method.offset(
+        surface.ids, surface.factors, surface.points, surface.images.vectors(vectors)
+    )
     rows = _rows_of_originals(surface.images, len(vectors))
     return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
 
@@ -250,11 +275,16 @@ def _rows_of_originals(images: Images, count: int) -> Int[Array, " b"]:
 def extended(plan: Plan, u: Any) -> Own:
     """Checks a displacement of the moving nodes, and adds zeros for other surface nodes."""
     if not isinstance(plan, Plan):
-        raise ValueError(f"the first argument must be a plan, deform(plan, u), not {type(plan).__name__}.")
-    m, d = plan.n_moving, plan.points.shape[1]
+        raise ValueError(
+            f"the first argument must be a plan, deform(plan, u), not {type(plan).__name__}."
+        )
+    m = plan.n_moving
+    d = plan.points.shape[1]
     u = u if hasattr(u, "dtype") else np.asarray(u)
     if u.dtype.kind not in "fiuV":  # V: bfloat16 and similar types
-        raise ValueError(f"`u` holds {u.dtype}; a displacement is real numbers of shape ({m}, {d}).")
+        raise ValueError(
+            f"`u` holds {u.dtype}; a displacement is real numbers of shape ({m}, {d})."
+        )
     if u.shape != (m, d):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
     dtype = plan.points.dtype
@@ -274,8 +304,11 @@ def deform_surface(plan: Plan, vectors: Own) -> Float[Array, "n d"]:
     layout = plan.layout
 
     def moved_here(shared: Shared, volume: VolumePart) -> Float[Array, "n d"]:
-        count, nodes = len(volume.points), shared.nodes
-        here = nodes if layout is None else rows_from(jax.lax.axis_index(AXIS) * count, nodes, count)
+        count = len(volume.points)
+        nodes = shared.nodes
+        here = (
+            nodes if layout is None else rows_from(jax.lax.axis_index(AXIS) * count, nodes, count)
+        )
         return move(shared, volume, here)
 
     moved = over_points(layout, moved_here, shared_by(plan, vectors), plan.volume)
@@ -283,19 +316,26 @@ def deform_surface(plan: Plan, vectors: Own) -> Float[Array, "n d"]:
 
 
 def shared_by(plan: Plan, vectors: Own) -> Shared:
-    surface, vectors = plan.surface, kept(plan, vectors)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.images.vectors(vectors))
-    nodes, guide = surface.nodes, surface.guide
+    surface = plan.surface
+    vectors = kept(plan, vectors)
+    field = plan.method.field(
+        surface.ids, surface.factors, surface.points, surface.images.vectors(vectors)
+    )
+    nodes = surface.nodes
+    guide = surface.guide
     assigned = vectors if guide is None else guide.placed(vectors)
     if not plan.method.exact:
         rows = jnp.zeros(0, int) if guide is None else guide.rows
-        nodes, assigned = nodes[rows], assigned[rows]
+        nodes = nodes[rows]
+        assigned = assigned[rows]
     return Shared(field, assigned, nodes, surface.images, guide is not None)
 
 
 def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
     """Moves points of some rows; `at` are rows of assigned nodes, beyond the last if absent."""
-    displacement = shared.images.within(map_points(shared.field, volume.points, volume.placed), volume.on_plane)
+    displacement = shared.images.within(
+        map_points(shared.field, volume.points, volume.placed), volume.on_plane
+    )
     if volume.rests is not None:
         displacement = jnp.where(volume.rests[:, None], 0, displacement)
     moved = volume.points + displacement

@@ -29,7 +29,10 @@ from .._methods.surface import ByKind, Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
 
-FEW = 50_000, 2_000  # points, and surface nodes, below which compiling takes longer than one compiled run
+FEW = (
+    50_000,
+    2_000,
+)  # points, and surface nodes, below which compiling takes longer than one compiled run
 
 
 def prepare(
@@ -67,7 +70,10 @@ def prepare(
     if not isinstance(mesh, Boundary):
         return plan_of(Boundary(mesh, () if moving is None else moving, fixed, **lists), method)
     if moving is not None or not nothing_in(fixed, *lists.values()):
-        raise ValueError("a Boundary has its lists of nodes: call prepare(boundary, method=...), and name them there.")
+        raise ValueError(
+            "a Boundary has its lists of nodes: call prepare(boundary, method=...), and name "
+            "them there."
+        )
     return plan_of(mesh, method)
 
 
@@ -84,7 +90,8 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     plan = _plan_of(changed(boundary, pairings=(), tracks=()), method, guide)
     if plan.points.dtype != boundary.points.dtype:
         warn(
-            "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
+            "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary "
+            "layers and gradients suffer. "
             'Call jax.config.update("jax_enable_x64", True) first.'
         )
     return plan
@@ -94,7 +101,8 @@ def default_for(boundary: Boundary) -> AbstractMethod:
     """Chooses the default method, which IDWarp's replaces where nothing holds an outer boundary."""
     if len(boundary.fixed) or not boundary.surface_faces:
         return SurfaceReconstruction()
-    surface, points = surface_of(changed(between_planes(boundary), pairings=()))[0].points, boundary.of_cells
+    surface = surface_of(changed(between_planes(boundary), pairings=()))[0].points
+    points = boundary.of_cells
     slack = SAME * np.ptp(points, axis=0).max()
     is_beyond = (points < surface.min(axis=0) - slack) | (points > surface.max(axis=0) + slack)
     return carrying() if is_beyond.any() else SurfaceReconstruction()
@@ -111,27 +119,35 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> 
         check_planes(boundary.planes, boundary.of_cells)
     if method is not None and method.needs_cells:
         return boundary
-    others = np.setdiff1d(np.flatnonzero(boundary.on_planes[:, facing(boundary.planes)].any(axis=1)), boundary.nodes)
+    others = np.setdiff1d(
+        np.flatnonzero(boundary.on_planes[:, facing(boundary.planes)].any(axis=1)), boundary.nodes
+    )
     others = np.setdiff1d(others, boundary.loose)
     if not len(others):
         return boundary
     place = np.delete(np.arange(len(boundary.points)), boundary.loose)
     layer = across_one_layer(boundary.planes, boundary.of_cells)
-    layer = tuple(pairing.renumbered(np.where(np.isin(place, others), place, -1)) for pairing in layer)
-    guided, pairings = np.union1d(boundary.guided, others), (*boundary.pairings, *layer)
+    layer = tuple(
+        pairing.renumbered(np.where(np.isin(place, others), place, -1)) for pairing in layer
+    )
+    guided = np.union1d(boundary.guided, others)
+    pairings = (*boundary.pairings, *layer)
     return changed(boundary, guided=guided, pairings=pairings)
 
 
 def refuse_cells(method: AbstractMethod) -> None:
     if method.needs_cells:
         raise ValueError(
-            f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, prepare(mesh, ...), not points or a part."
+            f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, "
+            "prepare(mesh, ...), not points or a part."
         )
 
 
 def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
     surface, images = surface_of(boundary)
-    points, like, rests = boundary.points, np.arange(len(boundary.points)), None
+    points = boundary.points
+    like = np.arange(len(boundary.points))
+    rests = None
     if len(boundary.loose):
         # nodes of no cell may lie anywhere: methods see them at the first moving node, with its ids
         like[boundary.loose] = boundary.moving[0]
@@ -139,7 +155,9 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     surface_ids, volume_ids = as_jax(method.connect(surface, points))
     if rests is not None:
         volume_ids = jax.tree.map(lambda leaf: leaf[like], volume_ids)
-    nodes, base, on_plane = as_jax((boundary.nodes.astype(np.int32), boundary.points, boundary.on_planes))
+    nodes, base, on_plane = as_jax(
+        (boundary.nodes.astype(np.int32), boundary.points, boundary.on_planes)
+    )
     plan = Plan(
         method=method,
         surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
@@ -148,7 +166,9 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
         n_guided=len(boundary.guided),
     )
     sizes = len(boundary.points), len(surface.points)
-    is_quick = not method.needs_cells and all(size <= most for size, most in zip(sizes, FEW, strict=True))
+    is_quick = not method.needs_cells and all(
+        size <= most for size, most in zip(sizes, FEW, strict=True)
+    )
     with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
@@ -164,10 +184,13 @@ def with_share(plan: Plan, surface: Surface, near: VolumePart, cells: ByKind) ->
     is_own = np.asarray(plan.images.kind) == 0
     walls = np.zeros(len(plan.surface.nodes), dtype=int)
     walls[np.asarray(plan.images.rows)[is_own]] = surface.walls[0][is_own]
-    moving, walls = np.asarray(plan.moving_points, float), walls[: plan.n_moving]
+    moving = np.asarray(plan.moving_points, float)
+    walls = walls[: plan.n_moving]
     vectors = functools.partial(_vectors, plan, jnp.array([1.0, 0.0]))
     with quickly_compiled():  # each program runs a few times
-        share = largest_share(plan.method, plan.surface, vectors, motions(moving, walls), near, cells)
+        share = largest_share(
+            plan.method, plan.surface, vectors, motions(moving, walls), near, cells
+        )
     return dataclasses.replace(_guided_by(plan, share), method=share_in(plan.method, share))
 
 
@@ -182,7 +205,9 @@ def _guided_by(plan: Plan, share: Any) -> Plan:
 
 
 @compiled
-def _vectors(plan: Plan, shares: Float[Array, " s"], u: Float[Array, "t m d"]) -> Float[Array, "b s t d"]:
+def _vectors(
+    plan: Plan, shares: Float[Array, " s"], u: Float[Array, "t m d"]
+) -> Float[Array, "b s t d"]:
     def of_share(share: Scalar) -> Float[Array, "b t d"]:
         guided = _guided_by(plan, share)
         return jax.vmap(lambda u: plan.images.vectors(guided.of_surface(u)), out_axes=1)(u)
@@ -194,13 +219,21 @@ def surface_of(boundary: Boundary, order: np.ndarray | None = None) -> tuple[Sur
     """Returns the surface that a method sees, and its images. The `order` (o,) of the surface's
     nodes follows from their places, unless it is known.
     """
-    points, nodes, planes, moving = boundary.points, boundary.nodes, boundary.planes, len(boundary.moving)
+    points = boundary.points
+    nodes = boundary.nodes
+    planes = boundary.planes
+    moving = len(boundary.moving)
     faces = boundary.surface_faces
     order = ordered_rows(points[nodes], moving, faces) if order is None else order
     on_plane = boundary.on_planes
     images, copies = images_of(boundary, order)
-    place, own = np.argsort(order), order[copies.rows]
-    faces = None if faces is None else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
+    place = np.argsort(order)
+    own = order[copies.rows]
+    faces = (
+        None
+        if faces is None
+        else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
+    )
     normals = np.array([plane.normal for plane in planes]).reshape(-1, points.shape[1])
     cells = None if boundary.cells is None else Cells(boundary.cells, normals, on_plane)
     everything = points[nodes[order]]
@@ -227,7 +260,10 @@ def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
     alone = boundary.alone()
     plan = _plan_of(alone, guiding(method))
     known = len(boundary.moving) + len(boundary.fixed)
-    rows = [*(pairing.nodes for pairing in alone.pairings), *(np.asarray(track.rows) for track in alone.tracks)]
+    rows = [
+        *(pairing.nodes for pairing in alone.pairings),
+        *(np.asarray(track.rows) for track in alone.tracks),
+    ]
     rows.append(np.arange(known, len(boundary.nodes)))
     pairings, tracks = as_jax((alone.pairings, alone.tracks))
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))

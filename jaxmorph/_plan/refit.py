@@ -27,19 +27,24 @@ STEP = Constant(True)
 
 
 @compiled
-def refitted(plan: Plan, points: Any, surface: Own | None = None, step: Constant | None = None) -> Plan:
+def refitted(
+    plan: Plan, points: Any, surface: Own | None = None, step: Constant | None = None
+) -> Plan:
     """Computes a plan anew on other points. With `STEP` they are those after one of its own steps:
     the solve and layers over walls are made anew, and every point keeps its place in the graph. A
     piece then needs the whole moved surface.
     """
     carried = step is not None
-    method, old, whole = plan.method, plan.surface, base_points(plan, points)
+    method = plan.method
+    old = plan.surface
+    whole = base_points(plan, points)
     own = whole[old.nodes] if surface is None else surface
     rows = old.images.points(own)
     guide = old.guide
     if guide is not None:
         guide = dataclasses.replace(guide, plan=refitted(guide.plan, own, None, step))
-    ids, before = old.ids, old.factors
+    ids = old.ids
+    before = old.factors
     factors = method.carry(ids, before, rows, whole) if carried else method.fit(ids, rows, whole)
 
     def place(shared: PyTree, volume: VolumePart) -> PyTree:
@@ -49,7 +54,9 @@ def refitted(plan: Plan, points: Any, surface: Own | None = None, step: Constant
         return placed if volume.placed is None else with_tables_of(volume.placed, placed)
 
     volume = dataclasses.replace(plan.volume, points=pad_rows(whole, plan.layout))
-    volume = dataclasses.replace(volume, placed=over_points(plan.layout, place, (factors, rows, own[0]), volume))
+    volume = dataclasses.replace(
+        volume, placed=over_points(plan.layout, place, (factors, rows, own[0]), volume)
+    )
     surface_part = dataclasses.replace(old, points=rows, factors=factors, guide=guide)
     return dataclasses.replace(plan, surface=surface_part, volume=volume, carried=carried)
 
@@ -57,11 +64,14 @@ def refitted(plan: Plan, points: Any, surface: Own | None = None, step: Constant
 def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
     points = jnp.asarray(points, plan.volume.points.dtype)
     if points.shape != plan.points.shape:
-        raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
+        raise ValueError(
+            f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}."
+        )
     return points
 
 
-DEVIATION = 1e-5  # largest distance of new base points from a plane or wall, relative to its nodes' extent
+# largest distance of new base points from a plane or wall, relative to its nodes' extent
+DEVIATION = 1e-5
 
 ANEW = "Call `prepare` with the new mesh and its boundaries."
 WORDS = {
@@ -89,12 +99,15 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """
     if plan.is_piece:
         raise ValueError(
-            "this plan is of a piece: call prepare_surface with the new surface, and attach the new points to it."
+            "this plan is of a piece: call prepare_surface with the new surface, and attach the "
+            "new points to it."
         )
     points = base_points(plan, points)
     surface = plan.surface
     if surface.guide is not None:
-        plan = with_boundary(plan, *_boundary_at(surface.tracks, surface.pairings, points[surface.nodes]))
+        plan = with_boundary(
+            plan, *_boundary_at(surface.tracks, surface.pairings, points[surface.nodes])
+        )
     if (surface.guide is not None or len(plan.images.normals)) and is_readable((points, plan)):
         _check_boundary(plan, np.asarray(points))
     refit = refitted(plan, points)
@@ -108,32 +121,45 @@ def with_boundary(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing
     if guide is None:
         return plan
     parts = lambda guide: (guide.tracks, guide.pairings, guide.plan.surface.images)  # noqa: E731
-    return eqx.tree_at(lambda plan: parts(plan.surface.guide), plan, (tracks, pairings, guide.plan.images.at(pairings)))
+    return eqx.tree_at(
+        lambda plan: parts(plan.surface.guide),
+        plan,
+        (tracks, pairings, guide.plan.images.at(pairings)),
+    )
 
 
 @compiled
 def _boundary_at(
     tracks: tuple[Track, ...], pairings: tuple[Pairing, ...], points: Own
 ) -> tuple[tuple[Track, ...], tuple[Pairing, ...]]:
-    return tuple(track.at(points) for track in tracks), tuple(pairing.at(points) for pairing in pairings)
+    return tuple(track.at(points) for track in tracks), tuple(
+        pairing.at(points) for pairing in pairings
+    )
 
 
 def _check_boundary(plan: Plan, points: np.ndarray) -> None:
     """Refuses points that leave a plan's planes and walls, and pairs that differ."""
-    surface, tracks = np.asarray(plan.surface.nodes), plan.surface.tracks
-    sliding = surface[np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])]
+    surface = np.asarray(plan.surface.nodes)
+    tracks = plan.surface.tracks
+    sliding = surface[
+        np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])
+    ]
     for name, nodes, distance in deviations(plan, points):
         if name == "mismatch":
             gaps = np.minimum(spacing(points[nodes].astype(float)), np.ptp(points, axis=0).max())
             allowed = np.maximum(MISMATCH * gaps, 2 * tolerance(points))
         else:
-            extent = np.ptp(points[nodes if name == "off_plane" else sliding], axis=0).max(initial=0.0)
+            extent = np.ptp(points[nodes if name == "off_plane" else sliding], axis=0).max(
+                initial=0.0
+            )
             allowed = np.full(len(nodes), max(DEVIATION * extent, tolerance(points)))
         wrong = worst_first(distance, allowed)
         if wrong.size:
             raise MeshError(
-                f"{len(wrong)} of {len(nodes)} {WORDS[name]} at the new base points, the worst is node {{node}} at "
-                f"({place_of(points[nodes[wrong[0]]])}), {distance.max():.3g} away (allowed {allowed[wrong[0]]:.3g}). {ANEW}",
+                f"{len(wrong)} of {len(nodes)} {WORDS[name]} at the new base points, the worst is "
+                f"node {{node}} at "
+                f"({place_of(points[nodes[wrong[0]]])}), {distance.max():.3g} away (allowed "
+                f"{allowed[wrong[0]]:.3g}). {ANEW}",
                 nodes[wrong],
             )
 
@@ -147,7 +173,9 @@ def _have_no_place(plan: Plan) -> tuple[Bool[Array, " n"], Bool[Array, ""]]:
     )
     lost = [~jnp.isfinite(leaf.reshape(len(leaf), -1)).all(axis=1) for leaf in placed]
     finite = [jnp.isfinite(leaf).all() for leaf in factors]
-    return sum(lost, jnp.zeros(len(plan.volume.points), bool)), jnp.stack([jnp.array(True), *finite]).all()
+    return sum(lost, jnp.zeros(len(plan.volume.points), bool)), jnp.stack(
+        [jnp.array(True), *finite]
+    ).all()
 
 
 def _check_places(plan: Plan, points: np.ndarray) -> None:
@@ -158,12 +186,15 @@ def _check_places(plan: Plan, points: np.ndarray) -> None:
     nodes = np.flatnonzero(lost[: len(points)])
     if not len(nodes):
         raise ValueError(
-            "the plan's solve is not finite at the new base points: nodes of the surface coincide, or have come nearer to "
+            "the plan's solve is not finite at the new base points: nodes of the surface "
+            "coincide, or have come nearer to "
             f"each other than the plan searched. {ANEW}"
         )
     raise MeshError(
-        f"{len(nodes)} of {len(points)} points have lost their place at the new base points, first node {{node}} at "
-        f"({place_of(points[nodes[0]])}): nodes of the surface have come nearer to them than the plan searched, or a simplex "
+        f"{len(nodes)} of {len(points)} points have lost their place at the new base points, "
+        f"first node {{node}} at "
+        f"({place_of(points[nodes[0]])}): nodes of the surface have come nearer to them than the "
+        "plan searched, or a simplex "
         f"of its graph has no volume. {ANEW}",
         nodes,
     )

@@ -34,27 +34,45 @@ def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
     package = __name__.partition(".")[0]
     classes: dict[str, type] = {}
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
-        classes |= {kind.__name__: kind for kind in vars(sys.modules[name]).values() if _is_of(kind, name)}
+        classes |= {
+            kind.__name__: kind for kind in vars(sys.modules[name]).values() if _is_of(kind, name)
+        }
     for kind in added:
         if not _is_data(kind):
-            raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
+            raise ValueError(
+                f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is "
+                "neither."
+            )
         if classes.get(kind.__name__, kind) is not kind:
-            raise ValueError(f"two classes are called {kind.__name__}: {classes[kind.__name__]!r} and {kind!r}.")
+            raise ValueError(
+                f"two classes are called {kind.__name__}: {classes[kind.__name__]!r} and {kind!r}."
+            )
         classes[kind.__name__] = kind
     return classes
 
 
 def _is_data(kind: Any) -> bool:
-    return isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum))
+    return isinstance(kind, type) and (
+        dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)
+    )
 
 
 def _is_of(kind: Any, module: str) -> bool:
     return isinstance(kind, type) and issubclass(kind, ROOTS) and kind.__module__ == module
 
 
-FORMAT, VERSION = "jaxmorph plan", 2
+FORMAT = "jaxmorph plan"
+VERSION = 2
 _HEADER = "description"
-_DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, OverflowError)
+_DAMAGED = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    RecursionError,
+    OverflowError,
+)
 
 
 @checked
@@ -71,10 +89,14 @@ def save(path: str | os.PathLike[str], plan: Plan | SurfaceHalf | Sequence[Any])
     """
     path = output_path(path)
     if not _is_plans(plan):
-        raise ValueError(f"{type(plan).__name__} is no plan, and no list of the plans of several steps.")
+        raise ValueError(
+            f"{type(plan).__name__} is no plan, and no list of the plans of several steps."
+        )
     writer = _Writer()
     header = {"format": FORMAT, "version": VERSION, "tree": writer.node(plan, "plan")}
-    members: dict[str, Any] = {_HEADER: np.frombuffer(json.dumps(header, allow_nan=False).encode(), np.uint8)}
+    members: dict[str, Any] = {
+        _HEADER: np.frombuffer(json.dumps(header, allow_nan=False).encode(), np.uint8)
+    }
     members |= {str(i): array for i, array in enumerate(writer.arrays)}
     with complete(path) as partial, partial.open("wb") as file:
         np.savez(file, **members)
@@ -97,15 +119,19 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     try:
         header = json.loads(members[_HEADER].tobytes())
         arrays = [members[str(i)] for i in range(len(members) - 1)]
-        kind, version = header["format"], int(header["version"])
+        kind = header["format"]
+        version = int(header["version"])
     except _DAMAGED as error:
         detail = " ".join(str(error).split())[:120]
-        raise ValueError(f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail}).") from error
+        raise ValueError(
+            f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail})."
+        ) from error
     if kind != FORMAT:
         raise ValueError(f"{path}: not a saved plan; its format is {kind!r}.")
     if version != VERSION:
         raise ValueError(
-            f"{path}: of version {version}, but this jaxmorph reads {VERSION}: prepare the plan anew and save it."
+            f"{path}: of version {version}, but this jaxmorph reads {VERSION}: prepare the plan "
+            "anew and save it."
         )
     try:
         plan = _Reader(arrays, known_classes((SurfaceHalf, *classes))).node(header["tree"])
@@ -141,9 +167,15 @@ class _Writer:
         if type(value) is float:
             return value if math.isfinite(value) else {"float": repr(value)}
         if type(value) in (tuple, list):
-            return {type(value).__name__: [self.node(item, f"{where}[{i}]") for i, item in enumerate(value)]}
+            return {
+                type(value).__name__: [
+                    self.node(item, f"{where}[{i}]") for i, item in enumerate(value)
+                ]
+            }
         if type(value) is dict and set(map(type, value)) <= {str}:
-            return {"dict": {key: self.node(item, f"{where}[{key!r}]") for key, item in value.items()}}
+            return {
+                "dict": {key: self.node(item, f"{where}[{key!r}]") for key, item in value.items()}
+            }
         is_array = isinstance(value, jax.Array | np.ndarray | np.generic)
         return self._array(value, where) if is_array else self._object(value, where)
 
@@ -153,11 +185,13 @@ class _Writer:
         if not dataclasses.is_dataclass(value) or isinstance(value, type):
             kind = type(value).__name__
             raise ValueError(
-                f"{where} is a {kind}, which a plan file cannot hold. `pickle` may serve, among people you trust."
+                f"{where} is a {kind}, which a plan file cannot hold. `pickle` may serve, among "
+                "people you trust."
             )
         if isinstance(value, Plan) and value.layout is not None:
             raise ValueError(
-                f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` the loaded plan."
+                f"{where} is laid over devices: save the plan that `prepare` returned, and "
+                "`shard` the loaded plan."
             )
         names = [field.name for field in dataclasses.fields(value)]
         fields = {name: self.node(getattr(value, name), f"{where}.{name}") for name in names}
@@ -166,18 +200,29 @@ class _Writer:
     def _array(self, value: Any, where: str) -> dict[str, Any]:
         array = np.ascontiguousarray(np.asarray(value)).reshape(np.shape(value))
         if array.dtype.kind not in "biufc" or array.dtype.type.__module__ != "numpy":
-            raise ValueError(f"{where} holds {array.dtype}; a plan file holds booleans and ordinary numbers.")
+            raise ValueError(
+                f"{where} holds {array.dtype}; a plan file holds booleans and ordinary numbers."
+            )
         key = (array.dtype.str, array.shape, hashlib.blake2b(array.tobytes()).digest())
         place = self.places.setdefault(key, len(self.arrays))
         if place == len(self.arrays):
             self.arrays.append(array)
-        kind = "jax" if isinstance(value, jax.Array) else "numpy" if isinstance(value, np.ndarray) else "scalar"
+        kind = (
+            "jax"
+            if isinstance(value, jax.Array)
+            else "numpy"
+            if isinstance(value, np.ndarray)
+            else "scalar"
+        )
         weak = {"weak": True} if getattr(value, "weak_type", False) else {}
         return {kind: place} | weak
 
     def _name(self, kind: type, where: str) -> str:
         if known_classes().get(kind.__name__, kind) is not kind:
-            raise ValueError(f"{where} is of a class {kind.__name__} that is not jaxmorph's: give it another name.")
+            raise ValueError(
+                f"{where} is of a class {kind.__name__} that is not jaxmorph's: give it another "
+                "name."
+            )
         return kind.__name__
 
 
@@ -224,7 +269,8 @@ class _Reader:
         expected = {field.name for field in dataclasses.fields(kind)}
         if expected != fields.keys():
             raise _Refused(
-                f"{name} has the fields {', '.join(fields)} in the file, but {', '.join(sorted(expected))} here: the file was "
+                f"{name} has the fields {', '.join(fields)} in the file, but "
+                f"{', '.join(sorted(expected))} here: the file was "
                 "written with another version of the class."
             )
         made = object.__new__(kind)
@@ -235,5 +281,8 @@ class _Reader:
     def _class(self, name: str, base: type) -> Any:
         kind = self.classes.get(name)
         if kind is None or not issubclass(kind, base):
-            raise _Refused(f"the class {name!r} is unknown; pass your own class as load(path, classes=({name},)).")
+            raise _Refused(
+                f"the class {name!r} is unknown; pass your own class as load(path, "
+                f"classes=({name},))."
+            )
         return kind

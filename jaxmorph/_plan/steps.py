@@ -19,7 +19,11 @@ from .refit import STEP, refitted, with_boundary
 
 @checked
 def march(
-    plan: Plan, path: Real[ArrayLike, "k m d"] | Sequence[Any], *, rebuild: bool = False, mesh: Mesh | None = None
+    plan: Plan,
+    path: Real[ArrayLike, "k m d"] | Sequence[Any],
+    *,
+    rebuild: bool = False,
+    mesh: Mesh | None = None,
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
     """Follows a path of total displacements; refits the plan on the moved mesh before each step.
 
@@ -40,16 +44,26 @@ def march(
     `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where `prepare` does.
     """
     _check_march(plan, rebuild, mesh)
-    points, surface, plans = plan.points, None, []
+    points = plan.points
+    surface = None
+    plans = []
     for j, target in enumerate(_targets(plan, path)):
-        step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else refitted(plan, points, surface, STEP)
+        step = (
+            plan
+            if j == 0
+            else _anew(plan, points, mesh)
+            if rebuild
+            else refitted(plan, points, surface, STEP)
+        )
         points, surface = _advance(step, target)
         plans.append(step)
     return tuple(plans), points
 
 
 @checked
-def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
+def replay(
+    plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
+) -> Float[Array, "n d"]:
     """Repeats the steps of a `march` with the recorded ids: the points are equal.
 
     Traced; differentiable with respect to `path`, and to the base coordinates through
@@ -63,15 +77,20 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
     targets = _targets(plans[0], path)
     if len(targets) != len(plans):
         raise ValueError(
-            f"`path` has {len(targets)} steps, but there are {len(plans)} plans; pass the path that was marched."
+            f"`path` has {len(targets)} steps, but there are {len(plans)} plans; pass the path "
+            "that was marched."
         )
     plans = [transposable(plan, path) for plan in plans]
-    current, points, surface = plans[0], plans[0].points, None
+    current = plans[0]
+    points = plans[0].points
+    surface = None
     for plan, target in zip(plans, targets, strict=True):
         if plan.carried:
             current = refitted(current, points, surface, STEP)
         elif current is not plan:
-            current = refitted(with_boundary(plan, current.surface.tracks, current.surface.pairings), points)
+            current = refitted(
+                with_boundary(plan, current.surface.tracks, current.surface.pairings), points
+            )
         points, surface = _advance(current, target)
     return points
 
@@ -79,10 +98,12 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
     """Places (k, o, d) of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
-    m, d = plan.n_moving, plan.points.shape[1]
+    m = plan.n_moving
+    d = plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
         raise ValueError(
-            f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement at the end of every step."
+            f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement "
+            "at the end of every step."
         )
     base = plan.surface_points
     return jnp.broadcast_to(base, (len(path), *base.shape)).at[:, :m].add(path)
@@ -96,7 +117,8 @@ def _advance(plan: Plan, target: Own) -> tuple[Float[Array, "n d"], Own | None]:
         return points, None
     if not plan.method.exact:
         return points, points[plan.surface.nodes]
-    vectors, guide = kept(plan, vectors), plan.surface.guide
+    vectors = kept(plan, vectors)
+    guide = plan.surface.guide
     return points, plan.surface_points + vectors if guide is None else guide.placed(vectors)
 
 
@@ -104,22 +126,29 @@ def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:
     if rebuild and mesh is None and plan.method.needs_cells:
         name = type(plan.method).__name__
         raise ValueError(
-            f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, mesh=mesh)."
+            f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, "
+            "mesh=mesh)."
         )
     if mesh is not None:
         plan.check_mesh(mesh)
         if not rebuild:
             raise ValueError(
-                "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."
+                "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass "
+                "rebuild=True, or remove `mesh`."
             )
-    if plan.is_piece and (rebuild or (not plan.method.exact and int(plan.surface.nodes.max()) >= len(plan.points))):
+    if plan.is_piece and (
+        rebuild or (not plan.method.exact and int(plan.surface.nodes.max()) >= len(plan.points))
+    ):
         raise ValueError(
-            "march of a piece needs rebuild=False, and a method that is exact at the surface: other pieces have the rest."
+            "march of a piece needs rebuild=False, and a method that is exact at the surface: "
+            "other pieces have the rest."
         )
 
 
 def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
     boundary = changed(plan.boundary, points=np.asarray(points))
     if mesh is not None:
-        boundary = changed(with_cells(boundary, mesh), left=None)  # `prepare` has warned of free faces
+        boundary = changed(
+            with_cells(boundary, mesh), left=None
+        )  # `prepare` has warned of free faces
     return plan_of(boundary, plan.method)

@@ -37,7 +37,10 @@ def count(space: Space) -> int:
 def multinomials(space: Space) -> np.ndarray:
     """Factors (n,) from coefficients to scaled ones."""
     factors = [
-        [math.factorial(degree) // math.prod(map(math.factorial, row)) for row in indices(dimension, degree).tolist()]
+        [
+            math.factorial(degree) // math.prod(map(math.factorial, row))
+            for row in indices(dimension, degree).tolist()
+        ]
         for dimension, degree in space
     ]
     return functools.reduce(np.kron, factors, np.ones(1))
@@ -68,13 +71,19 @@ def corners(space: Space) -> np.ndarray:
 
 def terms(space: Space, places: Either) -> Either:
     """lambda^alpha (n, k) at places (d, k): the factors of scaled coefficients."""
-    xp, first = namespace(places), 0
+    xp = namespace(places)
+    first = 0
     product = xp.ones((1, places.shape[1]), places.dtype)
     for dimension, degree in space:
         local = places[first : first + dimension]
         barycentric = xp.concatenate([1 - local.sum(axis=0, keepdims=True), local])
-        own = (barycentric[None] ** indices(dimension, degree)[:, :, None]).prod(axis=1).astype(places.dtype)
-        product, first = (product[:, None] * own[None]).reshape(-1, places.shape[1]), first + dimension
+        own = (
+            (barycentric[None] ** indices(dimension, degree)[:, :, None])
+            .prod(axis=1)
+            .astype(places.dtype)
+        )
+        product = (product[:, None] * own[None]).reshape(-1, places.shape[1])
+        first = first + dimension
     return product
 
 
@@ -89,7 +98,9 @@ def lattice(space: Space) -> np.ndarray:
     places = np.zeros((0, 1))
     for dimension, degree in space:
         own = indices(dimension, degree)[:, 1:].T / max(degree, 1)
-        places = np.concatenate([np.repeat(places, own.shape[1], axis=1), np.tile(own, places.shape[1])])
+        places = np.concatenate(
+            [np.repeat(places, own.shape[1], axis=1), np.tile(own, places.shape[1])]
+        )
     return places
 
 
@@ -125,19 +136,22 @@ def halving(dimension: int, degree: int) -> np.ndarray:
 
 def halved(space: Space, coefficients: Either) -> Either:
     """Coefficients on a cell's 2^d parts: (n, k) to (n, 2^d k), part after part."""
-    xp, k = namespace(coefficients), coefficients.shape[-1]
+    xp = namespace(coefficients)
+    k = coefficients.shape[-1]
     values = coefficients.reshape(*(len(indices(*factor)) for factor in space), k)
     for axis, factor in enumerate(space):
         matrix = halving(*factor).astype(values.dtype)
         values = xp.moveaxis(contracted(matrix, values, axis), 0, axis)
     shape = [size for factor in space for size in (2 ** factor[0], len(indices(*factor)))]
-    values, axes = values.reshape(*shape, k), range(2 * len(space))
+    values = values.reshape(*shape, k)
+    axes = range(2 * len(space))
     return values.transpose(*axes[1::2], *axes[::2], len(axes)).reshape(coefficients.shape[0], -1)
 
 
 def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product: Any) -> list[Any]:
     """Multiplies polynomials (n, k), one array a component, by a bilinear `product` of lists."""
-    table, xp = rows_of_products(first, second), namespace(a[0])
+    table = rows_of_products(first, second)
+    xp = namespace(a[0])
 
     def add(sums, step):
         rows, factor = step

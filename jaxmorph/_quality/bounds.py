@@ -41,22 +41,32 @@ def blocks(rows: Rows, coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
     return (rows[start : start + size] for start in range(0, len(rows), size))
 
 
-def bounds(space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Values, depth: int) -> LeastValues:
+def bounds(
+    space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Values, depth: int
+) -> LeastValues:
     """Bounds polynomials, on parts of a 2^depth-th or less where the sign needs them."""
-    k, d, corners = coefficients.shape[1], sum(m for m, _ in space), bernstein.corners(space)
-    lower, upper, at = np.full(k, np.inf), np.full(k, np.inf), np.zeros((d, k))
+    k = coefficients.shape[1]
+    d = sum(m for m, _ in space)
+    corners = bernstein.corners(space)
+    lower = np.full(k, np.inf)
+    upper = np.full(k, np.inf)
+    at = np.zeros((d, k))
 
     def look(values: Float[np.ndarray, "n p"], cell: np.ndarray, path: Path) -> None:
         """Looks at parts of cells, and cuts those of open sign; negative cells are done. The `path`
         to a part has the number that it has among its parent's parts, level by level.
         """
-        corner, lowest, before = values[corners].argmin(axis=0), values[corners].min(axis=0), upper.copy()
+        corner = values[corners].argmin(axis=0)
+        lowest = values[corners].min(axis=0)
+        before = upper.copy()
         np.minimum.at(upper, cell, lowest)
         rows = np.flatnonzero((lowest == upper[cell]) & (lowest < before[cell]))
         at[:, cell[rows]] = _place(space, path[:, rows], corner[rows])
         # where a corner is zero to round-off, closer bounds cannot be positive: only what may be
         # negative is of interest
-        least, level, slack = values.min(axis=0), len(path), round_off[cell]
+        least = values.min(axis=0)
+        level = len(path)
+        slack = round_off[cell]
         is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
         is_open &= ~(upper[cell] < -slack)
         if level >= depth:
@@ -76,7 +86,8 @@ def bounds(space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Valu
 def _place(space: Space, path: Path, corner: Rows) -> Float[np.ndarray, "f p"]:
     """Places of parts' corners, by barycentric coordinates from the parts outwards."""
     corners = np.unravel_index(corner, [m + 1 for m, _ in space])
-    paths, found = np.unravel_index(path, [2**m for m, _ in space]), []
+    paths = np.unravel_index(path, [2**m for m, _ in space])
+    found = []
     for (m, _), own, parts in zip(space, corners, paths, strict=True):
         coordinates = np.eye(m + 1)[own]
         for part in parts[::-1]:
@@ -91,7 +102,8 @@ def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> PerCell:
     corner. Elsewhere the place is that of `proof`: a negative value is found wherever the bounds
     say `invalid`.
     """
-    form, k = form_of(kind), x[0].shape[1]
+    form = form_of(kind)
+    k = x[0].shape[1]
     if namespace(x[0]) is np:
         at = _places(kind, *x)
     else:
@@ -108,7 +120,11 @@ def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Places:
         columns = form.columns(components)
         values = form.determinant(columns)
         sign = np.where(form.mean(values) < 0, -1.0, 1.0)
-        return form.inside(bounds(form.space, sign * values, form.round_off(components, columns), DEPTH).at)
+        return form.inside(
+            bounds(form.space, sign * values, form.round_off(components, columns), DEPTH).at
+        )
 
     with np.errstate(all="ignore"):  # coordinates may be NaN
-        return in_blocks(np, found, *x, size=max(1, ROOM // bernstein.count(form.space))).astype(x[0].dtype)
+        return in_blocks(np, found, *x, size=max(1, ROOM // bernstein.count(form.space))).astype(
+            x[0].dtype
+        )

@@ -54,7 +54,9 @@ class Target(NamedTuple):
     counts: Scalar
 
 
-def targets(cells: ByType, points: Float[Array, "n d"], signs: ByType, ideal: bool) -> dict[str, Target]:
+def targets(
+    cells: ByType, points: Float[Array, "n d"], signs: ByType, ideal: bool
+) -> dict[str, Target]:
     volumes = {kind: jnp.abs(volume_of(kind, corners(points, ids))) for kind, ids in cells.items()}
     sums = jnp.zeros((2, len(points)), points.dtype)
     for kind, ids in cells.items():
@@ -80,7 +82,10 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     folded = jnp.any(content < -noise, axis=0)
     size = jnp.where(folded, jnp.abs(volume) if around is None else around, jnp.abs(volume))
     # frames of ideal cells of this size; left-handed ones are their mirror images
-    shape = jnp.asarray(np.array(IDEAL[kind]).T[:, :, None], size.dtype) * jnp.ones_like(size)[None, None]
+    shape = (
+        jnp.asarray(np.array(IDEAL[kind]).T[:, :, None], size.dtype)
+        * jnp.ones_like(size)[None, None]
+    )
     length = size / jnp.abs(measures.volume(kind, Vector(shape)))
     length = jnp.where(length > 0, length, 1) ** (1 / DIMENSION[kind])
     right = _edges(kind, Vector(shape.at[0].multiply(sign[None]) * length[None, None]))
@@ -93,11 +98,15 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
         share = np.linalg.inv(frames) / len(frames)
         axes = jnp.einsum("sab,bcsk->ack", share, edges, precision="highest").astype(edges.dtype)
         affine = jnp.einsum("sba,ack->bcsk", frames, axes, precision="highest").astype(edges.dtype)
-        is_near = jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
+        is_near = (
+            jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
+        )
         edges = jnp.where(folded, jnp.where(is_near, affine, right), edges)
     counts = (content > noise) | folded[None]
     inverse = 1 / jnp.where(counts, determinant(edges), 1)
-    rows = tuple(tuple(jnp.where(counts, c * inverse, 0) for c in row) for row in cofactors(list(edges)))
+    rows = tuple(
+        tuple(jnp.where(counts, c * inverse, 0) for c in row) for row in cofactors(list(edges))
+    )
     return Target(rows, inverse, counts.astype(inverse.dtype))
 
 
@@ -108,7 +117,10 @@ def _edges(kind: str, x: Vector) -> Float[Array, "e d s k"]:
 def stretch(kind: str, x: Vector, goal: Target) -> list[Vector]:
     """The columns of T = A W^-1 at each sample."""
     edges = measures.frames(kind, x)
-    return [total(edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)) for b in range(len(edges))]
+    return [
+        total(edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True))
+        for b in range(len(edges))
+    ]
 
 
 def samples(kind: str, x: Vector, goal: Target) -> tuple[Scalar, Scalar]:
@@ -138,8 +150,11 @@ def stiffened(energy: Some, tau: Some, bounds: Bounds) -> Some:
     2024, but for a constant and a factor. The second bound keeps small cells, whose distortion may
     be below that of cells that have lost their shape.
     """
-    first, is_large = 1 - bounds.stiffness * energy, (bounds.least <= 0) | (tau > bounds.least)
-    second = jnp.where(bounds.least > 0, 1 - bounds.least / jnp.where(is_large & (tau != 0), tau, 1), 1)
+    first = 1 - bounds.stiffness * energy
+    is_large = (bounds.least <= 0) | (tau > bounds.least)
+    second = jnp.where(
+        bounds.least > 0, 1 - bounds.least / jnp.where(is_large & (tau != 0), tau, 1), 1
+    )
     room = first * second
     has_room = is_large & (first > 0) & (second > 0)
     return jnp.where(has_room, energy / jnp.where(has_room, room, 1), jnp.inf)
@@ -159,8 +174,11 @@ def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Fl
     """Lengths by which nodes move to change the energy by one, by the Hessian's diagonal."""
     stiffness = jnp.zeros(n)
     for kind, ids in kinds.items():
-        goal, frames = targets[kind], np.array(FRAMES[kind])
-        rows = [Vector(c[: len(frames)] for c in row) for row in goal.inverse]  # without the centre of a hexahedron
+        goal = targets[kind]
+        frames = np.array(FRAMES[kind])
+        rows = [
+            Vector(c[: len(frames)] for c in row) for row in goal.inverse
+        ]  # without the centre of a hexahedron
         whole = total(rows)
         for end, row in enumerate([whole, *rows]):
             stiffness = stiffness.at[ids[:, frames[:, end]].T].add(dot(row, row) / len(frames))
@@ -210,11 +228,15 @@ def distortion(
         between("size_weight", size_weight, 0, 1, "[]")
     if is_known(softness):
         between("softness", softness, 0)
-    current, linear = places(mesh, points), linear_cells(cells, jnp.concatenate)
+    current = places(mesh, points)
+    linear = linear_cells(cells, jnp.concatenate)
     with jax.ensure_compile_time_eval():  # not folded into a caller's program
-        goals = targets(linear, jnp.asarray(mesh.points, current.dtype), signs_of_pieces(mesh), ideal)
+        goals = targets(
+            linear, jnp.asarray(mesh.points, current.dtype), signs_of_pieces(mesh), ideal
+        )
     parts = [
-        energy_of_cells(kind, corners(current, ids), goals[kind], softness, size_weight) for kind, ids in linear.items()
+        energy_of_cells(kind, corners(current, ids), goals[kind], softness, size_weight)
+        for kind, ids in linear.items()
     ]
     if not mesh.is_curved:
         return jnp.concatenate(parts)

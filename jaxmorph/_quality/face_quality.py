@@ -144,15 +144,24 @@ class Sides:
         Raises `ValueError` for a mesh without cells, or whose cells do not fill its dimension.
         """
         if mesh.is_curved:
-            raise ValueError("OpenFOAM's measures are for linear cells; `quality` measures curved cells.")
-        highest = max((DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids)), default=None)
+            raise ValueError(
+                "OpenFOAM's measures are for linear cells; `quality` measures curved cells."
+            )
+        highest = max(
+            (DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids)), default=None
+        )
         if highest is None:
             raise ValueError("the mesh has no cells; its quality is not defined.")
         if highest != mesh.points.shape[1]:
             raise ValueError(
-                "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for surfaces in 3-D."
+                "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for "
+                "surfaces in 3-D."
             )
-        return _standard(mesh, highest) if mesh.polyhedra is None else _whole(mesh.polyhedra.faces, mesh.between)
+        return (
+            _standard(mesh, highest)
+            if mesh.polyhedra is None
+            else _whole(mesh.polyhedra.faces, mesh.between)
+        )
 
     def measured(self, function: Callable[[FaceBlock], T]) -> Iterator[tuple[FaceBlock, T]]:
         """Yields all blocks in order, each with its `function`, which all cores compute."""
@@ -168,49 +177,77 @@ class Sides:
 
 
 def _standard(mesh: Mesh, highest: int) -> Sides:
-    solids = {kind: np.asarray(ids) for kind, ids in mesh.cells.items() if DIMENSION[kind] == highest}
+    solids = {
+        kind: np.asarray(ids) for kind, ids in mesh.cells.items() if DIMENSION[kind] == highest
+    }
     counts = list(map(len, mesh.cells.values()))
-    numbers = mesh.cell_ids[np.repeat([kind in solids for kind in mesh.cells], counts)].astype(np.int32)
+    numbers = mesh.cell_ids[np.repeat([kind in solids for kind in mesh.cells], counts)].astype(
+        np.int32
+    )
     (neighbour, flipped), faces, first, used = neighbours(solids), {}, 0, 0
     for kind, ids in solids.items():
-        columns, own, end = columns_of(ids), np.arange(first, first + len(ids)), used + len(FACES[kind]) * len(ids)
+        columns = columns_of(ids)
+        own = np.arange(first, first + len(ids))
+        end = used + len(FACES[kind]) * len(ids)
         beyond, turned = (rows[used:end].reshape(len(ids), -1).T for rows in (neighbour, flipped))
         for face, behind, is_turned in zip(FACES[kind], beyond, turned, strict=True):
             is_shared = (behind >= 0) & ~is_turned
             rows = np.flatnonzero(~is_shared | (own < behind))
             corners = np.stack([columns[corner][rows] for corner in face])
-            faces.setdefault(len(face), []).append((corners, own[rows], behind[rows], is_shared[rows]))
-        first, used = first + len(ids), end
+            faces.setdefault(len(face), []).append(
+                (corners, own[rows], behind[rows], is_shared[rows])
+            )
+        first = first + len(ids)
+        used = end
     groups = []
     for parts in faces.values():
-        corners, owner, behind, is_shared = (np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True))
-        groups.append((corners, numbers[owner], np.where(behind < 0, -1, numbers[behind]), is_shared))
+        corners, owner, behind, is_shared = (
+            np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True)
+        )
+        groups.append(
+            (corners, numbers[owner], np.where(behind < 0, -1, numbers[behind]), is_shared)
+        )
     return Sides(tuple(_blocks(groups, mesh.between)), sum(counts))
 
 
 def _whole(faces: Faces, between: np.ndarray | None) -> Sides:
-    neighbour, groups = faces.all_neighbours(), []
+    neighbour = faces.all_neighbours()
+    groups = []
     for size in np.unique(faces.sizes).tolist():
         rows = np.flatnonzero(faces.sizes == size)
-        groups.append((faces.corners(rows, size).T, faces.owner[rows], neighbour[rows], neighbour[rows] >= 0))
+        groups.append(
+            (faces.corners(rows, size).T, faces.owner[rows], neighbour[rows], neighbour[rows] >= 0)
+        )
     return Sides(tuple(_blocks(groups, between)), faces.count)
 
 
-def _blocks(groups: list[tuple[np.ndarray, ...]], between: np.ndarray | None) -> Iterator[FaceBlock]:
+def _blocks(
+    groups: list[tuple[np.ndarray, ...]], between: np.ndarray | None
+) -> Iterator[FaceBlock]:
     first = 0
     for *columns, is_shared in groups:
         for flag in (True, False):
-            corners, owner, behind = (np.ascontiguousarray(column[..., is_shared == flag]) for column in columns)
-            is_outer = np.zeros(len(owner), bool) if flag or between is None else is_among(corners.T, between)
+            corners, owner, behind = (
+                np.ascontiguousarray(column[..., is_shared == flag]) for column in columns
+            )
+            is_outer = (
+                np.zeros(len(owner), bool)
+                if flag or between is None
+                else is_among(corners.T, between)
+            )
             for at in range(0, len(owner), BLOCK):
                 some = slice(at, at + BLOCK)
                 rows = slice(first, first + len(owner[some]))
-                yield FaceBlock(corners[:, some], owner[some], behind[some], is_outer[some], flag, rows)
+                yield FaceBlock(
+                    corners[:, some], owner[some], behind[some], is_outer[some], flag, rows
+                )
                 first = rows.stop
 
 
 def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
-    points, base = (np.asarray(x, dtype=float) for x in (mesh.points if points is None else points, mesh.points))
+    points, base = (
+        np.asarray(x, dtype=float) for x in (mesh.points if points is None else points, mesh.points)
+    )
     if points.shape != base.shape:
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {base.shape}.")
     with np.errstate(all="ignore"):  # points may be NaN
@@ -220,7 +257,8 @@ def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> Face
             # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
             sign = np.ones(len(old))
             sign[mesh.cell_ids] = np.concatenate(list(signs_of(mesh).values()))
-            old, shape.volume = sign * old, shape.volume * sign
+            old = sign * old
+            shape.volume = shape.volume * sign
             for block in sides.blocks:
                 shape.area[:, block.rows] *= sign[block.owner]
         return _of_shape(sides, shape, points, old)
@@ -238,9 +276,12 @@ class _Shape:
     @classmethod
     def measured(cls, sides: Sides, points: Points) -> "_Shape":
         """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
-        d, columns, count = points.shape[1], np.ascontiguousarray(points.T), sides.blocks[-1].rows.stop
+        d = points.shape[1]
+        columns = np.ascontiguousarray(points.T)
+        count = sides.blocks[-1].rows.stop
         centre, area = np.empty((2, d, count))
-        means, sums = np.zeros((d, sides.total)), np.zeros((d + 1, sides.total))
+        means = np.zeros((d, sides.total))
+        sums = np.zeros((d + 1, sides.total))
         for block, found in sides.measured(functools.partial(_centre_and_area, columns)):
             centre[:, block.rows], area[:, block.rows] = found
             for _, cells in block.views:
@@ -259,9 +300,14 @@ def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
 
 def _of_shape(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> FaceQuality:
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
-    counted, noise = sides.counts > 0, 8 * np.finfo(float).eps * np.abs(points).max()
-    is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
-    least, heights, seen = np.full(total, np.inf), np.zeros(total), np.zeros((d, total))
+    counted = sides.counts > 0
+    noise = 8 * np.finfo(float).eps * np.abs(points).max()
+    is_wrong = np.zeros(total, dtype=bool)
+    cosine = np.ones(total)
+    skewness = np.zeros(total)
+    least = np.full(total, np.inf)
+    heights = np.zeros(total)
+    seen = np.zeros((d, total))
     cosines = np.zeros(2)  # their sum and their number
     for block, found in sides.measured(functools.partial(_across, shape, columns)):
         inner = found.cosine[block.behind >= 0]
@@ -276,7 +322,9 @@ def _of_shape(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> Face
     pyramid = least / np.maximum(heights / np.maximum(sides.counts, 1), FLOOR)
     aspect = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
     if d == 3:
-        aspect = np.maximum(aspect, seen.sum(axis=0) / 6 / np.maximum(np.abs(shape.volume) / 3, FLOOR) ** (2 / 3))
+        aspect = np.maximum(
+            aspect, seen.sum(axis=0) / 6 / np.maximum(np.abs(shape.volume) / 3, FLOOR) ** (2 / 3)
+        )
     mean = np.clip(cosines[0] / cosines[1], -1, 1) if cosines[1] else 1.0
     return FaceQuality(
         volume=shape.volume / d,
@@ -309,8 +357,10 @@ def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vector
 
 def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: FaceBlock) -> list[Vectors]:
     """d volumes and first moments (d + 1, b) of pyramids, as each view sees the faces."""
-    d, parts = len(means), []
-    centre, area = centres[:, block.rows], areas[:, block.rows]
+    d = len(means)
+    parts = []
+    centre = centres[:, block.rows]
+    area = areas[:, block.rows]
     for sign, cells in block.views:
         middle = means.take(cells, axis=1)
         volume = sign * dot(area, centre - middle)
@@ -326,19 +376,27 @@ class _Across(NamedTuple):
 
 
 def _across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
-    middle, inside = shape.middle, block.behind >= 0
-    centre, area = shape.centre[:, block.rows], shape.area[:, block.rows]
-    arm, size = centre - middle.take(block.owner, axis=1), _size(area)
-    across = middle.take(block.behind, axis=1) - middle.take(block.owner, axis=1)  # anything without a cell behind
+    middle = shape.middle
+    inside = block.behind >= 0
+    centre = shape.centre[:, block.rows]
+    area = shape.area[:, block.rows]
+    arm = centre - middle.take(block.owner, axis=1)
+    size = _size(area)
+    across = middle.take(block.behind, axis=1) - middle.take(
+        block.owner, axis=1
+    )  # anything without a cell behind
     cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
     heights = [sign * dot(area, centre - middle.take(cells, axis=1)) for sign, cells in block.views]
     if not block.is_shared:
-        cosine, normal = np.where(inside, cosine, 1), area / np.maximum(size, FLOOR)
+        cosine = np.where(inside, cosine, 1)
+        normal = area / np.maximum(size, FLOOR)
         across = np.where(inside, across, dot(normal, arm) * normal)
     along = dot(area, across)
     by = arm - dot(area, arm) / np.where(along == 0, FLOOR, along) * across
     miss = _size(by)
-    reach = np.abs(dot(by[:, None], points.take(block.corners, axis=1) - centre[:, None])).max(axis=0)
+    reach = np.abs(dot(by[:, None], points.take(block.corners, axis=1) - centre[:, None])).max(
+        axis=0
+    )
     least = np.where(inside, 0.2, 0.4) * _size(across)
     skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
     return _Across(size, np.where(block.is_between, 0, skewness), cosine, heights)

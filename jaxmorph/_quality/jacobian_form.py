@@ -61,7 +61,8 @@ class JacobianForm:
     @functools.cached_property
     def space(self) -> Space:
         return tuple(
-            (factors[0][0], sum(degree for _, degree in factors)) for factors in zip(*self.spaces, strict=True)
+            (factors[0][0], sum(degree for _, degree in factors))
+            for factors in zip(*self.spaces, strict=True)
         )
 
     def columns(self, x: list[Either]) -> Columns:
@@ -75,13 +76,17 @@ class JacobianForm:
         product = bernstein.multiplied(first, second, a, b, products.cross)
         if rest:
             both = tuple((m, p + q) for (m, p), (_, q) in zip(first, second, strict=True))
-            product = bernstein.multiplied(both, last[0], product, rest[0], lambda u, v: [products.dot(u, v)])
+            product = bernstein.multiplied(
+                both, last[0], product, rest[0], lambda u, v: [products.dot(u, v)]
+            )
         return product[0] / bernstein.multinomials(self.space).astype(product[0].dtype)[:, None]
 
     def coefficients(self, x: list[Either]) -> Float[Either, "n k"]:
         return self.determinant(self.columns(x))
 
-    def round_off(self, x: list[np.ndarray], columns: list[list[np.ndarray]]) -> Float[np.ndarray, " k"]:
+    def round_off(
+        self, x: list[np.ndarray], columns: list[list[np.ndarray]]
+    ) -> Float[np.ndarray, " k"]:
         """Bounds the round-off of all coefficients of det J, and of what `halved` makes of them. A
         coefficient is a mean of determinants |a| |b| |c| at most. Each column has the error of a
         difference of nodes, in which the cell's reach counts, and each of the sums below has one
@@ -92,35 +97,50 @@ class JacobianForm:
             squares = products.dot(column, column) / bernstein.multinomials(space)[:, None] ** 2
             lengths.append(np.sqrt(squares.max(axis=0)))
         reach = np.sqrt(len(x)) * np.max([np.abs(component).max(axis=0) for component in x], axis=0)
-        error, whole = self._growth * reach, functools.reduce(np.multiply, lengths)
-        others = [functools.reduce(np.multiply, lengths[:i] + lengths[i + 1 :]) for i in range(len(lengths))]
+        error = self._growth * reach
+        whole = functools.reduce(np.multiply, lengths)
+        others = [
+            functools.reduce(np.multiply, lengths[:i] + lengths[i + 1 :])
+            for i in range(len(lengths))
+        ]
         terms = len(x[0]) + sum(map(bernstein.count, self.spaces)) + 16 * len(self.space) + 16
         return 4 * terms * np.finfo(float).eps * (whole + error * functools.reduce(np.add, others))
 
     @functools.cached_property
     def _growth(self) -> float:
         pairs = zip(self.spaces, self.matrices, strict=True)
-        rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in pairs]
+        rows = [
+            np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in pairs
+        ]
         return float(max(row.max() for row in rows))
 
     def mean(self, coefficients: Either) -> Values:
         """det J's mean over the reference cell: the ratio of the cells' volumes."""
         shares = np.full(bernstein.count(self.space), 1 / bernstein.count(self.space))
         if self.shape == "pyramid":  # a layer at t has the share 3 (1 - t)^2
-            below, ((_, q), n) = bernstein.count(self.space[:-1]), (self.space[-1], self.space[-1][1] + 1)
-            layers = [3 * (q - i + 2) * (q - i + 1) / ((q + 3) * (q + 2) * (q + 1)) for i in range(n)]
+            below, ((_, q), n) = (
+                bernstein.count(self.space[:-1]),
+                (self.space[-1], self.space[-1][1] + 1),
+            )
+            layers = [
+                3 * (q - i + 2) * (q - i + 1) / ((q + 3) * (q + 2) * (q + 1)) for i in range(n)
+            ]
             shares = np.kron(np.full(below, 1 / below), layers)
         return bernstein.contracted(shares[None].astype(coefficients.dtype), coefficients)[0]
 
     def places(self, x: list[np.ndarray], at: Places) -> Float[np.ndarray, "k d"]:
         """Maps places among the factors of k cells to space."""
         weights = bernstein.functions(self.map_space, at)
-        return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
+        return np.stack(
+            [((self.control @ component) * weights).sum(axis=0) for component in x], axis=1
+        )
 
     def values(self, columns: Columns, at: Float[Either, "f k"]) -> Values:
         pairs = zip(self.spaces, columns, strict=True)
         weights = [(bernstein.terms(space, at), column) for space, column in pairs]
-        return products.determinant([[(b * weight).sum(axis=0) for b in column] for weight, column in weights])
+        return products.determinant(
+            [[(b * weight).sum(axis=0) for b in column] for weight, column in weights]
+        )
 
     def inside(self, at: Places) -> Places:
         """Moves places off a pyramid's apex, where det J has directions, by a millionth."""
@@ -139,36 +159,53 @@ def form_of(kind: str, has_time: bool = False) -> JacobianForm:
     if has_time:
         form = form_of(kind)
         spaces = tuple((TIME, *space) for space in form.spaces)
-        *matrices, control = (np.kron(np.eye(2), matrix) for matrix in (*form.matrices, form.control))
-        return JacobianForm(form.shape, spaces, tuple(matrices), (TIME, *form.map_space), control, True)
+        *matrices, control = (
+            np.kron(np.eye(2), matrix) for matrix in (*form.matrices, form.control)
+        )
+        return JacobianForm(
+            form.shape, spaces, tuple(matrices), (TIME, *form.map_space), control, True
+        )
     cell = lagrange_types()[kind]
     space = tuple((m, cell.order) for m in FACTORS[cell.shape])
     at = bernstein.lattice(space)
     # all entries are multiples of 1 / 3 / 6^6, so that rounding makes them exact
-    control = np.round(3 * 6**6 * np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))) / (3 * 6**6)
-    columns = [_derivative(space, control, f, i) for f, (m, _) in enumerate(space) for i in range(m)]
+    control = np.round(
+        3 * 6**6 * np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))
+    ) / (3 * 6**6)
+    columns = [
+        _derivative(space, control, f, i) for f, (m, _) in enumerate(space) for i in range(m)
+    ]
     if cell.shape == "pyramid":
         columns = [*(_divided(*column) for column in columns[:2]), columns[2]]
     spaces, matrices = zip(*columns, strict=True)
     return JacobianForm(cell.shape, spaces, matrices, space, control)
 
 
-def _derivative(space: Space, control: np.ndarray, factor: int, axis: int) -> tuple[Space, np.ndarray]:
+def _derivative(
+    space: Space, control: np.ndarray, factor: int, axis: int
+) -> tuple[Space, np.ndarray]:
     (m, degree), zeros = space[factor], [(m, 0) for m, _ in space]
     lower = (*space[:factor], (m, degree - 1), *space[factor + 1 :])
     step = (*zeros[:factor], (m, 1), *zeros[factor + 1 :])
     rows = bernstein.rows_of_products(lower, step)
-    return lower, degree * bernstein.multinomials(lower)[:, None] * (control[rows[axis + 1]] - control[rows[0]])
+    return lower, degree * bernstein.multinomials(lower)[:, None] * (
+        control[rows[axis + 1]] - control[rows[0]]
+    )
 
 
 def _divided(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
     """Divides a polynomial of scaled coefficients by 1 - t; t is the last factor's coordinate."""
     *others, (m, degree) = space
     lower = (*others, (m, degree - 1))
-    return lower, matrix[bernstein.rows_of_products(lower, (*((m, 0) for m, _ in others), (1, 1)))[0]]
+    return lower, matrix[
+        bernstein.rows_of_products(lower, (*((m, 0) for m, _ in others), (1, 1)))[0]
+    ]
 
 
 def nodes_of(ids: Any, *ends: Any) -> list[Any]:
     """Components (nodes, k) relative to the first node; of the `ends` (n, d) of a motion, all."""
-    xp, axes = namespace(ends[0]), range(ends[0].shape[1])
-    return [xp.concatenate([end[:, axis][ids] - end[:, axis][ids[:1]] for end in ends]) for axis in axes]
+    xp = namespace(ends[0])
+    axes = range(ends[0].shape[1])
+    return [
+        xp.concatenate([end[:, axis][ids] - end[:, axis][ids[:1]] for end in ends]) for axis in axes
+    ]

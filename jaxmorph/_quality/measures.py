@@ -88,7 +88,8 @@ def volume(kind: str, x: Vector) -> Scalar:
     trilinear cell. Of a cell of high order it is the integral of its Jacobian.
     """
     if kind in HIGH_ORDER:
-        values, weights = jacobians(kind, x)[0], jacobian_samples(kind)[1]
+        values = jacobians(kind, x)[0]
+        weights = jacobian_samples(kind)[1]
         return contracted(weights[None].astype(values.dtype), values)[0]
     if kind in ("line", "tetra"):
         return jacobians(kind, x)[0][0] / math.factorial(DIMENSION[kind])
@@ -135,11 +136,14 @@ def _tangents(derivatives: np.ndarray, x: Vector) -> list[Vector]:
 
 def linear_cells_at_nodes(kind: str, x: Vector) -> tuple[str, Vector]:
     """Linear cells of the tangents at high-order nodes: s k cells, node by node; or k linear."""
-    xp, shape = namespace(x[0]), SHAPES[kind]
+    xp = namespace(x[0])
+    shape = SHAPES[kind]
     if shape == kind:
         return kind, x
     rows = zip(*_tangents(derivatives_at_nodes(kind), x), strict=True)
-    return shape, combined(np.array(PLACES[shape]), Vector(xp.stack(parts).reshape(len(parts), -1) for parts in rows))
+    return shape, combined(
+        np.array(PLACES[shape]), Vector(xp.stack(parts).reshape(len(parts), -1) for parts in rows)
+    )
 
 
 def openings(kind: str, x: Vector) -> Samples:
@@ -148,7 +152,9 @@ def openings(kind: str, x: Vector) -> Samples:
     return product * (kind in HIGH_ORDER or (len(FRAMES[kind]) > 1 and kind != "triangle"))
 
 
-def skewness(kind: str, x: Vector, maximum: Callable[[Float[Either, "t k"]], Scalar] = largest) -> Scalar:
+def skewness(
+    kind: str, x: Vector, maximum: Callable[[Float[Either, "t k"]], Scalar] = largest
+) -> Scalar:
     """The skewness: 0 for the ideal cell, 1 for a degenerate one.
 
     It is the `maximum` of several terms, which may be a smooth stand-in. Quad and hexahedron: the
@@ -169,8 +175,12 @@ def skewness(kind: str, x: Vector, maximum: Callable[[Float[Either, "t k"]], Sca
         return maximum(xp.concatenate([cosines, -cosines]))
     terms = []
     for group in faces_by_size(kind):
-        size, corners = len(group[0]), columns(x, group)
-        angles = [angle(corners[(i + 1) % size] - here, corners[i - 1] - here) for i, here in enumerate(corners)]
+        size = len(group[0])
+        corners = columns(x, group)
+        angles = [
+            angle(corners[(i + 1) % size] - here, corners[i - 1] - here)
+            for i, here in enumerate(corners)
+        ]
         terms += _deviations(xp.concatenate(angles), math.pi * (size - 2) / size)
     if kind == "tetra":
         between = angle(*columns(face_areas(kind, x), itertools.combinations(range(4), 2)))
@@ -232,7 +242,9 @@ def scaled(x: Vector, size: PerCell) -> Vector:
 
 def reach(x: Vector) -> PerCell:
     xp = namespace(x[0])
-    return constant(functools.reduce(xp.maximum, [xp.abs(component).max(axis=0) for component in x]))
+    return constant(
+        functools.reduce(xp.maximum, [xp.abs(component).max(axis=0) for component in x])
+    )
 
 
 def centre_of_mass(kind: str, x: Vector) -> Vector:
@@ -243,7 +255,8 @@ def centre_of_mass(kind: str, x: Vector) -> Vector:
     if kind == "quad":
         # weighs the triangles between the sides and the mean of the corners by projected areas
         corners = [x.at(i) for i in range(4)]
-        centre, normal = mean(corners), area_vector(corners)
+        centre = mean(corners)
+        normal = area_vector(corners)
         spokes = [corner - centre for corner in corners]
         weights = [dot(cross(spokes[i - 1], spoke), normal) for i, spoke in enumerate(spokes)]
         moment = total((spokes[i - 1] + spoke) * weights[i] for i, spoke in enumerate(spokes))

@@ -82,7 +82,9 @@ class Proof(Report):
     valid = property(lambda self: int(self.is_valid.sum()))
     invalid = property(lambda self: int(self.is_invalid.sum()))
     unknown = property(lambda self: int(self.is_unknown.sum()))
-    from_start = property(lambda self: 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum()))
+    from_start = property(
+        lambda self: 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
+    )
     is_unknown = property(lambda self: self.counted & ~self.is_valid & ~self.is_invalid)
     margin = property(lambda self: self.lower / self._unit)
     min_margin = property(lambda self: self.min("margin"))
@@ -102,7 +104,8 @@ class Proof(Report):
         start = f", {self.from_start} from the start" if self.from_start else ""
         cure = "Try smaller steps or `improve`." if self.invalid else "Try a larger `depth`."
         raise ValueError(
-            f"{self.invalid} of {self.count} cells fold inside{start}, {self.unknown} are not proven, first cell {self.ids[first]} "
+            f"{self.invalid} of {self.count} cells fold inside{start}, {self.unknown} are not "
+            f"proven, first cell {self.ids[first]} "
             f"({self.type_of(first)}) near {place_of(self, first)}. {cure}"
         )
 
@@ -116,17 +119,25 @@ class Proof(Report):
 
     def __str__(self) -> str:
         when = "" if self.time is None else " during the motion"
-        lines = [f"{self.count} cells: {self.valid} proven valid, {self.invalid} invalid, {self.unknown} unknown"]
+        lines = [
+            f"{self.count} cells: {self.valid} proven valid, {self.invalid} invalid, "
+            f"{self.unknown} unknown"
+        ]
         if self.from_start:
             lines.append(f"{self.from_start} of them are invalid from the start of the motion.")
         if flat := int((self.is_flat & self.counted).sum()):
-            lines.append(f"{flat} of the unknown have det J = 0 to round-off: no depth decides them.")
+            lines.append(
+                f"{flat} of the unknown have det J = 0 to round-off: no depth decides them."
+            )
         lines.append(f"least det J{when} over the undeformed cell's mean, at depth {self.depth}:")
         time = "" if self.time is None else f"{'time':<5}"
-        lines.append(f"{'cell':<8}{'type':<10}{'at least':>9}{'at most':>9} {time}{'inside':<15}near")
+        lines.append(
+            f"{'cell':<8}{'type':<10}{'at least':>9}{'at most':>9} {time}{'inside':<15}near"
+        )
         for cell in self.worst():
             time = "" if self.time is None else f"{_short(self.time[cell]):<5}"
-            inside, near = " ".join(map(_short, self.reference[cell])), re.sub("[(,)]", "", place_of(self, cell))
+            inside = " ".join(map(_short, self.reference[cell]))
+            near = re.sub("[(,)]", "", place_of(self, cell))
             numbers = f"{self.margin[cell]:>9.2g}{self.upper[cell] / self._unit[cell]:>9.2g}"
             kind = re.sub("^(tri|tet|hex)[a-z]*", r"\1", self.type_of(cell))
             lines.append(f"{self.ids[cell]:<8}{kind:<10}{numbers} {time}{inside:<15}{near}")
@@ -138,7 +149,13 @@ def _short(share: Any) -> str:
 
 
 @checked
-def proof(mesh: Mesh, points: PointsLike | None = None, *, base: PointsLike | None = None, depth: int = DEPTH) -> Proof:
+def proof(
+    mesh: Mesh,
+    points: PointsLike | None = None,
+    *,
+    base: PointsLike | None = None,
+    depth: int = DEPTH,
+) -> Proof:
     """Proves that cells fold nowhere inside: bounds det J, at `points` or during a motion.
 
     `quality` judges corners, between which a hexahedron or a curved cell may fold. Here det J is
@@ -162,11 +179,15 @@ def proof(mesh: Mesh, points: PointsLike | None = None, *, base: PointsLike | No
     `points` or `base`, and traced points.
     """
     whole("depth", depth, 0)
-    states = {"points": mesh.points if points is None else points} | ({} if base is None else {"base": base})
+    states = {"points": mesh.points if points is None else points} | (
+        {} if base is None else {"base": base}
+    )
     for name, x in states.items():
         places(mesh, x, name)
     if not is_known(states, mesh.points, tuple(mesh.cells.values())):
-        raise ValueError("`proof` speaks on the host and takes no traced points. `proven_margin` is traced.")
+        raise ValueError(
+            "`proof` speaks on the host and takes no traced points. `proven_margin` is traced."
+        )
     check_solid(mesh, "det J is defined for these alone")
     ends = tuple(np.asarray(x, float) for x in list(states.values())[::-1])
     with np.errstate(all="ignore"):  # coordinates may be NaN
@@ -175,12 +196,20 @@ def proof(mesh: Mesh, points: PointsLike | None = None, *, base: PointsLike | No
 
 def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     """Bounds det J at one end or between two; folded pieces of polyhedra are unknown."""
-    base, signs, has_time = np.asarray(mesh.points, float), signs_of(mesh), len(ends) == 2
-    counted = np.repeat([DIMENSION[kind] == base.shape[1] for kind in mesh.cells], list(map(len, mesh.cells.values())))
+    base = np.asarray(mesh.points, float)
+    signs = signs_of(mesh)
+    has_time = len(ends) == 2
+    counted = np.repeat(
+        [DIMENSION[kind] == base.shape[1] for kind in mesh.cells],
+        list(map(len, mesh.cells.values())),
+    )
     columns = {}
     for kind, ids in solid(mesh.cells, base.shape[1]).items():
-        size, bound = _room(np, form_of(kind, has_time)), functools.partial(_bounded, kind, base, ends, depth)
-        columns[kind] = in_blocks(np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size)
+        size = _room(np, form_of(kind, has_time))
+        bound = functools.partial(_bounded, kind, base, ends, depth)
+        columns[kind] = in_blocks(
+            np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size
+        )
 
     def among_all(rows: Float[np.ndarray, "*n s"]) -> Float[np.ndarray, "*n k"]:
         result = np.full((*rows.shape[:-1], len(counted)), np.nan)
@@ -188,7 +217,8 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
         return result
 
     found = jax.tree.map(among_all, joined(np, columns))
-    lower, upper = found["lower"], found["upper"]
+    lower = found["lower"]
+    upper = found["upper"]
     is_invalid = counted & ((found["value"] < 0) & (upper < 0) | np.isnan(upper))
     if mesh.polyhedra is not None:
         is_invalid &= ~np.isin(mesh.cell_ids, mesh.polyhedra.cut)
@@ -217,7 +247,8 @@ def _mean(form: JacobianForm, points: Points, ids: Int[Either, "c k"]) -> PerCel
 def _bounded(
     kind: str, base: np.ndarray, ends: tuple, depth: int, ids: Int[np.ndarray, "c k"], sign: Any
 ) -> dict[str, np.ndarray]:
-    form, x = form_of(kind, len(ends) == 2), nodes_of(ids, *ends)
+    form = form_of(kind, len(ends) == 2)
+    x = nodes_of(ids, *ends)
     columns = form.columns(x)
     found = bounds(form.space, sign * form.determinant(columns), form.round_off(x, columns), depth)
     at = form.inside(found.at)
@@ -239,7 +270,12 @@ TRACED_ROOM = 1 << 22  # coefficients in a block of JAX
 
 @checked
 def proven_margin(
-    mesh: Mesh, points: PointsLike, *, base: PointsLike | None = None, depth: int = 0, sharpness: float | None = None
+    mesh: Mesh,
+    points: PointsLike,
+    *,
+    base: PointsLike | None = None,
+    depth: int = 0,
+    sharpness: float | None = None,
 ) -> Float[Array, " k"]:
     """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
@@ -261,36 +297,48 @@ def proven_margin(
 
     **Raises:** `ValueError` as `proof` does, and for a `sharpness` that is not positive.
     """
-    now, start = places(mesh, points), None if base is None else places(mesh, base, "base")
+    now = places(mesh, points)
+    start = None if base is None else places(mesh, base, "base")
     whole("depth", depth, 0)
     if sharpness is not None and is_known(sharpness):
         between("sharpness", sharpness, 0)
     check_solid(mesh, "det J is defined for these alone")
-    with jax.ensure_compile_time_eval():  # else XLA would compute it from constants while it compiles
+    with (
+        jax.ensure_compile_time_eval()
+    ):  # else XLA would compute it from constants while it compiles
         sizes = _undeformed(mesh.cells, jnp.asarray(mesh.points, now.dtype), signs_of(mesh))
     ends = (now,) if start is None else (start, now)
     return as_jax(_margins(mesh.cells, sizes, ends, depth, sharpness))
 
 
 def _room(xp: Any, form: JacobianForm, parts: int = 1) -> int:
-    return max(1 if xp is np else 64, (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts))
+    return max(
+        1 if xp is np else 64,
+        (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts),
+    )
 
 
 @by_place
 def _undeformed(cells: ByType, points: Points, signs: ByType) -> ByType:
     """Mean det J of undeformed cells, with the proper sign; that sign where the mean is zero."""
-    xp, sizes = namespace(points), {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
+    xp = namespace(points)
+    sizes = {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
     for kind, ids in cells.items():
         if DIMENSION[kind] == points.shape[1]:
             form = form_of(kind)
-            size = in_blocks(xp, functools.partial(_mean, form, points), ids.T, size=_room(xp, form))
+            size = in_blocks(
+                xp, functools.partial(_mean, form, points), ids.T, size=_room(xp, form)
+            )
             sizes[kind] *= abs(xp.where(size == 0, 1, size))
     return sizes
 
 
 @by_place
-def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any) -> PerCell:
-    xp, margins = namespace(ends[0]), {}
+def _margins(
+    cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any
+) -> PerCell:
+    xp = namespace(ends[0])
+    margins = {}
     for kind, ids in cells.items():
         if DIMENSION[kind] == ends[0].shape[1]:
             form = form_of(kind, len(ends) == 2)
@@ -303,9 +351,15 @@ def _margins(cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int,
 
 
 def _margin(
-    form: JacobianForm, ends: tuple[Either, ...], depth: int, sharpness: Any, ids: Int[Either, "c k"], size: PerCell
+    form: JacobianForm,
+    ends: tuple[Either, ...],
+    depth: int,
+    sharpness: Any,
+    ids: Int[Either, "c k"],
+    size: PerCell,
 ) -> PerCell:
-    xp, values = namespace(ends[0]), form.coefficients(nodes_of(ids, *ends)) / size[None]
+    xp = namespace(ends[0])
+    values = form.coefficients(nodes_of(ids, *ends)) / size[None]
     for _ in range(depth):
         values = bernstein.halved(form.space, values)
     values = values.reshape(-1, ids.shape[1])

@@ -14,12 +14,33 @@ from .._host.cells.topology import CORNERS, DIMENSION, FACES, HIGH_ORDER, SHAPES
 from .._host.linear.products import FLAT
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
-from .._kernels.values import Either, array, as_jax, constant, is_known, largest, namespace, smallest
+from .._kernels.values import (
+    Either,
+    array,
+    as_jax,
+    constant,
+    is_known,
+    largest,
+    namespace,
+    smallest,
+)
 from .._mesh.mesh import Mesh, PointsLike
 from . import measures
 from .bounds import least_jacobian
 from .report import QualityReport
-from .vector import ByType, Ids, Marks, PerCell, Points, Samples, Vector, by_place, by_type, joined, middle
+from .vector import (
+    ByType,
+    Ids,
+    Marks,
+    PerCell,
+    Points,
+    Samples,
+    Vector,
+    by_place,
+    by_type,
+    joined,
+    middle,
+)
 
 
 @checked
@@ -81,12 +102,16 @@ def inverted(mesh: Mesh, points: PointsLike) -> Bool[Array, " k"]:
 
 def places(mesh: Mesh, points: PointsLike | None, name: str = "points") -> Float[Array, "n d"]:
     if not isinstance(mesh, Mesh):
-        raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
+        raise ValueError(
+            f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}."
+        )
     if not sum(len(corners) for corners in mesh.cells.values()):
         raise ValueError("the mesh has no cells; its quality is not defined.")
     current = array(mesh.points if points is None else points)
     if current.shape != tuple(mesh.points.shape):
-        raise ValueError(f"`{name}` has shape {current.shape}; this mesh has {tuple(mesh.points.shape)}.")
+        raise ValueError(
+            f"`{name}` has shape {current.shape}; this mesh has {tuple(mesh.points.shape)}."
+        )
     return current if jnp.issubdtype(current.dtype, jnp.floating) else current.astype(float)
 
 
@@ -111,7 +136,8 @@ def link(cells: ByType) -> Links:
 
     if is_known(*cells.values()):
         return Links(*linked(*(np.asarray(corners) for corners in cells.values())))
-    faces, count = sum(len(FACES[kind]) * len(ids) for kind, ids in cells.items()), sum(map(len, cells.values()))
+    faces = sum(len(FACES[kind]) * len(ids) for kind, ids in cells.items())
+    count = sum(map(len, cells.values()))
     structure = jax.ShapeDtypeStruct((faces + 2 * count,), np.int32)
     found = host_call(lambda *corners: np.concatenate(linked(*corners)), structure, *cells.values())
     return Links(*jnp.split(found, (faces, faces + count)))
@@ -124,14 +150,20 @@ def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Ids]:
 @by_place
 def _signs(cells: ByType, links: Links, points: Points) -> ByType:
     """The sign of each cell by the volume of its part of the mesh; none in lower dimension."""
-    xp, volumes = namespace(points), by_type(volume_of, points, cells)
+    xp = namespace(points)
+    volumes = by_type(volume_of, points, cells)
     volume = joined(xp, volumes)
     if xp is np:
         enclosed = np.bincount(links.part, links.sign * volume, len(volume))
     else:
         enclosed = jax.ops.segment_sum(links.sign * volume, links.part, num_segments=len(volume))
-    parts = _split((links.sign * xp.where(enclosed < 0, -1, 1)[links.part]).astype(np.int8), volumes)
-    return {k: part if DIMENSION[k] == points.shape[1] else xp.ones_like(part) for k, part in parts.items()}
+    parts = _split(
+        (links.sign * xp.where(enclosed < 0, -1, 1)[links.part]).astype(np.int8), volumes
+    )
+    return {
+        k: part if DIMENSION[k] == points.shape[1] else xp.ones_like(part)
+        for k, part in parts.items()
+    }
 
 
 class Standard(NamedTuple):
@@ -156,7 +188,9 @@ def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str
         (volume, sign), ids = (joined(jnp, part) for part in (volumes, signs)), mesh.cell_ids
         whole = jax.ops.segment_sum(sign * volume, ids, num_segments=int(ids.max()) + 1)[ids]
         is_sound = np.isin(ids, mesh.polyhedra.cut) & (whole > 0)
-        signs = _split(jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes)
+        signs = _split(
+            jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes
+        )
     return _standards(mesh.cells, jnp.asarray(mesh.points, dtype), signs)
 
 
@@ -170,22 +204,28 @@ def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
     openings = _with_largest(measures.openings(kind, x), len(jacobians))
     flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)
     folded = ~flat & (sign * volume < 0)
-    sizes = xp.where(folded, xp.abs(jacobians), sign[None] * jacobians)  # of a folded cell all corners count
+    sizes = xp.where(
+        folded, xp.abs(jacobians), sign[None] * jacobians
+    )  # of a folded cell all corners count
     judged = sizes > xp.maximum(noise, FLAT * openings)
-    none, least = ~xp.any(judged, axis=0), smallest(xp.where(judged, sizes, xp.inf))
+    none = ~xp.any(judged, axis=0)
+    least = smallest(xp.where(judged, sizes, xp.inf))
     size = xp.where(flat, 1, sign * xp.abs(volume))
     return Standard(sign, size, flat, xp.where(none, 1, least), judged, none, folded)
 
 
 @by_place
-def _columns(cells: ByType, links: Links, points: Points, standards: dict[str, Standard] | None) -> dict[str, Either]:
+def _columns(
+    cells: ByType, links: Links, points: Points, standards: dict[str, Standard] | None
+) -> dict[str, Either]:
     if standards is None:
         signs = _signs(cells, links, points)
         columns = by_type(_judged_alone, points, cells, signs)
     else:
         signs = {kind: standard.sign for kind, standard in standards.items()}
         columns = by_type(_judged, points, cells, standards)
-    columns, angles = joined(namespace(points), columns), non_orthogonality(points, cells, signs, links.neighbour)
+    columns = joined(namespace(points), columns)
+    angles = non_orthogonality(points, cells, signs, links.neighbour)
     return columns | {"non_orthogonality": angles, "centroid": columns["centroid"].T}
 
 
@@ -260,7 +300,8 @@ def _relative(volume: Either, jacobians: Either, standard: Standard) -> dict[str
 
 def _judged_alone(kind: str, x: Vector, sign: Ids) -> dict[str, Either]:
     volume, jacobians, noise = sizes_of(kind, x)
-    xp, turned = namespace(volume), sign[None] * jacobians
+    xp = namespace(volume)
+    turned = sign[None] * jacobians
     return {
         "volume": volume,
         "jacobian": smallest(turned),
@@ -277,33 +318,52 @@ def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) 
 
 
 def non_orthogonality(
-    points: Points, cells: ByType, signs: ByType, neighbour: Either, maximum: Callable = largest_inner
+    points: Points,
+    cells: ByType,
+    signs: ByType,
+    neighbour: Either,
+    maximum: Callable = largest_inner,
 ) -> PerCell:
     """The largest angle over the inner faces of each cell, 0 for a cell without any; `maximum` may
     be a smooth stand-in. Centres are relative to the first corner of their cell: their differences
     do not lose digits.
     """
     xp = namespace(points)
-    cells = {kind: ids[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners
+    cells = {
+        kind: ids[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()
+    }  # of a curved cell the corners
     origins, centres = map(Vector, joined(xp, by_type(_centre, points, cells)))
 
     def angles(kind: str, x: Vector, sign: Either, behind: Int[Either, "f k"], here: Ids) -> Either:
         if not FACES[kind]:
             return xp.zeros_like(x[0][0])
         relative, size = measures.relative_corners(x)
-        other, here = xp.where(behind < 0, here, behind), here[None]
+        other = xp.where(behind < 0, here, behind)
+        here = here[None]
         between = (origins.at(other) - origins.at(here)) + (centres.at(other) - centres.at(here))
         areas = measures.face_areas(SHAPES[kind], measures.scaled(relative, size)) * sign[None]
-        degrees = measures.non_orthogonality(areas, between * (1 / size)[None], DIMENSION[kind] < len(areas))
+        degrees = measures.non_orthogonality(
+            areas, between * (1 / size)[None], DIMENSION[kind] < len(areas)
+        )
         return maximum(degrees, behind >= 0)
 
-    here, behind, first, used = {}, {}, 0, 0
+    here = {}
+    behind = {}
+    first = 0
+    used = 0
     for kind, ids in cells.items():
-        k, f = len(ids), len(FACES[kind])
-        here[kind], behind[kind] = xp.arange(first, first + k), neighbour[used : used + f * k].reshape(k, f).T
-        first, used = first + k, used + f * k
+        k = len(ids)
+        f = len(FACES[kind])
+        here[kind], behind[kind] = (
+            xp.arange(first, first + k),
+            neighbour[used : used + f * k].reshape(k, f).T,
+        )
+        first = first + k
+        used = used + f * k
     return joined(xp, by_type(angles, points, cells, signs, behind, here))
 
 
 def _centre(kind: str, x: Vector) -> tuple[tuple, tuple]:
-    return tuple(x.at(0)), tuple(measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]))
+    return tuple(x.at(0)), tuple(
+        measures.centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0])
+    )

@@ -16,8 +16,26 @@ from .._kernels.values import Either, array, is_known, largest, on_host, smalles
 PerCell = Float[Array, " k"]
 Mask = Bool[Array, " k"]
 
-MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian", "volume_ratio", "jacobian_ratio")
-SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio", "pyramid", "margin", "lower", "upper", "_least")
+MEASURES = (
+    "skewness",
+    "aspect_ratio",
+    "non_orthogonality",
+    "volume",
+    "jacobian",
+    "volume_ratio",
+    "jacobian_ratio",
+)
+SMALL_IS_BAD = (
+    "volume",
+    "jacobian",
+    "volume_ratio",
+    "jacobian_ratio",
+    "pyramid",
+    "margin",
+    "lower",
+    "upper",
+    "_least",
+)
 """Measures whose smallest value is the worst; of others the largest one is."""
 
 
@@ -73,14 +91,21 @@ class Report:
         number.
         """
         whole("k", k, 0)
-        ids, has_levels = np.flatnonzero(self.counted), by is None
+        ids = np.flatnonzero(self.counted)
+        has_levels = by is None
         name = self.rank if by is None else by
-        values = np.asarray(getattr(self, name) if has_levels else self._measure(name), dtype=float)[ids]
+        values = np.asarray(
+            getattr(self, name) if has_levels else self._measure(name), dtype=float
+        )[ids]
         badness = np.where(np.isnan(values), np.inf, -values if name in SMALL_IS_BAD else values)
         levels = self._levels[ids].astype(int) if has_levels else np.zeros(len(ids), dtype=int)
         if 0 < k < len(ids):  # only cells that may be among the first k are sorted
-            near = (levels < levels.max()) | (badness >= np.partition(badness, len(ids) - k)[len(ids) - k])
-            ids, badness, levels = ids[near], badness[near], levels[near]
+            near = (levels < levels.max()) | (
+                badness >= np.partition(badness, len(ids) - k)[len(ids) - k]
+            )
+            ids = ids[near]
+            badness = badness[near]
+            levels = levels[near]
         return ids[np.lexsort((-badness, levels))][:k]
 
     @property
@@ -96,13 +121,16 @@ class Report:
         if len(bad):
             are = "cell is" if len(bad) == 1 else "cells are"
             raise ValueError(
-                f"{len(bad)} of {self.count} {are} inverted, first cell {bad[0]} near {place_of(self, bad[0])}. "
+                f"{len(bad)} of {self.count} {are} inverted, first cell {bad[0]} near "
+                f"{place_of(self, bad[0])}. "
                 "jm.inspect(plan, u, mesh=mesh) looks for what helps."
             )
 
     def _measure(self, name: str) -> Any:
         if name not in self.measures:
-            raise ValueError(f"no measure is called {name!r}; there are {', '.join(self.measures)}.")
+            raise ValueError(
+                f"no measure is called {name!r}; there are {', '.join(self.measures)}."
+            )
         return getattr(self, name)
 
     def _over_cells(self, reduce: Callable, *values: Any) -> Any:
@@ -112,7 +140,9 @@ class Report:
         lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
         for name in names:
             cell = self.worst(1, by=name)[0]
-            numbers = "".join(f"{float(value(name)):>10.3g}" for value in (self.min, self.mean, self.max))
+            numbers = "".join(
+                f"{float(value(name)):>10.3g}" for value in (self.min, self.mean, self.max)
+            )
             lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of(self, cell)}")
         return "\n".join(lines)
 
@@ -187,7 +217,9 @@ class QualityReport(Report, Module):
     @property
     def from_start(self) -> Int[Array, "..."]:
         was = jnp.zeros_like(self.is_inverted) if self.was_inverted is None else self.was_inverted
-        return self._over_cells(lambda xp, flags, was: xp.sum(flags & was, axis=-1), self.is_inverted, was)
+        return self._over_cells(
+            lambda xp, flags, was: xp.sum(flags & was, axis=-1), self.is_inverted, was
+        )
 
     mean_skewness = _number("mean", "skewness")
     max_skewness = _number("max", "skewness")
@@ -205,7 +237,10 @@ class QualityReport(Report, Module):
             return repr(self)
         counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
         old = f" ({int(self.from_start)} of them from the start)" if int(self.from_start) else ""
-        heading = f"{counted}: {int(self.inverted)} inverted{old}, {int(self.degenerate)} degenerate from the start"
+        heading = (
+            f"{counted}: {int(self.inverted)} inverted{old}, {int(self.degenerate)} degenerate "
+            "from the start"
+        )
         return self._table(heading, MEASURES if self.relative else MEASURES[:-2])
 
     def _top(self) -> list[tuple[str, int]]:
@@ -233,8 +268,11 @@ def _sum(xp: Any, flags: Either) -> Any:
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:
     """Averages by volume; infinite values give infinity, but for cells without volume."""
-    weight, infinite = xp.abs(volume), xp.isinf(values)
+    weight = xp.abs(volume)
+    infinite = xp.isinf(values)
     total = xp.sum(weight, axis=-1)
     # else a product with a value that does not count would have a derivative by the volume
-    mean = xp.sum(xp.where(infinite | (weight == 0), 0, values) * weight, axis=-1) / xp.where(total == 0, 1, total)
+    mean = xp.sum(xp.where(infinite | (weight == 0), 0, values) * weight, axis=-1) / xp.where(
+        total == 0, 1, total
+    )
     return xp.where(xp.any(infinite & (weight > 0), axis=-1), xp.inf, mean)

@@ -75,7 +75,9 @@ def smooth_quality(
 
 
 @compiled
-def _measured(cells: ByType, behind, points, standards: dict[str, Standard], options) -> SmoothQuality:
+def _measured(
+    cells: ByType, behind, points, standards: dict[str, Standard], options
+) -> SmoothQuality:
     shapes = functools.partial(_shapes, options)
     skewness, aspect, jacobian = joined(jnp, by_type(shapes, points, cells, standards))
     signs = {kind: standard.sign for kind, standard in standards.items()}
@@ -88,7 +90,9 @@ def _shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, .
     sharpness, softness = options
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
-    skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
+    skewness = measures.skewness(
+        kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0)
+    )
     ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
     least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
     ratio = jnp.where(standard.is_degenerate, 1, least)
@@ -113,12 +117,16 @@ def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> Per
     return 1 / positive_part(inverse, softness)
 
 
-def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> PerCell:
+def _largest_angle(
+    degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness
+) -> PerCell:
     unit = 90 / sharpness
     return _soft_maximum_where(jnp.sqrt(degrees**2 + unit**2) - unit, is_inner, 1 / unit)
 
 
-def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> PerCell:
+def _soft_maximum_where(
+    values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness
+) -> PerCell:
     number = jnp.sum(counts, axis=0)
     weights = jnp.where((number > 0)[None], counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)
@@ -145,9 +153,12 @@ def soft_maximum(
     **Raises:** `ValueError` for a sharpness that is not positive and finite, and an axis that is
     not there.
     """
-    values, sharpness = jnp.asarray(values), number("sharpness", 0)(sharpness)
+    values = jnp.asarray(values)
+    sharpness = number("sharpness", 0)(sharpness)
     if axis is not None and not -values.ndim <= axis < values.ndim:
-        raise ValueError(f"`axis` is {axis}; `values` have {values.ndim} axes, 0 to {values.ndim - 1}.")
+        raise ValueError(
+            f"`axis` is {axis}; `values` have {values.ndim} axes, 0 to {values.ndim - 1}."
+        )
     count = values.size if axis is None else values.shape[axis]
     largest = jax.scipy.special.logsumexp(sharpness * values, axis=axis)
     return (largest - jnp.log(jnp.asarray(count, values.dtype))) / sharpness

@@ -52,7 +52,9 @@ def corners(points: Points, ids: Shaped[Either, "k c"]) -> Vector:
 def columns(x: Vector, table: Iterable[Sequence[int]]) -> list[Vector]:
     """A vector for each column of a table of rows: every face's first corner, second, ..."""
     xp = namespace(x[0])
-    return [Vector(xp.stack([a[i] for i in column]) for a in x) for column in zip(*table, strict=True)]
+    return [
+        Vector(xp.stack([a[i] for i in column]) for a in x) for column in zip(*table, strict=True)
+    ]
 
 
 def combined(table: np.ndarray, x: Vector) -> Vector:
@@ -109,7 +111,9 @@ def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
 
 def angle(a: Vector, b: Vector) -> Scalar:
     """The angle in radians; 0, without a derivative, for a vector of no length."""
-    xp, sine, cosine = namespace(a[0]), norm(cross(a, b)), dot(a, b)
+    xp = namespace(a[0])
+    sine = norm(cross(a, b))
+    cosine = dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
     return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))
 
@@ -145,7 +149,8 @@ def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) 
     """
     leaves = jax.tree.leaves(rows)
     width = max(math.prod(leaf.shape[:-1]) for leaf in leaves)  # many values a cell, fewer cells
-    k, block = leaves[0].shape[-1], size or max((CACHED if xp is np else BLOCK) * 9 // max(width, 9), 64)
+    k = leaves[0].shape[-1]
+    block = size or max((CACHED if xp is np else BLOCK) * 9 // max(width, 9), 64)
     if k <= block:
         return function(*rows)
 
@@ -159,7 +164,9 @@ def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) 
         return jax.tree.map(lambda *parts: np.concatenate(parts, axis=-1), *results)
     every = jnp.minimum(jnp.arange(blocks * block), k - 1)  # the last cell fills the last block
     results = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, block))
-    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :k], results)
+    return jax.tree.map(
+        lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :k], results
+    )
 
 
 def by_type(function: Callable, points: Points, cells: ByType, *others: ByType) -> ByType:
@@ -170,7 +177,8 @@ def by_type(function: Callable, points: Points, cells: ByType, *others: ByType) 
 
     parts = {}
     for kind, ids in cells.items():
-        function_of_kind, rows = functools.partial(measured, kind), [other[kind] for other in others]
+        function_of_kind = functools.partial(measured, kind)
+        rows = [other[kind] for other in others]
         parts[kind] = in_blocks(namespace(points), function_of_kind, ids.T, *rows)
     return parts
 

@@ -25,7 +25,11 @@ LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
 PROVEN = "min_proven_margin"  # the limit that `Limits.proven` sets, to 0
 
 RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
-ROWS = tuple((kind, name) for name in ("skewness", "aspect_ratio", "non_orthogonality") for kind in ("mean", "max"))
+ROWS = tuple(
+    (kind, name)
+    for name in ("skewness", "aspect_ratio", "non_orthogonality")
+    for kind in ("mean", "max")
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +66,11 @@ class Limits:
     @property
     def by_name(self) -> dict[str, float]:
         """Limits that are set, by name; `proven` is `min_proven_margin`, 0."""
-        limits = {name: limit for name, limit in vars(self).items() if limit is not None and name != "proven"}
+        limits = {
+            name: limit
+            for name, limit in vars(self).items()
+            if limit is not None and name != "proven"
+        }
         return limits | ({PROVEN: 0.0} if self.proven else {})
 
 
@@ -91,7 +99,9 @@ class Judged:
 
     @functools.cached_property
     def by_faces(self) -> bool:
-        return self.mesh.polyhedra is not None or getattr(self.mesh.source, "format", "") == "OpenFOAM"
+        return (
+            self.mesh.polyhedra is not None or getattr(self.mesh.source, "format", "") == "OpenFOAM"
+        )
 
     @property
     def report(self) -> Report:
@@ -118,33 +128,55 @@ class Judged:
 
     def values(self, key: str) -> np.ndarray:
         """A measure of the counted cells. Raises `ValueError` for corners of polyhedra."""
-        if key in BY_FACES or key == "non_orthogonality":  # checkMesh's, exact also where faces are warped
+        if (
+            key in BY_FACES or key == "non_orthogonality"
+        ):  # checkMesh's, exact also where faces are warped
             return getattr(self.faces, BY_FACES.get(key, key))[self.counted]
         if self.mesh.polyhedra is not None:
             kind = "polyhedra" if np.shape(self.points)[1] == 3 else "polygons"
             raise ValueError(
-                f"{len(self.mesh.polyhedra.cut)} of {len(self.counted)} cells are {kind}, of which {key.replace('_', ' ')} "
-                "is not defined. Limits on face skewness, face aspect ratio and non-orthogonality measure them whole."
+                f"{len(self.mesh.polyhedra.cut)} of {len(self.counted)} cells are {kind}, of "
+                f"which {key.replace('_', ' ')} "
+                "is not defined. Limits on face skewness, face aspect ratio and "
+                "non-orthogonality measure them whole."
             )
-        of_mesh = self._proven_margin() if key == "proven_margin" else np.asarray(getattr(self.corners, key))
+        of_mesh = (
+            self._proven_margin()
+            if key == "proven_margin"
+            else np.asarray(getattr(self.corners, key))
+        )
         in_file = np.empty_like(of_mesh)
         in_file[self.mesh.cell_ids] = of_mesh
         return in_file[self.counted]
 
     def _proven_margin(self) -> np.ndarray:
         """The least margins over the motion, below 0 if not proven; off lines, at ends of steps."""
-        starts, ends = (self.mesh.points, *self.steps), (*self.steps, self.points)
+        starts = (self.mesh.points, *self.steps)
+        ends = (*self.steps, self.points)
         bases = starts if self.is_straight and self.before is not None else [None] * len(starts)
         proofs = [proof(self.mesh, end, base=base) for base, end in zip(bases, ends, strict=True)]
         below = -np.finfo(float).tiny
-        return np.min([np.where(step.is_valid, step.margin, np.minimum(step.margin, below)) for step in proofs], axis=0)
+        return np.min(
+            [
+                np.where(step.is_valid, step.margin, np.minimum(step.margin, below))
+                for step in proofs
+            ],
+            axis=0,
+        )
 
     def number(self, kind: str, value: Any, cell: Any) -> "Number":
-        return Number(kind, float(value), int(cell), tuple(np.asarray(self.report.centroid)[cell].tolist()), self.part)
+        return Number(
+            kind,
+            float(value),
+            int(cell),
+            tuple(np.asarray(self.report.centroid)[cell].tolist()),
+            self.part,
+        )
 
     def gate(self, name: str, limit: float, before: "Gate | None") -> "tuple[Gate, np.ndarray]":
         """Compares all cells with a limit; also lists those beyond it."""
-        kind, values = name[:3], self.values(name[4:]).astype(float)
+        kind = name[:3]
+        values = self.values(name[4:]).astype(float)
         sign = 1 if kind == "max" else -1
         badness = np.where(np.isnan(values), np.inf, sign * values)
         rows = np.flatnonzero(badness > sign * limit)
@@ -155,16 +187,22 @@ class Judged:
 
     @property
     def rows(self) -> "Rows":
-        report, rows, keys = self.report, {}, {}
+        report = self.report
+        rows = {}
+        keys = {}
         last = RATIOS
         if self.by_faces:
-            keys, last = {measure: key for key, measure in BY_FACES.items()}, (("min", "pyramid"), RATIOS[0])
+            keys = {measure: key for key, measure in BY_FACES.items()}
+            last = (("min", "pyramid"), RATIOS[0])
         weight = float(np.abs(np.asarray(report.volume)[self.counted]).sum())
         for kind, name in (*ROWS, ("min", "volume"), *last):
-            value, key = float(getattr(report, kind)(name)), (kind, keys.get(name, name))
+            value = float(getattr(report, kind)(name))
+            key = (kind, keys.get(name, name))
             if kind != "mean":
                 rows[key] = self.number(kind, value, report.worst(1, by=name)[0])
-            elif self.part is None or name != "non_orthogonality":  # checkMesh's mean is over faces, which parts share
+            elif (
+                self.part is None or name != "non_orthogonality"
+            ):  # checkMesh's mean is over faces, which parts share
                 rows[key] = Number(kind, value, part=self.part, weight=weight)
         return rows
 
@@ -220,12 +258,19 @@ class Gate:
 
     @property
     def start(self) -> float | None:
-        return self.before.extreme.value if self.before and self.name != "min_jacobian_ratio" else None
+        return (
+            self.before.extreme.value if self.before and self.name != "min_jacobian_ratio" else None
+        )
 
     @property
     def facts(self) -> dict[str, Any]:
         values = {"before": self.start, "after": self.extreme.value, "beyond": self.beyond}
-        return {"gate": self.name, "limit": self.limit, **values, "worst": [cell.facts for cell in self.worst]}
+        return {
+            "gate": self.name,
+            "limit": self.limit,
+            **values,
+            "worst": [cell.facts for cell in self.worst],
+        }
 
     def lines(self, cells: int) -> tuple[str, list[str]]:
         """The row of a table, and rows of the worst of so many cells."""
@@ -289,7 +334,9 @@ class Verdict:
     def together(cls, parts: "Sequence[Verdict]") -> "Verdict":
         """Joins the verdicts on the parts of a mesh. Raises `ValueError` for anything else."""
         if not isinstance(parts, Sequence) or set(map(type, parts)) != {cls}:
-            raise ValueError(f"`parts` must be verdicts on the parts of a mesh, not {shown(parts)}.")
+            raise ValueError(
+                f"`parts` must be verdicts on the parts of a mesh, not {shown(parts)}."
+            )
         of = {name: [getattr(part, name) for part in parts] for name in cls.__dataclass_fields__}
         spoilt, before = (list(filter(None, of[name])) for name in ("worst", "before"))
         return cls(
@@ -307,19 +354,30 @@ class Verdict:
         )
 
     @checked
-    def faults(self, name_of: Callable[[Gate], str] = lambda gate: f"{gate.name} {gate.limit:g}") -> list[str]:
+    def faults(
+        self, name_of: Callable[[Gate], str] = lambda gate: f"{gate.name} {gate.limit:g}"
+    ) -> list[str]:
         """Lists a sentence for the cells that the motion has inverted, and one for each limit."""
         sentences = []
         if self.worst is not None:
-            are, s = "is" if self.spoilt == 1 else "are", "s" * (self.cells != 1)
+            are = "is" if self.spoilt == 1 else "are"
+            s = "s" * (self.cells != 1)
             where = f"the worst is {self.worst.full_name} near {self.worst.place}"
-            sentences.append(f"{self.spoilt} of {self.cells} cell{s} {are} inverted, {where}, by {self.rule}.")
+            sentences.append(
+                f"{self.spoilt} of {self.cells} cell{s} {are} inverted, {where}, by {self.rule}."
+            )
         for gate in self.gates:
             if gate.beyond:
                 are = "cell is" if gate.beyond == 1 else "cells are"
-                old = f" ({gate.before.beyond} before the motion)" if gate.before and gate.before.beyond else ""
+                old = (
+                    f" ({gate.before.beyond} before the motion)"
+                    if gate.before and gate.before.beyond
+                    else ""
+                )
                 where = f"the worst is {gate.worst[0].full_name}"
-                sentences.append(f"{gate.beyond} of {self.cells} {are} beyond {name_of(gate)}{old}, {where}.")
+                sentences.append(
+                    f"{gate.beyond} of {self.cells} {are} beyond {name_of(gate)}{old}, {where}."
+                )
         return sentences
 
     @checked
@@ -329,9 +387,15 @@ class Verdict:
         """
         parts = f" in {self.parts} parts" if self.parts else ""
         note = f", {self.degenerate} degenerate from the start" if self.degenerate else ""
-        lines = [f"quality of {self.cells} cells{parts}, inverted by {self.rule}{note}", *self._measures()]
+        lines = [
+            f"quality of {self.cells} cells{parts}, inverted by {self.rule}{note}",
+            *self._measures(),
+        ]
         if self.parts:
-            lines.append(f"{self.between} faces between parts are not judged: their skewness and non-orthogonality.")
+            lines.append(
+                f"{self.between} faces between parts are not judged: their skewness and "
+                "non-orthogonality."
+            )
         tables = ["\n".join([*lines, *more])]
         if self.gates:
             now = "now" if self.before is None else "after"
@@ -342,7 +406,11 @@ class Verdict:
 
     def _measures(self) -> list[str]:
         """A row for each measure: without ratios, or after a motion without volume."""
-        columns = f"{'':>12}   worst cell" if self.before is None else f"{'before':>12}{'after':>12}   worst cell after"
+        columns = (
+            f"{'':>12}   worst cell"
+            if self.before is None
+            else f"{'before':>12}{'after':>12}   worst cell after"
+        )
         lines = [f"{'':<23}{columns}"]
         for row, number in self.rows.items():
             if (row in RATIOS) if self.before is None else row[1] == "volume":
@@ -361,9 +429,17 @@ class Verdict:
     @property
     def facts(self) -> dict[str, Any]:
         """The numbers by name, for output as JSON."""
-        facts: dict[str, Any] = {"cells": self.cells, "inverted": self.inverted, "inverted_by": self.rule}
+        facts: dict[str, Any] = {
+            "cells": self.cells,
+            "inverted": self.inverted,
+            "inverted_by": self.rule,
+        }
         facts |= {f"{kind}_{name}": number.value for (kind, name), number in self.rows.items()}
-        return facts | {f"worst_{name}": number.facts for (kind, name), number in self.rows.items() if kind != "mean"}
+        return facts | {
+            f"worst_{name}": number.facts
+            for (kind, name), number in self.rows.items()
+            if kind != "mean"
+        }
 
     @property
     def gate_facts(self) -> list[dict[str, Any]]:
@@ -417,13 +493,17 @@ def judge(
         return _verdict(Judged(mesh, mesh.points, part=part), limits, None)
     points = real_array("points", points, tuple(mesh.points.shape))
     before = judge(mesh, None, limits, part=part) if before is None else before
-    judged = Judged(mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight, part)
+    judged = Judged(
+        mesh, points, before.judged or Judged(mesh, mesh.points), steps, is_straight, part
+    )
     verdict = _verdict(judged, limits, before)
     return verdict if part is None else verdict.of_part()
 
 
 def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
-    spoilt, worst, old = judged.spoilt, None, {} if before is None else {gate.name: gate for gate in before.gates}
+    spoilt = judged.spoilt
+    worst = None
+    old = {} if before is None else {gate.name: gate for gate in before.gates}
     gates = [judged.gate(name, limit, old.get(name)) for name, limit in limits.by_name.items()]
     if len(spoilt):
         values = getattr(judged.report, "pyramid" if judged.by_faces else "jacobian_ratio")

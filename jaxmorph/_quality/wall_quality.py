@@ -39,9 +39,11 @@ class WallQuality(Module):
     max_height = property(lambda self: largest(self.height, axis=-1))
 
     def __str__(self) -> str:
-        angle, height = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)", self.height
+        angle = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)"
+        height = self.height
         return (
-            f"{len(self.nodes)} wall nodes: first grid line {angle} degrees off its own angle to the wall; "
+            f"{len(self.nodes)} wall nodes: first grid line {angle} degrees off its own angle to "
+            "the wall; "
             f"first cell {float(height.min()):.3g} to {float(height.max()):.3g} of its height"
         )
 
@@ -80,7 +82,9 @@ def wall_quality(
     if softness is not None and is_known(softness):
         between("softness", softness, 0)
     names = (wall,) if isinstance(wall, str) else wall
-    has_names = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
+    has_names = (
+        np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
+    )
     ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
     lines = first_lines(jax.tree.map(np.asarray, mesh.cells), np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
@@ -89,7 +93,9 @@ def wall_quality(
 
 
 @by_place
-def _measured(lines: Lines, reference: Points, points: Points, softness: Any) -> tuple[Heights, Heights]:
+def _measured(
+    lines: Lines, reference: Points, points: Points, softness: Any
+) -> tuple[Heights, Heights]:
     xp = namespace(points)
     (start, high), (now, height) = (_components(lines, x) for x in (reference, points))
     degrees = xp.rad2deg(angle(start, now))
@@ -106,7 +112,8 @@ def _components(lines: Lines, x: Points) -> tuple[Vector, Heights]:
             np.add.at(areas, rows[rows < len(areas)], area[rows < len(areas)])
         else:
             areas = areas.at[rows].add(area, mode="drop")
-    normal, line = unit(Vector(areas.T)), Vector(lines.directions(x).T)
+    normal = unit(Vector(areas.T))
+    line = Vector(lines.directions(x).T)
     height = dot(normal, Vector((x[lines.ends] - x[lines.nodes]).T))
     if len(normal) == 2:
         return Vector([dot(normal, line), *cross(normal, line)]), height

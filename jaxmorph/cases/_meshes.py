@@ -18,9 +18,14 @@ from jaxmorph.extend import between, checked, finite_array
 Section = Callable[[np.ndarray], np.ndarray]
 
 REFERENCE_POINTS = 39_666
-NOSE_SPACING, TRAILING_EDGE_SPACING = 0.003, 1.05e-3  # chords, along the wall, on the grid of REFERENCE_POINTS
-FARFIELD_X, RAY_LENGTH = 17.0, 15.0
-WAKE_FIRST_CELL, WAKE_WEIGHT = 1e-3, 0.892
+NOSE_SPACING, TRAILING_EDGE_SPACING = (
+    0.003,
+    1.05e-3,
+)  # chords, along the wall, on the grid of REFERENCE_POINTS
+FARFIELD_X = 17.0
+RAY_LENGTH = 15.0
+WAKE_FIRST_CELL = 1e-3
+WAKE_WEIGHT = 0.892
 SMALLEST_CELL = 1e-12  # chords: what float64 still resolves at the trailing edge
 LEAST_TURN = 0.1  # radians that neighbouring rays turn at least, per chord of wall between them
 
@@ -41,7 +46,14 @@ PARTS = {
     "hexahedron": ((0, 1, 2, 3, 4, 5, 6, 7),),
     "wedge": ((0, 5, 1, 3, 6, 2), (0, 4, 5, 3, 7, 6)),
     "tetra": ((0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)),
-    "pyramid": ((0, 1, 2, 3, 8), (4, 7, 6, 5, 8), (0, 4, 5, 1, 8), (1, 5, 6, 2, 8), (2, 6, 7, 3, 8), (3, 7, 4, 0, 8)),
+    "pyramid": (
+        (0, 1, 2, 3, 8),
+        (4, 7, 6, 5, 8),
+        (0, 4, 5, 1, 8),
+        (1, 5, 6, 2, 8),
+        (2, 6, 7, 3, 8),
+        (3, 7, 4, 0, 8),
+    ),
 }
 
 
@@ -68,7 +80,9 @@ def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
 
 
 @checked
-def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6, sharp: bool = False) -> jm.Mesh:
+def naca4(
+    code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6, sharp: bool = False
+) -> jm.Mesh:
     """Makes a C-grid around a NACA 4-digit airfoil, in chords: `cases.naca4("4412")`.
 
     Thickness is laid off normal to the camber line, and the trailing edge is blunt, as published
@@ -91,20 +105,36 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
     first tenth (9901, 9124).
     """
     if not (isinstance(code, str) and len(code) == 4 and code.isascii() and code.isdigit()):
-        raise ValueError(f"`code` is {code!r}; the NACA 4-digit family is written with four digits, such as '4412'.")
-    camber, place, thickness = int(code[0]) / 100, int(code[1]) / 10, int(code[2:]) / 100
+        raise ValueError(
+            f"`code` is {code!r}; the NACA 4-digit family is written with four digits, such as "
+            "'4412'."
+        )
+    camber = int(code[0]) / 100
+    place = int(code[1]) / 10
+    thickness = int(code[2:]) / 100
     if thickness == 0:
-        raise ValueError(f"`code` is {code!r}: by its last two digits the section has no thickness.")
+        raise ValueError(
+            f"`code` is {code!r}: by its last two digits the section has no thickness."
+        )
     if camber > 0 and place == 0:
-        raise ValueError(f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 tenths.")
+        raise ValueError(
+            f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 "
+            "tenths."
+        )
     section = functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015)
     return c_grid(section, points=points, first_cell=first_cell)
 
 
-def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
+def _section(
+    camber: float, place: float, thickness: float, last: float, t: np.ndarray
+) -> np.ndarray:
     """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above."""
     x = t**2
-    half = 5 * thickness * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
+    half = (
+        5
+        * thickness
+        * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
+    )
     ahead = x < place
     scale = camber / np.where(ahead, place, 1 - place) ** 2
     line = scale * (np.where(ahead, 0, 1 - 2 * place) + 2 * place * x - x**2)
@@ -115,7 +145,12 @@ def _section(camber: float, place: float, thickness: float, last: float, t: np.n
 
 @checked
 def wing(
-    code: str = "6409", *, points: int = 2000, stations: int = 13, span: float = 2.0, first_cell: float = 1e-5
+    code: str = "6409",
+    *,
+    points: int = 2000,
+    stations: int = 13,
+    span: float = 2.0,
+    first_cell: float = 1e-5,
 ) -> jm.Mesh:
     """Makes a swept and tapered wing of hexahedra between two planes.
 
@@ -137,7 +172,8 @@ def wing(
     if stations < 2:
         raise ValueError(f"a wing needs 2 stations, not {stations}.")
     section = naca4(code, points=points, first_cell=first_cell)
-    n, cells = len(section.points), section.cells["quad"]
+    n = len(section.points)
+    cells = section.cells["quad"]
     eta = np.linspace(0, 1, stations)[:, None]
     x = (1 - 0.3 * eta) * section.points[:, 0] + 0.5 * eta
     z = (1 - 0.3 * eta) * section.points[:, 1]
@@ -169,11 +205,15 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
     between 0 and 1.
     """
     if kind not in (*PARTS, "mixed") or cells < 3:
-        raise ValueError(f"expected one of {', '.join(PARTS)}, mixed, and 3 cells at least, not {kind!r} and {cells}.")
+        raise ValueError(
+            f"expected one of {', '.join(PARTS)}, mixed, and 3 cells at least, not {kind!r} and "
+            f"{cells}."
+        )
     first = 1 / cells if first_cell is None else first_cell
     if not 0 < first < 1:
         raise ValueError(f"`first_cell` is {first}; the cube's side is 1.")
-    z, x = geometric(cells, first), np.linspace(0, 1, cells + 1)
+    z = geometric(cells, first)
+    x = np.linspace(0, 1, cells + 1)
     height, across, along = np.meshgrid(z, x, x, indexing="ij")
     points = np.stack([along, across, height], axis=-1).reshape(-1, 3)
     ids = ids_of(*(cells + 1,) * 3)
@@ -187,7 +227,9 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
     return jm.Mesh(*_divided(points, layers), patches)
 
 
-def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _divided(
+    points: np.ndarray, layers: dict[str, np.ndarray]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     cells = {}
     for kind, corners in layers.items():
         if kind == "pyramid":
@@ -201,7 +243,10 @@ def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndar
 
 @checked
 def bodies(
-    boxes: Mapping[str, Sequence[float]], *, box: Sequence[float] = (-8.0, 8.0, -4.0, 4.0), spacing: float = 0.25
+    boxes: Mapping[str, Sequence[float]],
+    *,
+    box: Sequence[float] = (-8.0, 8.0, -4.0, 4.0),
+    spacing: float = 0.25,
 ) -> jm.Mesh:
     """Makes squares around rectangular bodies in a box, which may pass each other or part.
 
@@ -218,10 +263,16 @@ def bodies(
     """
     left, right, bottom, top = finite_array("box", box, (4,)).tolist()
     if not (left < right and bottom < top and spacing > 0):
-        raise ValueError(f"a box has x and y from least to largest and a positive spacing, not {box} and {spacing}.")
+        raise ValueError(
+            f"a box has x and y from least to largest and a positive spacing, not {box} and "
+            f"{spacing}."
+        )
     ends = (bottom, top), (left, right)
     axes = [np.linspace(low, high, 1 + max(1, round((high - low) / spacing))) for low, high in ends]
-    sides = {name: _on_lines(name, finite_array(f"boxes[{name!r}]", four, (4,)), axes) for name, four in boxes.items()}
+    sides = {
+        name: _on_lines(name, finite_array(f"boxes[{name!r}]", four, (4,)), axes)
+        for name, four in boxes.items()
+    }
 
     def within(y, x, margin):
         return [
@@ -229,11 +280,17 @@ def bodies(
             for (a, b), (c, d) in sides.values()
         ]
 
-    places, cells = cut(axes, lambda y, x: np.any([np.zeros(len(x), bool), *within(y, x, 0.0)], axis=0))
+    places, cells = cut(
+        axes, lambda y, x: np.any([np.zeros(len(x), bool), *within(y, x, 0.0)], axis=0)
+    )
     y, x = places.T
     patches = dict(zip(boxes, within(y, x, 1e-9), strict=True))
     patches["farfield"] = (y == bottom) | (y == top) | (x == left) | (x == right)
-    return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
+    return jm.Mesh(
+        np.stack([x, y], axis=1),
+        {"quad": cells},
+        {k: np.flatnonzero(v) for k, v in patches.items()},
+    )
 
 
 def _on_lines(name: str, sides: np.ndarray, axes: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -242,7 +299,9 @@ def _on_lines(name: str, sides: np.ndarray, axes: Sequence[np.ndarray]) -> list[
         first, last = np.abs(axis[:, None] - pair).argmin(axis=0)
         if not 0 < first < last < len(axis) - 1:
             at = tuple(sides.tolist())
-            raise ValueError(f"body {name!r} at {at} has no cell within it or beside it: try a smaller spacing.")
+            raise ValueError(
+                f"body {name!r} at {at} has no cell within it or beside it: try a smaller spacing."
+            )
         places.append(axis[[first, last]])
     return places
 
@@ -253,13 +312,18 @@ def ids_of(*shape: int) -> np.ndarray:
 
 def quads(ids: np.ndarray) -> np.ndarray:
     """Makes the cells (k, 4) of a block, counter-clockwise: rows along y, columns along x."""
-    return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
+    return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(
+        -1, 4
+    )
 
 
 def hexahedra(ids: np.ndarray) -> np.ndarray:
     """Makes the cells (k, 8) of a block: layers along z, rows along y, columns along x."""
-    floor, lid = ids[:-1], ids[1:]
-    return np.concatenate([np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1).reshape(-1, 8)
+    floor = ids[:-1]
+    lid = ids[1:]
+    return np.concatenate(
+        [np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1
+    ).reshape(-1, 8)
 
 
 def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarray:
@@ -285,7 +349,9 @@ def cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
     return places[used], cells.reshape(-1, 2 ** len(axes))
 
 
-def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
+def c_grid(
+    section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5
+) -> jm.Mesh:
     """Makes a C-grid around a section of unit chord, about as many points as asked for.
 
     It has straight rays of 15 chords, and a wake to x = 17 chords. With 39,666 points it has 260 x
@@ -303,13 +369,16 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
     largest = 0.9 * RAY_LENGTH / counts.normal
     if not SMALLEST_CELL <= first_cell <= largest:
         raise ValueError(
-            f"`first_cell` is {first_cell}; {counts.normal} growing cells on {RAY_LENGTH:g} chords need one "
+            f"`first_cell` is {first_cell}; {counts.normal} growing cells on {RAY_LENGTH:g} "
+            "chords need one "
             f"between {SMALLEST_CELL:g} and {largest:.3g} chords."
         )
     wall, angles = _wall(section, counts)
     is_sharp = bool(np.abs(wall[-1] - wall[0]).max() < 1e-12)
     if not (is_sharp or wall[-1, 1] - wall[0, 1] > 1e-9):
-        raise ValueError(f"the trailing edge is crossed: its lower point is {wall[0]}, its upper one {wall[-1]}.")
+        raise ValueError(
+            f"the trailing edge is crossed: its lower point is {wall[0]}, its upper one {wall[-1]}."
+        )
     inner, weights = _with_wake(wall, counts)
     angles = np.pad(angles, counts.wake, mode="edge")
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -334,14 +403,18 @@ def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
     steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
     reach = np.convolve(steps, [0.5, 0.5])
-    phi = isotonic_regression(phi + LEAST_TURN * arc, weights=reach, increasing=False).x - LEAST_TURN * arc
+    phi = (
+        isotonic_regression(phi + LEAST_TURN * arc, weights=reach, increasing=False).x
+        - LEAST_TURN * arc
+    )
     return nodes, np.pi * (1.5 - (phi[0] - phi) / (phi[0] - phi[-1]))
 
 
 def _half(section: Section, end: float, cells: int) -> np.ndarray:
     t = np.linspace(0.0, end, 20_001)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(section(t), axis=0), axis=1))])
-    first, last = NOSE_SPACING / arc[-1], TRAILING_EDGE_SPACING / arc[-1]
+    first = NOSE_SPACING / arc[-1]
+    last = TRAILING_EDGE_SPACING / arc[-1]
     return np.interp(arc[-1] * _two_sided(cells, REFERENCE.half, first, last), arc, t)
 
 
@@ -351,7 +424,8 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
     Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J.
     Comput. Phys. 50 (1983).
     """
-    ratio, intensity = np.sqrt(last / first), 1 / (cells * np.sqrt(first * last))
+    ratio = np.sqrt(last / first)
+    intensity = 1 / (cells * np.sqrt(first * last))
     delta = root(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)
     u = 0.5 * (1 + np.tanh(delta * (np.linspace(0, 1, samples + 1) - 0.5)) / np.tanh(delta / 2))
     u[[0, -1]] = 0, 1
@@ -362,7 +436,10 @@ def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray
     """Makes the innermost line, lower wake to upper wake, and rays' weights of the wake's law."""
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
     along = geometric(REFERENCE.wake, first, counts.wake)[1:]
-    rows = [np.column_stack([x + (FARFIELD_X - x) * along, np.full_like(along, y)]) for x, y in wall[[0, -1]]]
+    rows = [
+        np.column_stack([x + (FARFIELD_X - x) * along, np.full_like(along, y)])
+        for x, y in wall[[0, -1]]
+    ]
     weights = WAKE_WEIGHT * np.concatenate([along[::-1], np.zeros(len(wall)), along])
     return np.concatenate([rows[0][::-1], wall, rows[1]]), weights
 
@@ -380,15 +457,19 @@ def _assemble(rays: np.ndarray, counts: Counts, is_sharp: bool) -> jm.Mesh:
     # The C's nodes are numbered layer by layer from the wall, those of the strip behind the base
     # follow, exit last. It has the innermost nodes of both wakes as its first and last line; behind
     # a sharp edge these are one line.
-    ids, lower, upper = ids_of(*rays.shape[:2]), rays[0, counts.wake :: -1], rays[0, -counts.wake - 1 :]
+    ids = ids_of(*rays.shape[:2])
+    lower = rays[0, counts.wake :: -1]
+    upper = rays[0, -counts.wake - 1 :]
     across = np.linspace(0, 1, counts.base + 1)[1:-1, None, None]
     strip = (lower + across * (upper - lower))[: 0 if is_sharp else None]
     between = ids.size + ids_of(*strip.shape[:2])
-    first, last = ids[0, counts.wake :: -1], ids[0, -counts.wake - 1 :]
+    first = ids[0, counts.wake :: -1]
+    last = ids[0, -counts.wake - 1 :]
     if is_sharp:
         last[:] = first
     behind = quads(np.vstack([first, between, last][: 1 if is_sharp else None]))
-    points, cells = np.concatenate([rays.reshape(-1, 2), strip.reshape(-1, 2)]), np.concatenate([quads(ids), behind])
+    points = np.concatenate([rays.reshape(-1, 2), strip.reshape(-1, 2)])
+    cells = np.concatenate([quads(ids), behind])
     patches = {
         "airfoil": np.concatenate([ids[0, counts.wake : -counts.wake], between[:, 0]]),
         "farfield": np.concatenate([ids[-1], ids[:, 0], ids[:, -1], between[:, -1]]),
@@ -408,6 +489,7 @@ def _check_convex(mesh: jm.Mesh) -> None:
     if bad.size:
         x, y = corners[bad[0]].mean(axis=0)
         raise ValueError(
-            f"{bad.size} of {len(quads)} cells around this section are not convex, first cell {bad[0]} near "
+            f"{bad.size} of {len(quads)} cells around this section are not convex, first cell "
+            f"{bad[0]} near "
             f"({x:.4g}, {y:.4g}). Try less camber, a smoother section or more points."
         )

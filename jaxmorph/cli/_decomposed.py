@@ -37,12 +37,17 @@ def deform_parts(request: Deform, out: Output) -> int:
     together(ranks, lambda: case.check_output(request.output))
     share = range(ranks.rank, len(case), ranks.size)
     with out.progress("reading the surface"):
-        sides = together(ranks, lambda: {k: (case.side(k), len(case.read(k).points)) for k in share})
+        sides = together(
+            ranks, lambda: {k: (case.side(k), len(case.read(k).points)) for k in share}
+        )
     largest = max(ranks.allgather(max((count for _, count in sides.values()), default=0)))
     gathered = ranks.gather({k: side for k, (side, _) in sides.items()})
     del sides
 
-    prepared = together(ranks, lambda: _prepared(request, case.surface(_by_part(gathered)), out) if gathered else None)
+    prepared = together(
+        ranks,
+        lambda: _prepared(request, case.surface(_by_part(gathered)), out) if gathered else None,
+    )
     half, path = ranks.bcast(prepared)  # pyright: ignore[reportGeneralTypeIssues]
     with out.progress("choosing the share of the fit"):
         half = half.judged(((part, io.global_nodes(part)) for part in map(case.read, share)), ranks)
@@ -64,7 +69,11 @@ def deform_parts(request: Deform, out: Output) -> int:
 
 
 def _moved(
-    part: Callable[[int], tuple[jm.Mesh, jm.Verdict]], count: int, ranks: Any, writer: Any, stage: Stage
+    part: Callable[[int], tuple[jm.Mesh, jm.Verdict]],
+    count: int,
+    ranks: Any,
+    writer: Any,
+    stage: Stage,
 ) -> jm.Verdict:
     verdicts: dict[int, jm.Verdict] = {}
     for first in range(0, count, ranks.size):
@@ -86,7 +95,9 @@ def _by_part(shares: Iterable[dict[int, T]]) -> list[T]:
 def _say_warnings_of_all(out: Output, ranks: Any) -> None:
     """Prints the warnings of the silent processes of an MPI run, each warning once."""
     printed = out.facts.get("warnings", [])
-    for warning in dict.fromkeys(warning for share in ranks.gather(printed) or () for warning in share):
+    for warning in dict.fromkeys(
+        warning for share in ranks.gather(printed) or () for warning in share
+    ):
         if warning not in printed:
             out.complain(warning, "warnings")
 
@@ -100,7 +111,10 @@ def _ranks() -> Any:
         return Alone()
     try:
         from mpi4py import MPI
-    except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py is there, and no MPI library
+    except (
+        ImportError,
+        RuntimeError,
+    ) as error:  # RuntimeError: mpi4py is there, and no MPI library
         raise ImportError(
             "mpiexec or srun started this process, but mpi4py or its MPI library is missing: "
             "pip install 'jaxmorph[mpi]' mpich, or start one process."
@@ -108,8 +122,10 @@ def _ranks() -> Any:
     world: Any = MPI.COMM_WORLD
     if size is not None and world.size != size:
         raise ValueError(
-            f"{size} processes were started, and mpi4py sees {world.size}: they belong to different MPI libraries. Take the "
-            "mpiexec of mpi4py's library, or srun --mpi= with a name that this library knows (srun --mpi=list)."
+            f"{size} processes were started, and mpi4py sees {world.size}: they belong to "
+            "different MPI libraries. Take the "
+            "mpiexec of mpi4py's library, or srun --mpi= with a name that this library knows "
+            "(srun --mpi=list)."
         )
     return world
 
@@ -120,7 +136,10 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     path = moves.path(np.asarray(surface.points)[patches.nodes], request.step_count)
     with out.progress("preparing the surface"):
         half = patches.half()
-    out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
+    out.say(
+        f"{title(request.file)}: boundary of {len(surface.points)} nodes in "
+        f"{surface.points.shape[1]}-D"
+    )
     say_motion(request, patches, half.plan, path[-1], out)
     for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
         out.warn(warning)
@@ -129,14 +148,21 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
 
 
 def _part(
-    request: Deform, case: io.Decomposed, half: jm.SurfaceHalf, path: np.ndarray, largest: int, k: int
+    request: Deform,
+    case: io.Decomposed,
+    half: jm.SurfaceHalf,
+    path: np.ndarray,
+    largest: int,
+    k: int,
 ) -> tuple[jm.Mesh, jm.Verdict]:
     """Moves and judges a part by the path (k, m, d) of the surface.
 
     Copies of a node fill it up to the size of the `largest` part, so that all share compiled code.
     """
-    mesh, method = case.read(k), request.method
-    ids, base = io.global_nodes(mesh), np.asarray(mesh.points)
+    mesh = case.read(k)
+    method = request.method
+    ids = io.global_nodes(mesh)
+    base = np.asarray(mesh.points)
     is_inner = ~np.isin(ids, half.surface_nodes)
     rows = np.append(np.arange(len(ids)), np.full(largest - len(ids), is_inner.argmax()))
     nodes = np.where((np.arange(largest) < len(ids)) & ~is_inner[rows], ids[rows], -1)

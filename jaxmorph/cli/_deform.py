@@ -23,7 +23,17 @@ from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Distances, Motion, distances, motion
 from ._output import Output, coordinates, count, title, wrapped
 from ._requests import AUTO, Deform
-from ._way import Points, Way, check_picture, draw, faults, finish, in_background, moved, say_verdict
+from ._way import (
+    Points,
+    Way,
+    check_picture,
+    draw,
+    faults,
+    finish,
+    in_background,
+    moved,
+    say_verdict,
+)
 
 SMALL = 10_000
 """Points, times steps, below which compile time dominates."""
@@ -59,11 +69,19 @@ class Attempt:
     def path(self, steps: int = 1) -> Float[np.ndarray, "k m d"]:
         return self.motion.path(self.base[self.patches.nodes], steps)
 
-    def way(self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None) -> Way:
+    def way(
+        self, chunks: Chunks, steps: int, done: Callable[[float], None] = lambda share: None
+    ) -> Way:
         """Moves the points by chunks, in double precision; only `--proven` keeps all steps."""
-        path, base, wall = self.path(steps), self.base, self.patches.nodes
-        ends = {step: base.copy() for step in (range(steps) if self.request.gates.proven else [steps - 1])}
-        is_moved, is_straight = np.zeros(len(base), dtype=bool), True
+        path = self.path(steps)
+        base = self.base
+        wall = self.patches.nodes
+        ends = {
+            step: base.copy()
+            for step in (range(steps) if self.request.gates.proven else [steps - 1])
+        }
+        is_moved = np.zeros(len(base), dtype=bool)
+        is_straight = True
         for nodes, plan in chunks:
             here = np.flatnonzero(np.isin(nodes, wall))
             u = path[:, np.searchsorted(wall, nodes[here])]
@@ -107,7 +125,11 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     say_motion(request, patches, plan, attempt.path()[-1], out)
     if attempt.reached is not None:
-        reach = f"keep the cells for {attempt.reached:.1%} of the motion" if attempt.reached < 1 else "keep the cells"
+        reach = (
+            f"keep the cells for {attempt.reached:.1%} of the motion"
+            if attempt.reached < 1
+            else "keep the cells"
+        )
         out.say(f"steps    {request.step_count} {reach}", reached=attempt.reached)
     with out.progress("judging the cells"):
         judging.result()  # it raises for limits on measures that the cells do not have
@@ -118,7 +140,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
 
 def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
     """Inspects and judges the motion, and writes the mesh; `nodes` are those of `plan`."""
-    request, judging = attempt.request, in_background(attempt.judge, way)
+    request = attempt.request
+    judging = in_background(attempt.judge, way)
     off = distances(request, way.mesh, way.stored)
     with out.progress("inspecting the motion"):
         is_known = request.step_count == 1 and plan.points.dtype == way.stored.dtype
@@ -132,7 +155,9 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
     _tell(attempt, way, verdict, inspection, off, out)
     if boundary.nodes:
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
-        out.say(wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()})
+        out.say(
+            wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()}
+        )
     write_job(request, attempt.motion, out)
     picture = request.picture
     draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
@@ -151,10 +176,13 @@ def _draw_distances(file: Path, wall: jm.Facets, *distances: np.ndarray) -> None
     """Draws the distances of a wall's nodes from its target, before and after, in one scale."""
     import matplotlib.pyplot as plt
 
-    points, faces = np.asarray(wall.points), np.asarray(wall.faces)
+    points = np.asarray(wall.points)
+    faces = np.asarray(wall.faces)
     figure = plt.figure(figsize=(10, 4))
     for k, off in enumerate(distances):
-        axes: Any = figure.add_subplot(1, 2, 1 + k, projection="3d" if points.shape[1] == 3 else None)
+        axes: Any = figure.add_subplot(
+            1, 2, 1 + k, projection="3d" if points.shape[1] == 3 else None
+        )
         axes.set_title(f"distance {('before', 'after')[k]}, up to {off.max():.3g}")
         if points.shape[1] == 2:
             drawn = axes.scatter(*points.T, c=off, s=8)
@@ -170,18 +198,32 @@ def _draw_distances(file: Path, wall: jm.Facets, *distances: np.ndarray) -> None
 
 
 def _tell(
-    attempt: Attempt, way: Way, verdict: jm.Verdict, inspection: jm.Inspection, off: Distances, out: Output
+    attempt: Attempt,
+    way: Way,
+    verdict: jm.Verdict,
+    inspection: jm.Inspection,
+    off: Distances,
+    out: Output,
 ) -> None:
     wall = _wall_rows(attempt, way.stored)
     overshoots = {name: getattr(inspection, name) for name in ("overshoot", "overshoot_behind")}
-    rows = [*wall, *((name.replace("_", " "), "-", value, "") for name, value in overshoots.items())]
-    rows += [(f"distance from {file}", f"{a.max():.5g}", b.max(), "") for file, (_, a, b) in off.items()]
+    rows = [
+        *wall,
+        *((name.replace("_", " "), "-", value, "") for name, value in overshoots.items()),
+    ]
+    rows += [
+        (f"distance from {file}", f"{a.max():.5g}", b.max(), "") for file, (_, a, b) in off.items()
+    ]
     table = [f"{label:<23}{start:>12}{end:>12.5g}{place}" for label, start, end, place in rows]
-    say_verdict(verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=table)
+    say_verdict(
+        verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=table
+    )
     names = [re.sub("[ -]", "_", label) for label, *_ in wall]
     starts, ends = (dict(zip(names, (row[k] for row in wall), strict=True)) for k in (1, 2))
     out.say(before=attempt.before.facts | starts, after=verdict.facts | ends, **overshoots)
-    out.say(distance={file: {"before": a.max(), "after": b.max()} for file, (_, a, b) in off.items()})
+    out.say(
+        distance={file: {"before": a.max(), "after": b.max()} for file, (_, a, b) in off.items()}
+    )
 
 
 def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, float, str]]:
@@ -191,7 +233,9 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
     except ValueError:
         return []
     # as mean_angle, max_angle and min_height, by NumPy: nothing is compiled for a table
-    angle, height, nodes = np.asarray(wall.angle), np.asarray(wall.height), np.asarray(wall.nodes)
+    angle = np.asarray(wall.angle)
+    height = np.asarray(wall.height)
+    nodes = np.asarray(wall.nodes)
     if not len(nodes):
         return []
     worst = nodes[[angle.argmax(), height.argmin()]]
@@ -203,15 +247,22 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
     ]
 
 
-def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output) -> None:
-    mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
+def say_motion(
+    request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, out: Output
+) -> None:
+    mesh = patches.mesh
+    way = np.linalg.norm(u, axis=1)
 
     def row(what: str, names: Iterable[Any], number: str) -> None:
         out.say(wrapped(f"{what:<8} {', '.join(map(str, names))}: {number}"))
 
     for names in dict.fromkeys(group.patches for group in request.groups):
         nodes = mesh.patch(*names)
-        row("moving", names, f"{count(len(nodes), 'node')}, by up to {way[np.isin(patches.nodes, nodes)].max():.4g}")
+        row(
+            "moving",
+            names,
+            f"{count(len(nodes), 'node')}, by up to {way[np.isin(patches.nodes, nodes)].max():.4g}",
+        )
     still = np.setdiff1d(mesh.patch(*patches.fixed), patches.nodes)
     row("fixed", request.boundary.fixed or ["no patch"], count(len(still), "node"))
     for what, names in (("symmetry", patches.symmetry), ("sliding", patches.sliding)):
@@ -220,7 +271,11 @@ def say_motion(request: Deform, patches: Patches, plan: jm.Plan, u: np.ndarray, 
     for pair in patches.periodic:
         row("periodic", (pair.patch, pair.partner), count(len(mesh.patch(str(pair.patch))), "pair"))
     name, sources = described(request.method, plan)
-    out.say(f"method   {name}, {count(request.step_count, 'step')}", method=name, steps=request.step_count)
+    out.say(
+        f"method   {name}, {count(request.step_count, 'step')}",
+        method=name,
+        steps=request.step_count,
+    )
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=sources)
 
@@ -248,7 +303,9 @@ def _advice(attempt: Attempt, out: Output) -> str:
         return " No other flags were tried."
     trials = _trials(attempt)
     with out.progress("trying others") as stage:
-        worked = next((_flags(attempt, cure) for cure in stage.over(trials) if _works(attempt, cure)), "")
+        worked = next(
+            (_flags(attempt, cure) for cure in stage.over(trials) if _works(attempt, cure)), ""
+        )
     out.say(suggestion=worked)
     if worked:
         return f" {worked} works."
@@ -258,7 +315,8 @@ def _advice(attempt: Attempt, out: Output) -> str:
 
 def _trials(attempt: Attempt) -> list[jm.Cure]:
     """Lists cures in the order in which they are tried: the default method first."""
-    patches, request = attempt.patches, attempt.request
+    patches = attempt.patches
+    request = attempt.request
     found = [jm.Cure(method="default"), *jm.cures(patches.boundary, attempt.path()[-1])]
     if attempt.reached is None:
         found = [dataclasses.replace(cure, steps=cure.steps * request.step_count) for cure in found]
@@ -270,7 +328,9 @@ def _trials(attempt: Attempt) -> list[jm.Cure]:
 def _flags(attempt: Attempt, cure: jm.Cure) -> str:
     flags = [f"--sliding {' '.join(cure.sliding)} in place of --fixed"] if cure.sliding else []
     flags += [f"--method {cure.method}"] if cure.method else []
-    return " ".join([*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.step_count else [])])
+    return " ".join(
+        [*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.step_count else [])]
+    )
 
 
 def _works(attempt: Attempt, cure: jm.Cure) -> bool:
@@ -284,7 +344,12 @@ def _works(attempt: Attempt, cure: jm.Cure) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            way = dataclasses.replace(attempt, patches=patches).way(patches.chunks(attempt.request.chunk), cure.steps)
-        except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
+            way = dataclasses.replace(attempt, patches=patches).way(
+                patches.chunks(attempt.request.chunk), cure.steps
+            )
+        except (
+            ValueError,
+            ImportError,
+        ):  # ImportError: a solver for large 3-D meshes is not installed
             return False
         return attempt.judge(way).ok

@@ -11,7 +11,17 @@ from jaxmorph._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_f
 from jaxmorph.extend import input_path, output_path, patch_names
 
 from ._job import job_of
-from ._parser import Folder, Lattice, MeshFile, NewMesh, Picture, Written, flag_of, kind_of, values_of
+from ._parser import (
+    Folder,
+    Lattice,
+    MeshFile,
+    NewMesh,
+    Picture,
+    Written,
+    flag_of,
+    kind_of,
+    values_of,
+)
 from ._requests import (
     AUTO,
     MOTIONS,
@@ -42,7 +52,8 @@ OWNERS = {
 
 
 def check(request: Request) -> None:
-    inputs, outputs = _checked(request, INPUTS), _checked(request, OUTPUTS)
+    inputs = _checked(request, INPUTS)
+    outputs = _checked(request, OUTPUTS)
     if method := getattr(request, "method", None):
         _check_method(method)
     if type(request) in OF_COMMAND:
@@ -57,7 +68,8 @@ def check(request: Request) -> None:
 def _checked(request: Any, kinds: tuple[Any, ...]) -> Files:
     files: Files = []
     for field, value in values_of(request):
-        kind, metavar = kind_of(field) or Path, field.metadata["settings"].get("metavar")
+        kind = kind_of(field) or Path
+        metavar = field.metadata["settings"].get("metavar")
         flag = metavar if field.metadata["names"] == ("",) else flag_of(field.name)
         for path in _paths(value) if kind in kinds else ():
             files += [(flag, file) for file in (lattice_files(path) if kind is Lattice else [path])]
@@ -95,7 +107,8 @@ CHECKS: dict[Any, Callable[[Path], Any]] = {
     Folder: _check_folder,
 }
 
-INPUTS, OUTPUTS = (Path, MeshFile), (NewMesh, Written, Picture, Lattice, Folder)
+INPUTS = (Path, MeshFile)
+OUTPUTS = (NewMesh, Written, Picture, Lattice, Folder)
 
 
 def check_apart(inputs: Files, outputs: Files) -> None:
@@ -127,17 +140,24 @@ def is_given(group: MotionFlags, name: str) -> bool:
 def _check_deform(request: Deform, *_: Files) -> None:
     for name in ("picture", "chunk", "zone"):
         if request.decomposed and getattr(request, name) is not None:
-            raise ValueError(f"--{name} and --decomposed cannot be combined. Remove one of the two.")
+            raise ValueError(
+                f"--{name} and --decomposed cannot be combined. Remove one of the two."
+            )
     for name in ("chunk", "decomposed"):
         if getattr(request, name) and request.steps == AUTO:
-            raise ValueError(f"--{name} needs a number of --steps: {AUTO} judges the whole mesh after each trial.")
+            raise ValueError(
+                f"--{name} needs a number of --steps: {AUTO} judges the whole mesh after each "
+                "trial."
+            )
     _check_motions(request)
 
 
 def _check_method(request: MethodFlags) -> None:
     if request.sources is not None and METHODS[request.method].sources != "some":
         free = " and ".join(name for name, method in METHODS.items() if method.sources == "some")
-        raise ValueError(f"--sources is for the methods {free}; {request.method} has no sources to choose.")
+        raise ValueError(
+            f"--sources is for the methods {free}; {request.method} has no sources to choose."
+        )
 
 
 def _check_motions(request: Deform) -> None:
@@ -148,7 +168,9 @@ def _check_motions(request: Deform) -> None:
             raise ValueError(f"{title}no motion: give one of {', '.join(map(flag_of, MOTIONS))}.")
         for name in given:
             if not set(OWNERS.get(name, given)) & set(given):
-                raise ValueError(f"{title}{flag_of(name)} without {' or '.join(map(flag_of, OWNERS[name]))}.")
+                raise ValueError(
+                    f"{title}{flag_of(name)} without {' or '.join(map(flag_of, OWNERS[name]))}."
+                )
 
 
 def _check_sensitivity(request: SensitivityRequest, inputs: Files, _: Files) -> None:
@@ -162,7 +184,9 @@ def _check_sensitivity(request: SensitivityRequest, inputs: Files, _: Files) -> 
 
 def _check_export(request: ExportRequest, *_: Files) -> None:
     if request.method.dtype == "float32":
-        raise ValueError("--dtype float32: a plan in a file is in double precision. Leave the flag away.")
+        raise ValueError(
+            "--dtype float32: a plan in a file is in double precision. Leave the flag away."
+        )
     plans = f"plans of a case are {request.file}/constant/jaxmorph.plan."
     if is_folder(request.file) and request.output is not None:
         raise ValueError(f"{request.output}: leave OUT out; {plans}")

@@ -109,14 +109,19 @@ def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None
     `parsers` are those of the commands; by default they have all flags. Raises `ValueError` for a
     bad job, `SystemExit` for words that make no sense.
     """
-    name, command = words[0], (parsers or parser()[1])[words[0]]
+    name = words[0]
+    command = (parsers or parser()[1])[words[0]]
     rest, values = with_job(name, words[1:])
     return made(COMMANDS[name], command.parse_args(rest, values))
 
 
 def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
     """Builds the parsers of the program and of each command; `is_short`: without rare flags."""
-    top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
+    top = Parser(
+        prog="jaxmorph",
+        description="Moves meshes with their surfaces, and judges them.",
+        epilog=_help.MAIN,
+    )
     text = "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"
     top.add_argument("--version", action=Version, nargs=0, help=text)
     commands = top.add_subparsers(
@@ -135,7 +140,9 @@ def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
             is_short=is_brief,
         )
         if page.more:
-            command.add_argument("--help-all", action="help", help="show all flags and more examples")
+            command.add_argument(
+                "--help-all", action="help", help="show all flags and more examples"
+            )
         command.add_fields(fields)
     return top, parsers
 
@@ -166,7 +173,13 @@ def begin_jax() -> None:
     facts = [platform.machine()]
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+        facts += sorted(
+            {
+                line
+                for line in lines
+                if line.startswith(("model name", "flags", "Features", "CPU part"))
+            }
+        )
     machine = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
     try:
         import filelock  # noqa: F401  JAX locks the folder with it
@@ -181,4 +194,6 @@ def begin_jax() -> None:
     if is_mine and os.access(folder, os.W_OK):
         config.update("jax_compilation_cache_dir", str(folder))
         config.update("jax_compilation_cache_max_size", LIMIT)
-        config.update("jax_persistent_cache_min_compile_time_secs", 0)  # reading takes a tenth of any compilation
+        config.update(
+            "jax_persistent_cache_min_compile_time_secs", 0
+        )  # reading takes a tenth of any compilation

@@ -26,8 +26,13 @@ class Page:
         if not is_short and "[METHOD ...]" not in self.usage:
             return self.text
         if not is_short:
-            lines = [f"  {name + ' *' * entry.needs_cells:<17} {entry.sentence}" for name, entry in METHODS.items()]
-            return "\n".join([f"{above}methods (* is solved on the cells):", *lines, "", EXAMPLES + below])
+            lines = [
+                f"  {name + ' *' * entry.needs_cells:<17} {entry.sentence}"
+                for name, entry in METHODS.items()
+            ]
+            return "\n".join(
+                [f"{above}methods (* is solved on the cells):", *lines, "", EXAMPLES + below]
+            )
         examples, _, status = below.partition("\n\n")
         few = "\n".join(examples.split("\n")[: self.few])
         return f"{self.more}\n\n{EXAMPLES}{few}\n\n{status}"

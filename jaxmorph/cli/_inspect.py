@@ -23,13 +23,19 @@ def quality(request: Quality, out: Output) -> int:
     with out.progress("judging the cells"):
         verdict = jm.judge(mesh, points, request.gates.limits, is_straight=False)
         proof = jm.proof(mesh, points) if request.proof else None
-    bad, tables = faults(verdict), [verdict.table()]
+    bad = faults(verdict)
+    tables = [verdict.table()]
     out.say(gates=verdict.gate_facts, after=verdict.facts)
     if verdict.before is not None:
         out.say(before=verdict.before.facts)
     if proof is not None:
         tables.append(str(proof))
-        out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
+        out.say(
+            proof={
+                name: getattr(proof, name)
+                for name in ("valid", "invalid", "unknown", "min_margin", "depth")
+            }
+        )
         if proof.invalid:
             verb = "folds" if proof.invalid == 1 else "fold"
             bad.append(f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside.")
@@ -42,8 +48,11 @@ def quality(request: Quality, out: Output) -> int:
 
 def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
     moved = mesh_of(file, request.zone)
-    ours, theirs = _ids(mesh), _ids(moved)
-    if ours.keys() != theirs.keys() or not all(np.array_equal(ids, theirs[name]) for name, ids in ours.items()):
+    ours = _ids(mesh)
+    theirs = _ids(moved)
+    if ours.keys() != theirs.keys() or not all(
+        np.array_equal(ids, theirs[name]) for name, ids in ours.items()
+    ):
         raise ValueError(f"{file} has other cells than {request.file}: two different meshes.")
     return moved
 
@@ -58,7 +67,10 @@ def info(request: Info, out: Output) -> int:
         is_su2 = request.file.suffix.lower() == ".su2"
         meshes = list(io.read_zones(request.file) if is_su2 else [io.read(request.file)])
     if len(meshes) > 1 and request.picture is not None:
-        raise ValueError(f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 --picture ...")
+        raise ValueError(
+            f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 "
+            "--picture ..."
+        )
     check_picture(request.picture, meshes[0])
     zones: list[dict[str, Any]] = []
     for number, mesh in enumerate(meshes, start=1):
@@ -118,7 +130,9 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     width = max(map(len, facts["patches"]), default=0)
     for patch, number in facts["patches"].items():
         yield f"  {patch:<{width}}  {number:>9} nodes  {facts['kinds'].get(patch, '')}".rstrip()
-    yield from _list("groups", [f"{group}: {', '.join(names)}" for group, names in facts["groups"].items()])
+    yield from _list(
+        "groups", [f"{group}: {', '.join(names)}" for group, names in facts["groups"].items()]
+    )
     yield from _list("boxes", list(map(_line_of_box, io.boxes(mesh))))
     yield from _list("notes", facts["notes"])
 
@@ -129,7 +143,10 @@ def _list(what: str, lines: list[str]) -> list[str]:
 
 def _line_of_box(box: io.Box) -> str:
     degrees = " x ".join(str(number - 1) for number in box.shape.counts)
-    return f"{box.name}  degrees {degrees}, {sum(len(ids) for ids, _ in box.surface.values()):>9} nodes"
+    return (
+        f"{box.name}  degrees {degrees}, {sum(len(ids) for ids, _ in box.surface.values()):>9} "
+        "nodes"
+    )
 
 
 def demo(request: Demo, out: Output) -> int:

@@ -12,8 +12,26 @@ from typing import Any, NoReturn
 
 from jaxmorph._host.package.text import read
 
-from ._parser import Parser, flag_of, flags_of, is_switch, kind_of, made, meant, settings_of, values_of
-from ._requests import AUTO, BoundaryFlags, Deform, MethodFlags, MotionFlags, SensitivityRequest, Speech
+from ._parser import (
+    Parser,
+    flag_of,
+    flags_of,
+    is_switch,
+    kind_of,
+    made,
+    meant,
+    settings_of,
+    values_of,
+)
+from ._requests import (
+    AUTO,
+    BoundaryFlags,
+    Deform,
+    MethodFlags,
+    MotionFlags,
+    SensitivityRequest,
+    Speech,
+)
 
 Keys = Mapping[str, dataclasses.Field]
 
@@ -21,7 +39,9 @@ NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.field
 """Flags that are not keys of a job; `set` is a table of it."""
 
 MOTION: Keys = {field.name: field for field, _ in flags_of(MotionFlags)}
-JOB: Keys = {field.name: field for field, _ in flags_of(Deform) if field.name not in (*MOTION, *NO_KEYS)}
+JOB: Keys = {
+    field.name: field for field, _ in flags_of(Deform) if field.name not in (*MOTION, *NO_KEYS)
+}
 
 
 class JobParser(Parser):
@@ -34,7 +54,8 @@ class JobParser(Parser):
         raise ValueError(f"{self.path}: {message.rstrip('.')}.")
 
     def values(self, job: dict[str, Any]) -> argparse.Namespace:
-        groups, changes = job.pop("moving", []), job.pop("set", {})
+        groups = job.pop("moving", [])
+        changes = job.pop("set", {})
         if not isinstance(groups, list) or not all(isinstance(group, dict) for group in groups):
             self.error("moving is a list of tables: begin each with [[moving]]")
         if not isinstance(changes, dict):
@@ -54,12 +75,17 @@ class JobParser(Parser):
         return [word for name, value in values.items() for word in self.words(MOTION[name], value)]
 
     def words(self, field: dataclasses.Field, value: Any) -> list[str]:
-        name, settings = field.name, settings_of(field)
+        name = field.name
+        settings = settings_of(field)
         flag, *_ = field.metadata["names"] or [flag_of(name)]
         if is_switch(settings):
             return [flag] * (self.boolean(name, value) is not field.default)
         if name == "mode":
-            return [word for file, size in self.pairs(value) for word in (flag, self.word(file, True), str(size))]
+            return [
+                word
+                for file, size in self.pairs(value)
+                for word in (flag, self.word(file, True), str(size))
+            ]
         if isinstance(value, list) and "nargs" not in settings:
             self.error(f"{name} is one value, found {reprlib.repr(value)}")
         words = [self.word(entry, kind_of(field) is not None) for entry in listed(value)]
@@ -73,7 +99,9 @@ class JobParser(Parser):
     def pairs(self, value: Any) -> list[list[Any]]:
         if not all(isinstance(pair, list) and len(pair) == 2 for pair in listed(value)):
             found = reprlib.repr(value)
-            self.error(f'mode is a list of files with amplitudes, [["FILE", 0.1], ...], found {found}')
+            self.error(
+                f'mode is a list of files with amplitudes, [["FILE", 0.1], ...], found {found}'
+            )
         return listed(value)
 
     def word(self, value: Any, is_path: bool) -> str:
@@ -97,7 +125,10 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
     path = finder.parse_known_args(words)[0].job
     if path is None:
         return list(words), argparse.Namespace()
-    (values, files), given = read_job(path), list(itertools.takewhile(lambda word: not word.startswith("-"), words))
+    (values, files), given = (
+        read_job(path),
+        list(itertools.takewhile(lambda word: not word.startswith("-"), words)),
+    )
     if "file" not in files and (command == "sensitivity" or (files and not given)):
         raise ValueError(f"{path}: file is missing: the mesh that the job moves.")
     if command == "sensitivity":
@@ -108,7 +139,9 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 def read_job(path: Path) -> tuple[argparse.Namespace, dict[str, str]]:
     """Reads the values of a job, and its mesh files; paths are relative to the job's folder."""
     job = known_keys(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
-    files = {name: str(path.parent / str(job.pop(name))) for name in ("file", "output") if name in job}
+    files = {
+        name: str(path.parent / str(job.pop(name))) for name in ("file", "output") if name in job
+    }
     values = JobParser(path).values(job)
     for group in getattr(values, "groups", ()):
         group.flags.clear()  # flags beside a job win
@@ -136,15 +169,22 @@ def job_of(request: SensitivityRequest) -> Deform | None:
         raise ValueError("--job names patches and method. Remove the flags of patches and methods.")
     values, _ = read_job(request.job)
     if values.steps == AUTO:
-        raise ValueError(f"{request.job}: steps = {AUTO!r}: the number is needed. --save-job of deform writes it.")
-    vars(values).update(file=request.file, output=request.output, job=request.job, set=[*values.set, *request.set])
+        raise ValueError(
+            f"{request.job}: steps = {AUTO!r}: the number is needed. --save-job of deform writes "
+            "it."
+        )
+    vars(values).update(
+        file=request.file, output=request.output, job=request.job, set=[*values.set, *request.set]
+    )
     return made(Deform, values)
 
 
 def text_of(request: Deform, folder: Path) -> str:
     lines = list(_lines(JOB, request, folder))
     if request.set:
-        changes = {name: numbers[0] if len(numbers) == 1 else numbers for name, numbers in request.set}
+        changes = {
+            name: numbers[0] if len(numbers) == 1 else numbers for name, numbers in request.set
+        }
         lines.append(f"set = {toml(changes, folder)}")
     for group in request.groups:
         lines += ["", "[[moving]]", *_lines(MOTION, group, folder)]
@@ -164,5 +204,11 @@ def toml(value: Any, folder: Path) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(toml(entry, folder) for entry in value)}]"
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {toml(entry, folder)}" for key, entry in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(
+                f"{json.dumps(key)} = {toml(entry, folder)}" for key, entry in value.items()
+            )
+            + " }"
+        )
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -35,7 +35,9 @@ def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
     sources = plan.n_moving * (listed.sources == "all")
     if listed.sources == "some":
         sources = int(np.isin(plan.sources, plan.moving).sum())
-    return listed.sentence + (f", {sources} wall sources" if request.sources is not None else ""), sources
+    return listed.sentence + (
+        f", {sources} wall sources" if request.sources is not None else ""
+    ), sources
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,14 +69,17 @@ class Patches:
     @property
     def method(self) -> jm.AbstractMethod | None:
         """The method for the moving points; None for the default."""
-        request, wall = self.request, np.asarray(self.mesh.points)[self.nodes]
+        request = self.request
+        wall = np.asarray(self.mesh.points)[self.nodes]
         if request.method == "default" and request.sources is None:
             return None
         method = jm.METHODS[request.method].make(float(np.ptp(wall, axis=0).max()))
         if request.sources is None or not isinstance(method, jm.SurfaceReconstruction):
             return method
         is_all = request.sources >= len(wall)
-        rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall))
+        rbf = jm.RBF(
+            reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(request.sources, wall)
+        )
         coarse = jm.FittedRBF(rbf) if isinstance(method.coarse, jm.FittedRBF) else rbf
         return jm.SurfaceReconstruction(coarse, method.correction)
 
@@ -85,7 +90,9 @@ class Patches:
     def half(self) -> jm.SurfaceHalf:
         """Prepares the surface of a mesh in parts, which `mesh` is."""
         faces: Any = self.mesh.cells
-        return jm.prepare_surface(self.boundary, method=self.method, nodes=io.global_nodes(self.mesh), faces=faces)
+        return jm.prepare_surface(
+            self.boundary, method=self.method, nodes=io.global_nodes(self.mesh), faces=faces
+        )
 
 
 def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
@@ -101,7 +108,11 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
     periodic = _periodic(flags.periodic, mesh, {*moving, *flags.fixed, *symmetry, *sliding, *free})
     repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
     elsewhere = {*moving, *symmetry, *sliding, *repeating}
-    fixed = tuple(name for name in mesh.patch_names(*flags.fixed) if name in flags.fixed or name not in elsewhere)
+    fixed = tuple(
+        name
+        for name in mesh.patch_names(*flags.fixed)
+        if name in flags.fixed or name not in elsewhere
+    )
     known = {*elsewhere, *fixed, *free}
     for name in (name for name in io.symmetry(mesh) if name not in known):
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
@@ -125,7 +136,12 @@ def _check_names(request: PlanRequest, mesh: jm.Mesh) -> None:
 def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
     if len(names) % 2:
-        raise ValueError(f"--periodic {' '.join(names)}: name pairs of patches, one after the other.")
-    sides, known = [mesh.patch_names(name)[0] for name in names], {*lists, *names}
-    of_file = [pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known]
+        raise ValueError(
+            f"--periodic {' '.join(names)}: name pairs of patches, one after the other."
+        )
+    sides = [mesh.patch_names(name)[0] for name in names]
+    known = {*lists, *names}
+    of_file = [
+        pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known
+    ]
     return (*map(jm.Periodic, sides[::2], sides[1::2]), *of_file)

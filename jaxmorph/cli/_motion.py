@@ -52,7 +52,9 @@ class Motion:
 
     @property
     def shape(self) -> shapes.Function:
-        return shapes.Function(self.moved, {name: group.shape.neutral() for name, group in self.groups.items()})
+        return shapes.Function(
+            self.moved, {name: group.shape.neutral() for name, group in self.groups.items()}
+        )
 
     def moved(self, x: Any, parameters: Mapping[str, Any]) -> Any:
         moved = x
@@ -75,18 +77,25 @@ class Motion:
             off = np.linalg.norm(u - (self.alone(names, x, self.parameters) - x), axis=1)[rows]
             wrong = rows[off > 1e-9 * np.abs(u).max() + 1e-13 * np.abs(x).max()]
             if len(wrong):
-                first = next(other for other, of_other in self.sides.items() if wrong[0] in of_other)
+                first = next(
+                    other for other, of_other in self.sides.items() if wrong[0] in of_other
+                )
                 raise ValueError(
-                    f"{' then '.join(first)} and {' then '.join(names)} move {len(wrong)} common nodes differently, by up to "
-                    f"{off.max():.3g}: nodes {some(moving[wrong])}, the first near {coordinates(x[wrong[0]])}. Name both "
-                    "patches after one --moving, or take the common nodes out of one of the patches."
+                    f"{' then '.join(first)} and {' then '.join(names)} move {len(wrong)} common "
+                    "nodes differently, by up to "
+                    f"{off.max():.3g}: nodes {some(moving[wrong])}, the first near "
+                    f"{coordinates(x[wrong[0]])}. Name both "
+                    "patches after one --moving, or take the common nodes out of one of the "
+                    "patches."
                 )
 
     def path(self, surface: Points, steps: int) -> Float[np.ndarray, "k m d"]:
         return np.asarray(shapes.path(self.shape, surface, self.parameters, steps))
 
     def at(self, surface: Points, share: float) -> Points:
-        values = jax.tree.map(lambda a, b: a + share * (b - a), self.shape.neutral(), self.parameters)
+        values = jax.tree.map(
+            lambda a, b: a + share * (b - a), self.shape.neutral(), self.parameters
+        )
         return np.asarray(shapes.path(self.shape, surface, values, 1))[0]
 
 
@@ -101,20 +110,28 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
         try:
             groups[_name(flags, groups)] = _group(flags, request, mesh, moving)
         except ValueError as error:
-            raise ValueError(f"{flags.title}: {error}" if len(request.groups) > 1 else str(error)) from None
+            raise ValueError(
+                f"{flags.title}: {error}" if len(request.groups) > 1 else str(error)
+            ) from None
     parameters = {name: group.values for name, group in groups.items()}
     try:
-        made = Motion(groups, _sides(groups, mesh, moving), shapes.varied(parameters, dict(request.set)))
+        made = Motion(
+            groups, _sides(groups, mesh, moving), shapes.varied(parameters, dict(request.set))
+        )
     except ValueError as error:
         raise ValueError(f"--set: {error}") from None
     made.check(jnp.asarray(mesh.points, float)[moving], moving)
     return made
 
 
-def _sides(groups: dict[str, MotionGroup], mesh: Mesh, moving: np.ndarray) -> dict[tuple[str, ...], np.ndarray]:
+def _sides(
+    groups: dict[str, MotionGroup], mesh: Mesh, moving: np.ndarray
+) -> dict[tuple[str, ...], np.ndarray]:
     patches: dict[tuple[str, ...], list[str]] = {}
     for patch in dict.fromkeys(itertools.chain(*(group.patches for group in groups.values()))):
-        patches.setdefault(tuple(name for name, group in groups.items() if patch in group.patches), []).append(patch)
+        patches.setdefault(
+            tuple(name for name, group in groups.items() if patch in group.patches), []
+        ).append(patch)
     return {names: np.searchsorted(moving, mesh.patch(*own)) for names, own in patches.items()}
 
 
@@ -123,7 +140,11 @@ def _name(flags: MotionFlags, others: Mapping[str, Any]) -> str:
     name = flags.name or "+".join(flags.patches)
     if flags.name in others:
         raise ValueError(f"--name {flags.name}: another --moving has this name.")
-    return next(key for key in (name, *(f"{name}{k}" for k in range(2, len(others) + 3))) if key not in others)
+    return next(
+        key
+        for key in (name, *(f"{name}{k}" for k in range(2, len(others) + 3)))
+        if key not in others
+    )
 
 
 def _group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) -> MotionGroup:
@@ -132,7 +153,8 @@ def _group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) 
         raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
     if flags.lattice is not None:
         io.check_lattice_output(flags.lattice)
-    made, values = {}, {}
+    made = {}
+    values = {}
     for name in (name for name in PARTS if is_given(flags, name)):
         key = name.replace("_", "-")
         try:
@@ -166,17 +188,24 @@ class MovingPatch(NamedTuple):
 def _displacement(patch: MovingPatch) -> Parametrised:
     group = patch.group
     assert group.displacement is not None
-    how: dict[str, Any] = {"before": group.displacement_from, "is_position": group.displacement_is == "position"}
-    turn = jm.Turn.of(patch.points, io.read_displacement(group.displacement, patch.mesh, patch.nodes, **how))
+    how: dict[str, Any] = {
+        "before": group.displacement_from,
+        "is_position": group.displacement_is == "position",
+    }
+    turn = jm.Turn.of(
+        patch.points, io.read_displacement(group.displacement, patch.mesh, patch.nodes, **how)
+    )
     return shapes.Function(lambda x, share: x + turn.at(share), 0.0), 1.0
 
 
 def _onto(patch: MovingPatch) -> Parametrised:
-    mesh, d = patch.mesh, patch.dimension
+    mesh = patch.mesh
+    d = patch.dimension
     sides = [mesh.patch(name) for name in mesh.patch_names(*patch.symmetry)]
     touching = [nodes for nodes in sides if np.isin(nodes, patch.nodes).sum() >= d - 1]
     planes = [jm.Plane.through(np.asarray(mesh.points), nodes) for nodes in touching]
-    wall, target = jm.Facets.of(mesh, *patch.group.patches), io.read_facets(str(patch.group.onto), d)
+    wall = jm.Facets.of(mesh, *patch.group.patches)
+    target = io.read_facets(str(patch.group.onto), d)
     u = shapes.onto(wall, target, symmetry=planes)
     return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0
 
@@ -189,15 +218,21 @@ def distances(request: Deform, mesh: Mesh, points: Points) -> Distances:
     found = {}
     for group in request.groups:
         if group.onto is not None:
-            nodes, target = mesh.patch(*group.patches), io.read_facets(group.onto, points.shape[1])
-            off = [np.asarray(target.distance(x[nodes])) for x in (np.asarray(mesh.points, float), points)]
+            nodes = mesh.patch(*group.patches)
+            target = io.read_facets(group.onto, points.shape[1])
+            off = [
+                np.asarray(target.distance(x[nodes]))
+                for x in (np.asarray(mesh.points, float), points)
+            ]
             found[group.onto.name] = (jm.Facets.of(mesh, *group.patches), *off)
     return found
 
 
 def _modes(patch: MovingPatch) -> Parametrised:
     files, amplitudes = zip(*patch.group.mode, strict=True)
-    fields = [io.read_displacement(file, patch.mesh, patch.nodes, is_position=False) for file in files]
+    fields = [
+        io.read_displacement(file, patch.mesh, patch.nodes, is_position=False) for file in files
+    ]
     return shapes.Modes(np.stack(fields)), np.array(amplitudes)
 
 
@@ -207,13 +242,18 @@ def _box(patch: MovingPatch) -> Parametrised:
 
 
 def _scale(patch: MovingPatch) -> Parametrised:
-    about, given = patch.about, patch.group.scale or []
+    about = patch.about
+    given = patch.group.scale or []
     factors = given[0] if len(given) == 1 else np.array(given)
-    return shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors)), factors
+    return shapes.Function(
+        lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors)
+    ), factors
 
 
 def _translate(patch: MovingPatch) -> Parametrised:
-    return shapes.Function(shapes.translate, np.zeros(patch.dimension)), np.array(patch.group.translate)
+    return shapes.Function(shapes.translate, np.zeros(patch.dimension)), np.array(
+        patch.group.translate
+    )
 
 
 TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
@@ -235,7 +275,9 @@ def _turned(name: str, patch: MovingPatch) -> Parametrised:
         length = ((patch.points - patch.about) @ along).max() / np.linalg.norm(along)
     given = {"about": patch.about, "along": along, "axis": flags.axis, "length": length}
     found = [None if given[need] is None else np.array(given[need], float) for need in needs]
-    function(patch.points, 0.0, *found)  # checks directions and lengths, which a trace does not know
+    function(
+        patch.points, 0.0, *found
+    )  # checks directions and lengths, which a trace does not know
     turn = jax.jit(lambda x, angle: function(x, jnp.radians(angle), *found))
     return shapes.Function(turn, 0.0), getattr(flags, name)
 
@@ -247,7 +289,8 @@ def _bumps(rows: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
 def _class_functions(weights: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
     if len(weights) < 3:
         raise ValueError(
-            f"a side has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
+            f"a side has {len(weights)} numbers; two weights or more are expected, then the "
+            "ordinate of the edge."
         )
     exponents = finite_array("exponents", table.get("exponents", [0.5, 1.0]), (2,)).tolist()
     return shapes.CST(len(weights) - 2, tuple(exponents), chord=chord), weights
@@ -264,11 +307,13 @@ def _on_sides(name: str, patch: MovingPatch) -> Parametrised:
     (more, shape, make), source = SIDED[name], getattr(patch.group, name)
     table = read(str(source), source.read_bytes()) if isinstance(source, Path) else source
     if set(table) - {*SIDES, more, *CHORD} or not set(table) & set(SIDES):
-        listed, known = ", ".join(table) or "nothing", ", ".join((more, *CHORD))
+        listed = ", ".join(table) or "nothing"
+        known = ", ".join((more, *CHORD))
         raise ValueError(f"upper or lower expected, and perhaps {known}; found {listed}.")
     chord = _chord(table, patch)
     upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
-    made, values = {}, {}
+    made = {}
+    values = {}
     for side, mask in zip(SIDES, (upper, ~upper), strict=True):
         if side in table:
             one, values[side] = make(finite_array(side, table[side], shape), table, chord)
@@ -281,7 +326,9 @@ def _chord(table: Table, patch: MovingPatch) -> shapes.Chord:
     if not ends and patch.dimension == 2:
         return shapes.Chord.along(patch.points)
     if not {"nose", "tail"} <= set(ends):
-        raise ValueError(f"a chord has a nose and a tail, and up in 3-D; found {', '.join(ends) or 'none'}.")
+        raise ValueError(
+            f"a chord has a nose and a tail, and up in 3-D; found {', '.join(ends) or 'none'}."
+        )
     return shapes.Chord(**ends)
 
 

@@ -36,7 +36,8 @@ class Stage:
         return time.monotonic() - self.began
 
     def __str__(self) -> str:
-        passed, left = self.seconds, ""
+        passed = self.seconds
+        left = ""
         if self.share > 0:
             left = f", {self.share:.0%}, {passed / self.share - passed:.0f} s left"
         return f"{self.name} ... {passed:.0f} s{left}"
@@ -65,7 +66,8 @@ class Output:
 
     @contextlib.contextmanager
     def progress(self, name: str) -> Iterator[Stage]:
-        stage, over = Stage(name), threading.Event()
+        stage = Stage(name)
+        over = threading.Event()
         clock = threading.Thread(target=stage.announce, args=(self.name, over), daemon=True)
         is_heard = sys.stderr is not None and sys.stderr.isatty()  # a service may have closed it
         if is_heard:
@@ -104,18 +106,29 @@ class Output:
             return status
         if self.as_json:
             timings = {name: round(taken, 3) for name, taken in self.stages.items()}
-            facts = self.facts | {"status": status, "seconds": round(self.seconds, 3), "stages": timings}
-            plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN, no infinity
+            facts = self.facts | {
+                "status": status,
+                "seconds": round(self.seconds, 3),
+                "stages": timings,
+            }
+            plain = json.loads(
+                json.dumps(facts), parse_constant=lambda _: None
+            )  # JSON has no NaN, no infinity
             print(json.dumps(plain, allow_nan=False), flush=True)
         elif self.verbose:
             stages = self.stages | {"all": self.seconds}
-            lines = [f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s" for name, taken in stages.items()]
+            lines = [
+                f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s"
+                for name, taken in stages.items()
+            ]
             print("\n".join(["timings", *lines]), flush=True)
         return status
 
 
 def wrapped(text: str, indent: int = 9) -> str:
-    return textwrap.fill(text, 80, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(
+        text, 80, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def count(number: int, what: str) -> str:

@@ -28,7 +28,17 @@ Fields = type[Any]
 
 MOTION = "motion of the patches of the last --moving (at least one flag)"
 BAD = "when cells are bad"
-SECTIONS = ("", "surface", MOTION, "shapes", "design variables", "method", "quality gates", BAD, "output")
+SECTIONS = (
+    "",
+    "surface",
+    MOTION,
+    "shapes",
+    "design variables",
+    "method",
+    "quality gates",
+    BAD,
+    "output",
+)
 """Titles of flags on a page of help, in their order."""
 
 
@@ -58,7 +68,12 @@ SETTINGS: dict[Any, dict[str, Any]] = {
 
 
 def flag(
-    what: str, *names: str, default: Any = None, section: str = "", everyday: bool = False, **settings: Any
+    what: str,
+    *names: str,
+    default: Any = None,
+    section: str = "",
+    everyday: bool = False,
+    **settings: Any,
 ) -> Any:
     """Makes a field of a flag that `what` describes.
 
@@ -78,7 +93,9 @@ def positional(what: str, metavar: str, **settings: Any) -> Any:
 
 
 def switch(what: str, *names: str, default: bool = False, **settings: Any) -> Any:
-    return flag(what, *names, default=default, action=f"store_{str(not default).lower()}", **settings)
+    return flag(
+        what, *names, default=default, action=f"store_{str(not default).lower()}", **settings
+    )
 
 
 def part(fields: Fields) -> Any:
@@ -99,7 +116,9 @@ def values_of(request: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
     for field in dataclasses.fields(request):
         value = getattr(request, field.name)
         if "fields" in field.metadata:
-            yield from itertools.chain(*map(values_of, value if isinstance(value, tuple) else [value]))
+            yield from itertools.chain(
+                *map(values_of, value if isinstance(value, tuple) else [value])
+            )
         elif field.metadata:
             yield field, value
 
@@ -122,7 +141,11 @@ def made(fields: type[T], values: argparse.Namespace) -> T:
     arguments = {}
     for field in dataclasses.fields(fields):  # pyright: ignore[reportArgumentType]
         is_part = field.default is dataclasses.MISSING and "fields" in field.metadata
-        value = made(field.metadata["fields"], values) if is_part else getattr(values, field.name, field.default)
+        value = (
+            made(field.metadata["fields"], values)
+            if is_part
+            else getattr(values, field.name, field.default)
+        )
         arguments[field.name] = tuple(value) if isinstance(value, list) else value
     return fields(**arguments)
 
@@ -134,9 +157,13 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, *, is_short: bool = False, **settings: Any):
-        super().__init__(**settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
+        super().__init__(
+            **settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        )
         self.is_short = is_short
-        self._negative_number_matcher = re.compile(r"-\.?\d")  # as of Python 3.14: numbers such as -1e-3 are no flags
+        self._negative_number_matcher = re.compile(
+            r"-\.?\d"
+        )  # as of Python 3.14: numbers such as -1e-3 are no flags
 
     @property
     def flags(self) -> list[str]:
@@ -144,14 +171,19 @@ class Parser(argparse.ArgumentParser):
 
     def add_fields(self, fields: Fields) -> None:
         sections = {
-            field: field.metadata["section"] or getattr(owner, "SECTION", "") for field, owner in flags_of(fields)
+            field: field.metadata["section"] or getattr(owner, "SECTION", "")
+            for field, owner in flags_of(fields)
         }
         groups: dict[str, Any] = {"": self}
-        for field, owner in sorted(flags_of(fields), key=lambda flag: SECTIONS.index(sections[flag[0]])):
-            facts, settings = field.metadata, getattr(owner, "SETTINGS", {}) | settings_of(field)
+        for field, owner in sorted(
+            flags_of(fields), key=lambda flag: SECTIONS.index(sections[flag[0]])
+        ):
+            facts = field.metadata
+            settings = getattr(owner, "SETTINGS", {}) | settings_of(field)
             names = [field.name]
             if facts["names"] != ("",):
-                names, settings = facts["names"] or (flag_of(field.name),), settings | {"dest": field.name}
+                names = facts["names"] or (flag_of(field.name),)
+                settings = settings | {"dest": field.name}
             if self.is_short and not facts["everyday"]:
                 settings["help"] = argparse.SUPPRESS
             if sections[field] not in groups:
@@ -163,7 +195,10 @@ class Parser(argparse.ArgumentParser):
         for word in itertools.takewhile(lambda word: word != "--", words):
             name = word.partition("=")[0]
             if name.startswith("--") and name not in self.flags:
-                hint = meant(name, self.flags) or f"; a patch of this name is written with =, as in --moving={name}"
+                hint = (
+                    meant(name, self.flags)
+                    or f"; a patch of this name is written with =, as in --moving={name}"
+                )
                 self.error(f"there is no flag {name}{hint}")
             if f"-{name}" in self.flags:
                 hint = f"did you mean -{name}? The patch {name} is written --moving={name}"

@@ -35,7 +35,10 @@ def _prepared(request: PlanRequest, patches: Patches, out: Output, what: str = "
     with out.progress("preparing"):
         _, plan = next(patches.chunks())
     (name, sources), n = described(request.method, plan), len(patches.mesh.points)
-    out.say(f"{title(request.file)}: {n} points, {what or count(plan.n_moving, 'moving node')}", points=n)
+    out.say(
+        f"{title(request.file)}: {n} points, {what or count(plan.n_moving, 'moving node')}",
+        points=n,
+    )
     out.say(f"method   {name}", method=name, sources=sources)
     return plan
 
@@ -49,22 +52,37 @@ class Case(NamedTuple):
 
 
 def modes(request: ModesRequest, out: Output) -> int:
-    cases, patches, limits = _cases(request), _read(request, out), request.gates.limits
-    mesh, outputs = patches.mesh, [request.output, *(case.output for case in cases)]
+    cases = _cases(request)
+    patches = _read(request, out)
+    limits = request.gates.limits
+    mesh = patches.mesh
+    outputs = [request.output, *(case.output for case in cases)]
     for output in outputs[1:]:
         io.check_output(output, mesh)
     inputs = [("IN", request.file), *(("--mode", file) for file in request.mode)]
     check_apart(inputs, [("OUT", file) for file in outputs])
     with out.progress("reading the modes"):
-        u = np.stack([io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode])
+        u = np.stack(
+            [
+                io.read_displacement(file, mesh, patches.nodes, is_position=False)
+                for file in request.mode
+            ]
+        )
     what = f"{count(len(u), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     plan = _prepared(request, patches, out, what)
     if request.gates.proven:
-        out.say(f"proven   cells that fold nowhere inside, {instants(plan.is_linear, 1)}", on_the_way=plan.is_linear)
+        out.say(
+            f"proven   cells that fold nowhere inside, {instants(plan.is_linear, 1)}",
+            on_the_way=plan.is_linear,
+        )
     before = jm.judge(mesh, None, limits)
     ratio = list(before.rows)[-1][1][0].upper()  # of volumes, or of Jacobians
-    out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}  mode")
-    good, bad = [], 0
+    out.say(
+        f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10} "
+        " mode"
+    )
+    good = []
+    bad = 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, u, cases):
             way = Way(case.output, mesh, (points,), plan.is_linear)
@@ -94,7 +112,8 @@ def _end(request: ModesRequest, good: list[Case], total: int, out: Output) -> No
 
 def _cases(request: ModesRequest) -> list[Case]:
     """Names a numbered file beside OUT for each case. Amplitudes are times if they increase."""
-    amplitudes, out = request.amplitude, request.output
+    amplitudes = request.amplitude
+    out = request.output
     go_up = len(request.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
     suffix = ".vtu" if out.suffix == ".pvd" else out.suffix
     pairs = itertools.product(range(len(request.mode)), amplitudes)
@@ -108,22 +127,42 @@ def _moved(
     mesh: jm.Mesh, plan: jm.Plan, u: Float[np.ndarray, "k m d"], cases: list[Case]
 ) -> Iterator[tuple[Case, Points]]:
     """Yields the points of each case. `BATCH` cases together cost much less than single cases."""
-    base, nodes = np.asarray(mesh.points), np.asarray(plan.moving)
-    size, together = min(BATCH, len(cases)), jax.vmap(lambda u: jm.deform(plan, u))
+    base = np.asarray(mesh.points)
+    nodes = np.asarray(plan.moving)
+    size = min(BATCH, len(cases))
+    together = jax.vmap(lambda u: jm.deform(plan, u))
     moves = np.array([case.amplitude * u[case.mode] for case in cases])
     for first in range(0, len(cases), size):
-        some = np.resize(moves[first : first + size], (size, *moves.shape[1:]))  # the last ones are repeated
-        for case, points, move in zip(cases[first:], np.asarray(together(some)), some, strict=False):
+        some = np.resize(
+            moves[first : first + size], (size, *moves.shape[1:])
+        )  # the last ones are repeated
+        for case, points, move in zip(
+            cases[first:], np.asarray(together(some)), some, strict=False
+        ):
             yield case, in_double(base, points, nodes, move, plan.method.exact)
 
 
 def _tell(case: Case, file: Path, verdict: jm.Verdict, out: Output) -> None:
-    rows, failed, inverted = verdict.rows, faults(verdict), verdict.inverted
-    skewness = next(number.value for (kind, name), number in rows.items() if kind == "max" and "skewness" in name)
+    rows = verdict.rows
+    failed = faults(verdict)
+    inverted = verdict.inverted
+    skewness = next(
+        number.value
+        for (kind, name), number in rows.items()
+        if kind == "max" and "skewness" in name
+    )
     ratio = list(rows.values())[-1].value
     name = file.name if len(file.name) <= 26 else f"...{file.name[-23:]}"
-    out.say(f"{case.number:>6}{case.amplitude:>12.5g}{skewness:>12.5g}{ratio:>12.5g}{inverted:>10}  {name}")
-    facts = {"mode": str(file), "amplitude": case.amplitude, "output": str(case.output), "problems": failed}
+    out.say(
+        f"{case.number:>6}{case.amplitude:>12.5g}{skewness:>12.5g}{ratio:>12.5g}{inverted:>10}  "
+        f"{name}"
+    )
+    facts = {
+        "mode": str(file),
+        "amplitude": case.amplitude,
+        "output": str(case.output),
+        "problems": failed,
+    }
     out.facts.setdefault("cases", []).append(facts | verdict.facts)
     for sentence in failed:
         out.complain(f"case {case.number}: {sentence}")
@@ -133,8 +172,10 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
     job = job_of(request)
     asked = job or request
     patches = _read(asked, out)
-    mesh, moving = patches.mesh, patches.nodes
-    wall, moves = np.asarray(mesh.points, float)[moving], None if job is None else motion(job, mesh, moving)
+    mesh = patches.mesh
+    moving = patches.nodes
+    wall = np.asarray(mesh.points, float)[moving]
+    moves = None if job is None else motion(job, mesh, moving)
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
     if len(given) == len(mesh.points):
@@ -148,36 +189,58 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
             _write_variables(request, moves, gradient, out)
     elif moves is None:  # of the moving nodes: the volume is not needed
         raise ValueError(
-            f"{request.sensitivity}: {len(given)} of {len(mesh.points)} nodes, the moving ones: it is dJ/d(moving nodes) "
+            f"{request.sensitivity}: {len(given)} of {len(mesh.points)} nodes, the moving ones: "
+            "it is dJ/d(moving nodes) "
             "already. --job FILE takes it on to design variables."
         )
     else:
-        out.say(f"{title(request.file)}: {count(len(given), 'moving node')}, sensitivities of the surface")
-        _write_variables(request, moves, shapes.project(moves.shape, wall, moves.parameters, given), out)
+        out.say(
+            f"{title(request.file)}: {count(len(given), 'moving node')}, sensitivities of the "
+            "surface"
+        )
+        _write_variables(
+            request, moves, shapes.project(moves.shape, wall, moves.parameters, given), out
+        )
     out.wrote(request.output)
     return 0
 
 
-def _write_nodes(request: SensitivityRequest, plan: jm.Plan, given: np.ndarray, out: Output) -> None:
-    moving, wall = np.asarray(plan.moving), np.asarray(plan.moving_points)
+def _write_nodes(
+    request: SensitivityRequest, plan: jm.Plan, given: np.ndarray, out: Output
+) -> None:
+    moving = np.asarray(plan.moving)
+    wall = np.asarray(plan.moving_points)
     with out.progress("pulling back"):
         slope = np.asarray(jm.pullback(plan, np.zeros(wall.shape), given), float)
     size = np.linalg.norm(slope, axis=1)
     worst = int(size.argmax())
     place = coordinates(wall[worst])
-    out.say(f"largest  {size[worst]:.5g}, at node {moving[worst]} near {place}", largest=float(size[worst]))
-    out.say(f"sum      {', '.join(f'{x:.5g}' for x in slope.sum(axis=0))}", sum=slope.sum(axis=0).tolist())
+    out.say(
+        f"largest  {size[worst]:.5g}, at node {moving[worst]} near {place}",
+        largest=float(size[worst]),
+    )
+    out.say(
+        f"sum      {', '.join(f'{x:.5g}' for x in slope.sum(axis=0))}",
+        sum=slope.sum(axis=0).tolist(),
+    )
     with out.progress(f"writing {request.output.name}"):
         io.write_sensitivity(request.output, moving, slope)
 
 
-def _write_variables(request: SensitivityRequest, moves: Motion, gradient: Any, out: Output) -> None:
+def _write_variables(
+    request: SensitivityRequest, moves: Motion, gradient: Any, out: Output
+) -> None:
     names = shapes.names(moves.parameters)
-    values, slopes = (np.asarray(jax.flatten_util.ravel_pytree(tree)[0]) for tree in (moves.parameters, gradient))
+    values, slopes = (
+        np.asarray(jax.flatten_util.ravel_pytree(tree)[0]) for tree in (moves.parameters, gradient)
+    )
     out.say(f"\n{'dJ/d(variable)':>16}{'variable':>16}")
     for k in steepest(slopes):
         out.say(f"{slopes[k]:>16.6g}{values[k]:>16.6g}  {names[k]}")
-    out.say(f"{'... ' if len(names) > LISTED else ''}{count(len(names), 'design variable')} in {request.output.name}\n")
+    out.say(
+        f"{'... ' if len(names) > LISTED else ''}{count(len(names), 'design variable')} in "
+        f"{request.output.name}\n"
+    )
     out.say(variables=dict(zip(names, slopes.tolist(), strict=True)))
     with out.progress(f"writing {request.output.name}"):
         io.write_gradient(request.output, moves.parameters, gradient)

@@ -30,8 +30,13 @@ from ._parser import (
     switch,
 )
 
-MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
-ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
+MESH = (
+    "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM "
+    "case"
+)
+ZONE = (
+    "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
+)
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
 BY_SKEWNESS = "draw the mesh by its skewness: .png, in 3-D also a page (.html)"
 
@@ -77,7 +82,9 @@ def _change(word: str) -> tuple[str, tuple[float, ...]]:
     try:
         return name, tuple(map(number, numbers.split(",")))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{word!r} is not NAME=NUMBER or NAME=NUMBER,NUMBER,...") from None
+        raise argparse.ArgumentTypeError(
+            f"{word!r} is not NAME=NUMBER or NAME=NUMBER,NUMBER,..."
+        ) from None
 
 
 TABLE: dict[str, Any] = {"type": table, "metavar": "FILE"}
@@ -98,13 +105,19 @@ class InGroup(argparse.Action):
             groups.append(MotionFlags())
         group = groups[-1]
         if self.dest in group.flags:
-            parser.error(f"{option_string} twice for one --moving. Begin another motion of the patches by --moving.")
+            parser.error(
+                f"{option_string} twice for one --moving. Begin another motion of the patches by "
+                "--moving."
+            )
         group.flags |= {self.dest} - {"mode"}  # which may be repeated
         if self.dest == "mode":
             try:
                 values = (*group.mode, (Path(values[0]), number(values[1])))
             except ValueError:
-                parser.error(f"argument --mode: the amplitude of {values[0]} is a number, found {values[1]!r}")
+                parser.error(
+                    f"argument --mode: the amplitude of {values[0]} is a number, found "
+                    f"{values[1]!r}"
+                )
         setattr(group, self.dest, tuple(values) if self.dest == "patches" else values)
 
 
@@ -115,9 +128,15 @@ class MotionFlags:
     SECTION: ClassVar = MOTION
     SETTINGS: ClassVar = {"action": InGroup}
 
-    patches: tuple[str, ...] = _patches(WHAT_MOVES, "--moving", section="surface", everyday=True, action=InGroup)
-    displacement: Path | None = flag("new positions: node id, x, y[, z]; .npz, .stl, .obj", everyday=True)
-    displacement_from: Path | None = flag("the undeformed surface (.stl, .obj, .npz) of a deformed one")
+    patches: tuple[str, ...] = _patches(
+        WHAT_MOVES, "--moving", section="surface", everyday=True, action=InGroup
+    )
+    displacement: Path | None = flag(
+        "new positions: node id, x, y[, z]; .npz, .stl, .obj", everyday=True
+    )
+    displacement_from: Path | None = flag(
+        "the undeformed surface (.stl, .obj, .npz) of a deformed one"
+    )
     displacement_is: str = flag(
         "whether x, y[, z] of the file are new positions (default) or displacements",
         choices=("position", "displacement"),
@@ -125,23 +144,40 @@ class MotionFlags:
     )
     onto: Path | None = flag("a surface onto which the patches go: .stl, .obj, .npz, a mesh")
     mode: tuple[tuple[Path, float], ...] = flag(
-        "a file of displacements, and a factor; may be repeated", metavar=("FILE", "AMPLITUDE"), nargs=2, default=()
+        "a file of displacements, and a factor; may be repeated",
+        metavar=("FILE", "AMPLITUDE"),
+        nargs=2,
+        default=(),
     )
     box: Path | Table | None = flag("a free-form deformation box, see below", **TABLE)
-    hicks_henne: Path | Table | None = flag("bumps of Hicks and Henne on an airfoil's sides, see below", **TABLE)
-    cst: Path | Table | None = flag("class and shape functions to add to its sides, see below", **TABLE)
+    hicks_henne: Path | Table | None = flag(
+        "bumps of Hicks and Henne on an airfoil's sides, see below", **TABLE
+    )
+    cst: Path | Table | None = flag(
+        "class and shape functions to add to its sides, see below", **TABLE
+    )
     lattice: Lattice | None = flag(
         "the box's lattice for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts"
     )
     scale: list[float] | None = flag("factor, or a factor for each coordinate", metavar="S")
-    twist: Angle | None = flag("degrees by which the end of the line --along turns about the line, 3-D only")
-    bend: Angle | None = flag("degrees of the arc of the line --along, towards the cross product of --axis and --along")
-    rotate: Angle | None = flag("degrees, counterclockwise; right-handed about --axis", everyday=True)
+    twist: Angle | None = flag(
+        "degrees by which the end of the line --along turns about the line, 3-D only"
+    )
+    bend: Angle | None = flag(
+        "degrees of the arc of the line --along, towards the cross product of --axis and --along"
+    )
+    rotate: Angle | None = flag(
+        "degrees, counterclockwise; right-handed about --axis", everyday=True
+    )
     translate: list[float] | None = flag("vector to translate by", everyday=True)
-    about: list[float] | None = flag("centre of scaling, twist, bend, rotation (the origin)", everyday=True)
+    about: list[float] | None = flag(
+        "centre of scaling, twist, bend, rotation (the origin)", everyday=True
+    )
     axis: list[float] | None = flag("axis of rotation and bend, 3-D only", everyday=True)
     along: list[float] | None = flag("direction of the line from --about, for twist and bend")
-    length: float | None = flag("length of the line (default: up to the end of the patches)", metavar="L")
+    length: float | None = flag(
+        "length of the line (default: up to the end of the patches)", metavar="L"
+    )
     name: str | None = flag("name of this motion for --set (default: its patches)", metavar="NAME")
     flags: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
 
@@ -150,7 +186,19 @@ class MotionFlags:
         return ", ".join(self.patches)
 
 
-MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "onto", "box", "hicks_henne", "cst")
+MOTIONS = (
+    "rotate",
+    "translate",
+    "scale",
+    "bend",
+    "twist",
+    "mode",
+    "displacement",
+    "onto",
+    "box",
+    "hicks_henne",
+    "cst",
+)
 """The fields of a group that move something."""
 
 
@@ -161,7 +209,9 @@ class BoundaryFlags:
     fixed: tuple[str, ...] = _patches("patches that stay", everyday=True)
     symmetry: tuple[str, ...] = _patches("plane patches in which nodes slide", everyday=True)
     sliding: tuple[str, ...] = _patches("patches whose nodes slide along their faces")
-    periodic: tuple[str, ...] = _patches("pairs of patches that repeat each other, one name after the other")
+    periodic: tuple[str, ...] = _patches(
+        "pairs of patches that repeat each other, one name after the other"
+    )
     free: tuple[str, ...] = _patches("patches whose nodes follow like inner nodes")
 
 
@@ -169,10 +219,15 @@ class BoundaryFlags:
 class MethodFlags:
     SECTION: ClassVar = "method"
 
-    method: str = flag("one of the methods listed below", metavar="NAME", choices=[*jm.METHODS], default="default")
-    sources: int | None = flag("about how many nodes of the moving patches are sources", everyday=True)
+    method: str = flag(
+        "one of the methods listed below", metavar="NAME", choices=[*jm.METHODS], default="default"
+    )
+    sources: int | None = flag(
+        "about how many nodes of the moving patches are sources", everyday=True
+    )
     dtype: str = flag(
-        "precision of the calculation; float32 takes half the memory, and is too coarse for boundary layers",
+        "precision of the calculation; float32 takes half the memory, and is too coarse for "
+        "boundary layers",
         choices=("float64", "float32"),
         default="float64",
     )
@@ -186,19 +241,27 @@ class Gates:
     max_non_orthogonality: float | None = flag("largest non-orthogonality in degrees")
     max_skewness: float | None = flag("largest skewness of a cell, 0 to 1")
     max_face_skewness: float | None = flag("largest skewness of a face, as checkMesh measures it")
-    max_face_aspect_ratio: float | None = flag("largest aspect ratio from areas of faces, as checkMesh measures it")
+    max_face_aspect_ratio: float | None = flag(
+        "largest aspect ratio from areas of faces, as checkMesh measures it"
+    )
     min_jacobian_ratio: float | None = flag("smallest corner Jacobian over its initial value")
     proven: bool = switch(
-        "every cell is proven to fold nowhere inside, by bounds on det J: during the whole motion, or in a mesh alone"
+        "every cell is proven to fold nowhere inside, by bounds on det J: during the whole "
+        "motion, or in a mesh alone"
     )
     preset: str | None = flag(
-        "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
+        "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, "
+        "skewness 4",
         choices=("checkmesh",),
     )
 
     @property
     def limits(self) -> "jm.Limits":
-        flags = {name: limit for name, limit in vars(self).items() if name != "preset" and limit not in (None, False)}
+        flags = {
+            name: limit
+            for name, limit in vars(self).items()
+            if name != "preset" and limit not in (None, False)
+        }
         return dataclasses.replace(jm.Limits.checkmesh() if self.preset else jm.Limits(), **flags)
 
 
@@ -229,14 +292,22 @@ class Deform(Spoken):
     output: NewMesh = positional(
         "the new mesh, in the format of its ending; for a case a new folder, or CASE/TIME", "OUT"
     )
-    decomposed: bool = switch("IN is a decomposed OpenFOAM case: move its parts one by one, or under mpiexec several")
+    decomposed: bool = switch(
+        "IN is a decomposed OpenFOAM case: move its parts one by one, or under mpiexec several"
+    )
     job: Path | None = flag("read the flags from a TOML file")
     save_job: Written | None = flag("write a TOML file with the flags of this run")
-    picture: Picture | None = flag("draw the mesh before and after: .png, in 3-D also a page (.html)", everyday=True)
+    picture: Picture | None = flag(
+        "draw the mesh before and after: .png, in 3-D also a page (.html)", everyday=True
+    )
     zone: int | None = flag(ZONE)
-    groups: tuple[MotionFlags, ...] = dataclasses.field(default=(), metadata={"fields": MotionFlags})
+    groups: tuple[MotionFlags, ...] = dataclasses.field(
+        default=(), metadata={"fields": MotionFlags}
+    )
     boundary: BoundaryFlags = part(BoundaryFlags)
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
+    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(
+        CHANGES_HELP, section="design variables", **CHANGES
+    )
     method: MethodFlags = part(MethodFlags)
     steps: int | str = flag(
         "steps (default 1), or auto: the fewest without folds",
@@ -247,11 +318,16 @@ class Deform(Spoken):
         everyday=True,
     )
     chunk: int | None = flag(
-        "prepare and move N points at a time: less memory before cells are judged, more time", section="method"
+        "prepare and move N points at a time: less memory before cells are judged, more time",
+        section="method",
     )
     gates: Gates = part(Gates)
-    allow_inverted: bool = switch("write OUT even when cells are inverted or a gate fails", section=BAD)
-    dry_run: bool = switch("do not try other flags for advice", "--no-dry-run", default=True, section=BAD)
+    allow_inverted: bool = switch(
+        "write OUT even when cells are inverted or a gate fails", section=BAD
+    )
+    dry_run: bool = switch(
+        "do not try other flags for advice", "--no-dry-run", default=True, section=BAD
+    )
 
     @property
     def step_count(self) -> int:
@@ -265,11 +341,17 @@ class Deform(Spoken):
 
 @dataclasses.dataclass(frozen=True)
 class ModesRequest(Planned):
-    output: NewMesh = positional("a time series OUT.pvd of .vtu files; else one file a case, OUT_0001, ...", "OUT")
-    mode: tuple[Path, ...] = flag(
-        "displacements of the moving nodes: rows of node id, x, y[, z], or .npz", required=True, **SHAPES
+    output: NewMesh = positional(
+        "a time series OUT.pvd of .vtu files; else one file a case, OUT_0001, ...", "OUT"
     )
-    amplitude: tuple[float, ...] = flag("factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPES)
+    mode: tuple[Path, ...] = flag(
+        "displacements of the moving nodes: rows of node id, x, y[, z], or .npz",
+        required=True,
+        **SHAPES,
+    )
+    amplitude: tuple[float, ...] = flag(
+        "factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPES
+    )
     gates: Gates = part(Gates)
     allow_inverted: bool = switch("write bad meshes too", section=BAD)
 
@@ -279,14 +361,20 @@ class SensitivityRequest(Planned):
     sensitivity: Path = positional(
         "dJ/d(points): SU2's, OpenFOAM's, rows of node id, dJ/dx, dJ/dy[, dJ/dz], or .npz", "SENS"
     )
-    output: Written = positional("dJ/d(moving nodes), .csv or .npz; with --job .csv or .json", "OUT")
-    job: Path | None = flag("a job of deform: derivatives by its design variables (leave IN out)", everyday=True)
+    output: Written = positional(
+        "dJ/d(moving nodes), .csv or .npz; with --job .csv or .json", "OUT"
+    )
+    job: Path | None = flag(
+        "a job of deform: derivatives by its design variables (leave IN out)", everyday=True
+    )
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
 
 
 @dataclasses.dataclass(frozen=True)
 class ExportRequest(Planned):
-    output: Written | None = positional("the plan; not given for an OpenFOAM case", "OUT", nargs="?")
+    output: Written | None = positional(
+        "the plan; not given for an OpenFOAM case", "OUT", nargs="?"
+    )
     zone: int | None = flag("of an SU2 file with several zones the zone IZONE= N")
 
 
@@ -297,15 +385,23 @@ class NativeRequest:
 
 @dataclasses.dataclass(frozen=True)
 class SU2(Spoken):
-    action: str = positional("def moves the mesh, dot projects sensitivities", "ACTION", choices=("def", "dot"))
-    file: Path = positional("SU2's config file; the files it names are relative to its folder", "CONFIG")
+    action: str = positional(
+        "def moves the mesh, dot projects sensitivities", "ACTION", choices=("def", "dot")
+    )
+    file: Path = positional(
+        "SU2's config file; the files it names are relative to its folder", "CONFIG"
+    )
     sensitivity: Path | None = flag(
         "dot: dJ/d(nodes) of the volume or wall (default as the config file says)", metavar="SENS"
     )
-    output: Written | None = flag("where to write (default as the config file says)", *OUTPUT, metavar="OUT")
+    output: Written | None = flag(
+        "where to write (default as the config file says)", *OUTPUT, metavar="OUT"
+    )
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
     zone: int | None = flag(ZONE)
-    picture: Picture | None = flag("def: draw the mesh before and after: .png, in 3-D also .html", everyday=True)
+    picture: Picture | None = flag(
+        "def: draw the mesh before and after: .png, in 3-D also .html", everyday=True
+    )
     method: MethodFlags = part(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
 
@@ -334,14 +430,30 @@ class Convert(Spoken):
 
 @dataclasses.dataclass(frozen=True)
 class Demo:
-    case: str = positional("naca0015 (default)", "CASE", nargs="?", default="naca0015", choices=["naca0015"])
+    case: str = positional(
+        "naca0015 (default)", "CASE", nargs="?", default="naca0015", choices=["naca0015"]
+    )
     output: Folder = flag(
-        "where to write (default jaxmorph-demo)", *OUTPUT, metavar="DIR", default=Path("jaxmorph-demo")
+        "where to write (default jaxmorph-demo)",
+        *OUTPUT,
+        metavar="DIR",
+        default=Path("jaxmorph-demo"),
     )
 
 
 Request = (
-    Deform | ModesRequest | SensitivityRequest | ExportRequest | NativeRequest | SU2 | Quality | Info | Convert | Demo
+    Deform
+    | ModesRequest
+    | SensitivityRequest
+    | ExportRequest
+    | NativeRequest
+    | SU2
+    | Quality
+    | Info
+    | Convert
+    | Demo
 )
 
-COMMANDS: dict[str, Fields] = {fields.__name__.removesuffix("Request").lower(): fields for fields in get_args(Request)}
+COMMANDS: dict[str, Fields] = {
+    fields.__name__.removesuffix("Request").lower(): fields for fields in get_args(Request)
+}

@@ -21,7 +21,8 @@ from ._way import Way, check_picture, draw, faults, finish, say_verdict
 def run(request: SU2, out: Output) -> int:
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition, zone=request.zone)
-    mesh, factors = config.mesh, np.asarray(config.shape.scales)
+    mesh = config.mesh
+    factors = np.asarray(config.shape.scales)
     n, d = mesh.points.shape
     out.say(f"{mesh.source.path.name}: {n} points in {d}-D", points=n)
     out.say(
@@ -32,15 +33,23 @@ def run(request: SU2, out: Output) -> int:
     nodes = count(len(mesh.patch(*config.moving)), "node")
     out.say(f"moving   {', '.join(config.moving)}: {nodes}", moving=list(config.moving))
     with quickly_compiled(n * config.steps <= SMALL):
-        return _deform(request, config, out) if request.action == "def" else _project(request, config, out)
+        return (
+            _deform(request, config, out)
+            if request.action == "def"
+            else _project(request, config, out)
+        )
 
 
 def _values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
-    kinds, relaxed = np.array([name.partition("[")[0] for name in config.names]), config.options.relaxation
+    kinds = np.array([name.partition("[")[0] for name in config.names])
+    relaxed = config.options.relaxation
     for kind in dict.fromkeys(kinds.tolist()):
-        own, text = factors[kinds == kind], _listed(config.parameters[kinds == kind])
+        own = factors[kinds == kind]
+        text = _listed(config.parameters[kinds == kind])
         of = "" if (own == relaxed).all() else f"{_listed(own)}, of DEFINITION_DV and "
-        yield f"{len(own)} {kind}: {text}" + (f", times {of}OPT_RELAX_FACTOR= {relaxed:g}" if (own != 1).any() else "")
+        yield f"{len(own)} {kind}: {text}" + (
+            f", times {of}OPT_RELAX_FACTOR= {relaxed:g}" if (own != 1).any() else ""
+        )
 
 
 def _listed(numbers: np.ndarray) -> str:
@@ -56,10 +65,13 @@ def _prepared(request: SU2, config: su2.Config, out: Output) -> jm.Plan:
 
 
 def _deform(request: SU2, config: su2.Config, out: Output) -> int:
-    mesh, output, bad = config.mesh, request.output or config.output, []
+    mesh = config.mesh
+    output = request.output or config.output
+    bad = []
     io.check_output(output, mesh)
     check_picture(request.picture, mesh)
-    moved, verdict = mesh, None
+    moved = mesh
+    verdict = None
     if config.names:
         plan = _prepared(request, config, out)
         name, _ = described(request.method, plan)
@@ -70,49 +82,77 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
         text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
         out.say(text, largest=config.largest, share=config.share)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
-            moved = mesh.moved(np.asarray(jm.march(plan, config.path.astype(plan.points.dtype))[1], float))
+            moved = mesh.moved(
+                np.asarray(jm.march(plan, config.path.astype(plan.points.dtype))[1], float)
+            )
         with out.progress("judging the cells"):
             verdict = Way(output, mesh, (np.asarray(moved.points),)).judge()
         say_verdict(verdict, out)
         bad = faults(verdict)
-    draw(request.picture, mesh, out, moved.points, moving=mesh.patch(*config.moving), verdict=verdict)
+    draw(
+        request.picture, mesh, out, moved.points, moving=mesh.patch(*config.moving), verdict=verdict
+    )
     if config.boxes:
         moved = io.with_boxes(moved, config.moved_boxes)
-        out.say(f"boxes    {', '.join(box.name for box in config.boxes)}", boxes=[box.name for box in config.boxes])
+        out.say(
+            f"boxes    {', '.join(box.name for box in config.boxes)}",
+            boxes=[box.name for box in config.boxes],
+        )
     return finish(bad, request.allow_inverted, output, lambda: io.write(output, moved), out)
 
 
 def _project(request: SU2, config: su2.Config, out: Output) -> int:
     fault = next(iter(config.constants), "" if config.names else "no design variable")
     if fault:
-        raise ValueError(f"{request.file}: {fault} has no derivative: the wall does not depend on DV_VALUE.")
+        raise ValueError(
+            f"{request.file}: {fault} has no derivative: the wall does not depend on DV_VALUE."
+        )
     own = config.options.beside(config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat"))
     output = request.output or (own if own.suffix else own.with_suffix(".dat"))
     with out.progress("reading the sensitivities"):
         sensitivities = su2.read_sensitivity(config, request.sensitivity)
-    files = {"CONFIG": request.file, "MESH_FILENAME": config.mesh.source.path, "--sensitivity": sensitivities.path}
+    files = {
+        "CONFIG": request.file,
+        "MESH_FILENAME": config.mesh.source.path,
+        "--sensitivity": sensitivities.path,
+    }
     check_apart(list(files.items()), [("OUT", output)])
-    gradient, angle = _gradient(request, config, sensitivities, out), sensitivities.by_angle
+    gradient = _gradient(request, config, sensitivities, out)
+    angle = sensitivities.by_angle
     if config.angles:
         gradient[config.angles] = angle or 0
-        what = "is not told by this file, 0 here" if angle is None else f"from the file: {angle:.6g}"
+        what = (
+            "is not told by this file, 0 here" if angle is None else f"from the file: {angle:.6g}"
+        )
         out.say(f"angle    dJ/d(angle of attack) {what}", angle=angle)
     out.say(f"\n{'dJ/d(value)':>16}")
     for k in steepest(gradient):
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")
     out.say("", gradient=dict(zip(config.names, gradient.tolist(), strict=True)))
-    su2.write_gradient(output, gradient, config.options.text("OBJECTIVE_FUNCTION", "DRAG").split(",")[0].strip("() "))
+    su2.write_gradient(
+        output,
+        gradient,
+        config.options.text("OBJECTIVE_FUNCTION", "DRAG").split(",")[0].strip("() "),
+    )
     out.wrote(output)
     return 0
 
 
-def _gradient(request: SU2, config: su2.Config, sensitivities: su2.Sensitivity, out: Output) -> np.ndarray:
-    mesh, path, by_nodes, kind = config.mesh, sensitivities.path, sensitivities.by_nodes, "surface"
+def _gradient(
+    request: SU2, config: su2.Config, sensitivities: su2.Sensitivity, out: Output
+) -> np.ndarray:
+    mesh = config.mesh
+    path = sensitivities.path
+    by_nodes = sensitivities.by_nodes
+    kind = "surface"
     wall = np.asarray(mesh.points, float)[mesh.patch(*config.moving)]
     if len(by_nodes) == len(mesh.points):
-        kind, plan = "volume", _prepared(request, config, out)
+        kind = "volume"
+        plan = _prepared(request, config, out)
         with out.progress("pulling back"):
             by_nodes = np.asarray(jm.pullback(plan, np.zeros(wall.shape), by_nodes))
     out.say(f"reading  {path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(path), kind=kind)
-    project = jax.jit(lambda by_wall: shapes.project(config.shape, wall, config.shape.neutral(), by_wall))
+    project = jax.jit(
+        lambda by_wall: shapes.project(config.shape, wall, config.shape.neutral(), by_wall)
+    )
     return np.array(project(by_nodes), float)

@@ -50,14 +50,28 @@ class Way:
         return io.as_written(self.path, self.mesh.moved(self.ends[-1]))
 
     def judge(
-        self, limits: jm.Limits | None = None, before: jm.Verdict | None = None, part: int | None = None
+        self,
+        limits: jm.Limits | None = None,
+        before: jm.Verdict | None = None,
+        part: int | None = None,
     ) -> jm.Verdict:
-        steps, is_straight = self.ends[:-1], self.is_straight
-        return jm.judge(self.mesh, self.stored, limits, before=before, part=part, steps=steps, is_straight=is_straight)
+        steps = self.ends[:-1]
+        is_straight = self.is_straight
+        return jm.judge(
+            self.mesh,
+            self.stored,
+            limits,
+            before=before,
+            part=part,
+            steps=steps,
+            is_straight=is_straight,
+        )
 
     def write(self, verdict: jm.Verdict) -> None:
         moved = self.mesh.moved(self.ends[-1])
-        if io.check_output(self.path, self.mesh) and verdict.corners is not None:  # a format that holds arrays
+        if (
+            io.check_output(self.path, self.mesh) and verdict.corners is not None
+        ):  # a format that holds arrays
             io.write_moved(self.path, self.mesh, moved, verdict.corners)
         else:
             io.write(self.path, moved)
@@ -95,7 +109,9 @@ def check_picture(picture: Path | None, mesh: Mesh) -> None:
         from jaxmorph import plot  # noqa: F401  raises where an extra is missing
 
 
-def draw(picture: Path | None, mesh: Mesh, out: Output, points: Any = None, **settings: Any) -> None:
+def draw(
+    picture: Path | None, mesh: Mesh, out: Output, points: Any = None, **settings: Any
+) -> None:
     """Draws a mesh, or before and after; one that fails is a warning: the rest is worth more."""
     if picture is None:
         return
@@ -110,7 +126,9 @@ def draw(picture: Path | None, mesh: Mesh, out: Output, points: Any = None, **se
 
 
 def faults(verdict: jm.Verdict) -> list[str]:
-    return verdict.faults(lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}")
+    return verdict.faults(
+        lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}"
+    )
 
 
 def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> bool:
@@ -121,7 +139,9 @@ def is_kept(bad: list[str], allow_inverted: bool, output: Path, out: Output) -> 
     return not bad or allow_inverted
 
 
-def finish(bad: list[str], allow_inverted: bool, output: Path, write: Callable[[], None], out: Output) -> int:
+def finish(
+    bad: list[str], allow_inverted: bool, output: Path, write: Callable[[], None], out: Output
+) -> int:
     """Writes a mesh where it is good or bad ones are allowed; returns the exit status."""
     if not is_kept(bad, allow_inverted, output, out):
         return 1
@@ -132,19 +152,32 @@ def finish(bad: list[str], allow_inverted: bool, output: Path, write: Callable[[
 
 
 def say_verdict(
-    verdict: jm.Verdict, out: Output, *, is_straight: bool = True, steps: int = 1, more: Sequence[str] = ()
+    verdict: jm.Verdict,
+    out: Output,
+    *,
+    is_straight: bool = True,
+    steps: int = 1,
+    more: Sequence[str] = (),
 ) -> None:
     """Prints the quality before and after a motion, `more` rows, and what `--proven` proves."""
     assert verdict.before is not None
-    out.say(f"\n{verdict.table(more)}\n", before=verdict.before.facts, after=verdict.facts, gates=verdict.gate_facts)
+    out.say(
+        f"\n{verdict.table(more)}\n",
+        before=verdict.before.facts,
+        after=verdict.facts,
+        gates=verdict.gate_facts,
+    )
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
-        valid, when = verdict.cells - gate.beyond, instants(is_straight, steps)
+        valid = verdict.cells - gate.beyond
+        when = instants(is_straight, steps)
         out.say(wrapped(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {when}."))
         out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
 
 
 def instants(is_straight: bool, steps: int) -> str:
     if is_straight:
-        return "at every instant of the motion" + (f", step by step in {steps} steps" if steps > 1 else "")
+        return "at every instant of the motion" + (
+            f", step by step in {steps} steps" if steps > 1 else ""
+        )
     end = f"where each of {steps} steps ends" if steps > 1 else "where the motion ends"
     return f"{end}, but not on the way, where nodes leave straight lines"

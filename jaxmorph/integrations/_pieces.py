@@ -13,20 +13,31 @@ from jaxmorph.extend import lagrange_types, together
 def check_comm(comm: Any) -> None:
     if not hasattr(comm, "allgather"):
         raise ValueError(
-            f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not a {type(comm).__name__}."
+            "`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not a "
+            f"{type(comm).__name__}."
         )
 
 
 def solid(mesh: jm.Mesh) -> dict[str, Any]:
     """Selects the cells that fill the space, without boundary elements and empty types."""
-    cells, dimension = lagrange_types(), mesh.points.shape[1]
-    return {kind: ids for kind, ids in mesh.cells.items() if cells[kind].dimension == dimension and len(ids)}
+    cells = lagrange_types()
+    dimension = mesh.points.shape[1]
+    return {
+        kind: ids
+        for kind, ids in mesh.cells.items()
+        if cells[kind].dimension == dimension and len(ids)
+    }
 
 
-def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
+def faces_of(
+    comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray
+) -> dict[str, np.ndarray] | None:
     """Finds a piece's boundary faces (k, corners) by type, from whole ids (n,); or None."""
     if len(set(comm.allgather(mesh is None))) > 1:
-        raise ValueError("some processes give a Mesh and some points alone: give a Mesh in all, or points in all.")
+        raise ValueError(
+            "some processes give a Mesh and some points alone: give a Mesh in all, or points in "
+            "all."
+        )
     if mesh is None:
         return None
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
@@ -37,11 +48,14 @@ def faces_of(comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.n
     def outer() -> dict[str, np.ndarray]:
         if mesh.polyhedra is not None and mesh.between is None and comm.size > 1:
             raise ValueError(
-                "polyhedra do not tell which of their faces other pieces have: read the piece by `io.read`."
+                "polyhedra do not tell which of their faces other pieces have: read the piece by "
+                "`io.read`."
             )
         if mesh.polyhedra is not None:
             return jm.boundary_faces(mesh)
-        return jm.boundary_faces(jm.Mesh(mesh.points, cells)) if any(map(len, cells.values())) else {}
+        return (
+            jm.boundary_faces(jm.Mesh(mesh.points, cells)) if any(map(len, cells.values())) else {}
+        )
 
     marked = _marked(comm, together(comm, outer), nodes, is_shared)
     return {kind: nodes[ids[~is_twice]] for kind, ids, _, is_twice in marked}
@@ -55,7 +69,8 @@ def _marked(
     for kind, width in sorted({pair for share in widths for pair in share.items()}):
         corners = np.asarray(cells.get(kind, np.zeros((0, width), dtype=np.int64)))
         rows = np.flatnonzero(is_shared[corners].all(axis=1))
-        is_first, is_twice = np.ones(len(corners), dtype=bool), np.zeros(len(corners), dtype=bool)
+        is_first = np.ones(len(corners), dtype=bool)
+        is_twice = np.zeros(len(corners), dtype=bool)
         is_first[rows], is_twice[rows] = owned(comm, np.sort(nodes[corners[rows]], axis=1))
         yield kind, corners, is_first, is_twice
 
@@ -103,18 +118,24 @@ class WholeSurface:
         return order[np.searchsorted(self.names, ids, sorter=order)]
 
 
-def surface_of(comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[str, np.ndarray] | None) -> WholeSurface:
+def surface_of(
+    comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[str, np.ndarray] | None
+) -> WholeSurface:
     """Gathers the surface of all pieces; of this one `boundary`, whose points have the `ids` (n,).
 
     All processes get equal results, and raise together.
     """
     x = boundary.points
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
-    extent = np.concatenate([x, *comm.allgather(x[ends])])  # a plane holds nodes to a share of the whole mesh's size
+    extent = np.concatenate(
+        [x, *comm.allgather(x[ends])]
+    )  # a plane holds nodes to a share of the whole mesh's size
     guided = np.isin(ids, np.concatenate([ids[:0], *map(np.ravel, (faces or {}).values())]))
     for plane in _parallel(boundary.planes):
         guided |= plane.holds(extent)[: len(x)]
-    shares = comm.allgather([(ids[rows], x[rows]) for rows in (boundary.moving, boundary.fixed, guided)])
+    shares = comm.allgather(
+        [(ids[rows], x[rows]) for rows in (boundary.moving, boundary.fixed, guided)]
+    )
     # A node that several lists have belongs to the first: what moves, what is fixed, the rest.
     lists = [share[role] for role in range(3) for share in shares]
     role = np.repeat(np.repeat(np.arange(3), comm.size), [len(own) for own, _ in lists])
@@ -122,11 +143,16 @@ def surface_of(comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[st
     names, first, back = np.unique(everyone, return_index=True, return_inverse=True)
     torn = everyone[(places != places[first][back]).any(axis=1)]
     if torn.size:
-        raise ValueError(f"{torn.size} nodes lie at different places in different processes, first {torn[0]}.")
-    order, counts = np.lexsort((names, role[first])), np.cumsum(np.bincount(role[first], minlength=3))
+        raise ValueError(
+            f"{torn.size} nodes lie at different places in different processes, first {torn[0]}."
+        )
+    order = np.lexsort((names, role[first]))
+    counts = np.cumsum(np.bincount(role[first], minlength=3))
     outermost = np.concatenate(comm.allgather(x[ends[~guided[ends]]]))
     points = np.concatenate([places[first[order]], outermost])
-    return WholeSurface(points, np.append(names[order], np.full(len(outermost), -1)), *counts.tolist())
+    return WholeSurface(
+        points, np.append(names[order], np.full(len(outermost), -1)), *counts.tolist()
+    )
 
 
 def _parallel(planes: Sequence[jm.Plane]) -> list[jm.Plane]:

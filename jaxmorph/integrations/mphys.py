@@ -15,7 +15,15 @@ from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
 
-from .openmdao import MovedMesh, Traced, TracedComponent, Values, add_parameters, first_parameters, from_inputs
+from .openmdao import (
+    MovedMesh,
+    Traced,
+    TracedComponent,
+    Values,
+    add_parameters,
+    first_parameters,
+    from_inputs,
+)
 
 SURFACE = MPhysVariables.Aerodynamics.Surface
 
@@ -57,11 +65,17 @@ class VolumeBuilder(Builder):
     **Raises:** `ValueError` for a mesh in 2-D, and by `initialize` on more than one process.
     """
 
-    def __init__(self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True):
+    def __init__(
+        self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True
+    ):
         super().__init__()
-        Volume(plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted)  # OpenMDAO refuses values of other types
+        Volume(
+            plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted
+        )  # OpenMDAO refuses values of other types
         if plan.points.shape[1] != 3:
-            raise ValueError(f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D.")
+            raise ValueError(
+                f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D."
+            )
         self.plan, self.mesh, self.raise_if_inverted = plan, mesh, raise_if_inverted
 
     def initialize(self, comm) -> None:
@@ -71,7 +85,9 @@ class VolumeBuilder(Builder):
     def get_mesh_coordinate_subsystem(self, scenario_name=None) -> om.IndepVarComp:  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
         wall: Any = np.asarray(self.plan.moving_points, float).ravel()
         component = om.IndepVarComp()
-        component.add_output(SURFACE.Mesh.COORDINATES, wall, distributed=True, units="m", tags=["mphys_coordinates"])
+        component.add_output(
+            SURFACE.Mesh.COORDINATES, wall, distributed=True, units="m", tags=["mphys_coordinates"]
+        )
         return component
 
     def get_coupling_group_subsystem(self, scenario_name=None) -> "Volume":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
@@ -94,7 +110,13 @@ class Geometry(TracedComponent):
         name = SURFACE.Geometry.COORDINATES_INPUT
         self.add_input(name, shape_by_conn=True, distributed=True, units="m", tags=tags)
         add_parameters(self, self.options["parameters"], tags=["mphys_input"])
-        self.add_output(SURFACE.Geometry.COORDINATES_OUTPUT, copy_shape=name, distributed=True, units="m", tags=tags)
+        self.add_output(
+            SURFACE.Geometry.COORDINATES_OUTPUT,
+            copy_shape=name,
+            distributed=True,
+            units="m",
+            tags=tags,
+        )
 
     def traced(self) -> Traced:
         return eqx.Partial(_moved, self.options["shape"], self.options["parameters"])
@@ -106,8 +128,15 @@ class Volume(MovedMesh):
     def setup(self) -> None:
         super().setup()
         points: Any = np.asarray(self.options["plan"].points, float)
-        wall, tags = points[np.asarray(self.options["plan"].moving)], ["mphys_coupling"]
-        self.add_input(SURFACE.COORDINATES, wall.ravel(), distributed=True, units="m", tags=["mphys_coordinates"])
+        wall = points[np.asarray(self.options["plan"].moving)]
+        tags = ["mphys_coupling"]
+        self.add_input(
+            SURFACE.COORDINATES,
+            wall.ravel(),
+            distributed=True,
+            units="m",
+            tags=["mphys_coordinates"],
+        )
         self.add_output("aero_vol_coords", points.ravel(), distributed=True, units="m", tags=tags)
 
     def traced(self) -> Traced:

@@ -4,7 +4,8 @@ try:
     from mpi4py import MPI
 except (ImportError, RuntimeError) as error:  # RuntimeError: mpi4py is there, and no MPI library
     raise ImportError(
-        "pieces over MPI need mpi4py and an MPI library: pip install 'jaxmorph[mpi]' mpich, or the machine's own MPI"
+        "pieces over MPI need mpi4py and an MPI library: pip install 'jaxmorph[mpi]' mpich, or "
+        "the machine's own MPI"
     ) from error
 
 import dataclasses
@@ -52,10 +53,14 @@ class Piece:
         u = self.gathered(u)
         moved = np.array(together(self.comm, lambda: jm.deform(self.plan, u)))
         if self.comm.allreduce(int(self.is_shared.sum())):
-            moved[self.is_shared] = Agreement(self.comm)(self.nodes[self.is_shared], moved[self.is_shared])
+            moved[self.is_shared] = Agreement(self.comm)(
+                self.nodes[self.is_shared], moved[self.is_shared]
+            )
         return moved
 
-    def pullback(self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]) -> Float[np.ndarray, "k d"]:
+    def pullback(
+        self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]
+    ) -> Float[np.ndarray, "k d"]:
         """Pulls dJ/d(points) of the whole mesh, `cotangent` (n, d), back to moving nodes (k, d).
 
         Processes that share a node give equal derivatives, which count once. It raises `ValueError`
@@ -71,14 +76,18 @@ class Piece:
         self.comm.Allreduce(MPI.IN_PLACE, total)
         return total[self.rows]
 
-    def pushforward(self, u: Real[ArrayLike, "k d"], tangent: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
+    def pushforward(
+        self, u: Real[ArrayLike, "k d"], tangent: Real[ArrayLike, "k d"]
+    ) -> Float[np.ndarray, "n d"]:
         """Pushes a change of `u` (k, d) forward to points (n, d); errors as of `deform`."""
-        u, tangent = self.gathered(u), self.gathered(tangent, "tangent")
+        u = self.gathered(u)
+        tangent = self.gathered(tangent, "tangent")
         return np.array(together(self.comm, lambda: jm.velocity(self.plan, u, tangent)))
 
     def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[np.ndarray, "m d"]:
         """Gathers the displacements of all moving nodes; errors call them `name`."""
-        shape, dtype = (len(self.moving), self.plan.points.shape[1]), self.plan.points.dtype
+        shape = (len(self.moving), self.plan.points.shape[1])
+        dtype = self.plan.points.dtype
         own = together(self.comm, lambda: real_array(name, u, shape).astype(dtype))
         shares = self.comm.allgather((self.rows, own))
         whole = np.full((self.plan.n_moving, shape[1]), np.nan, dtype)
@@ -86,11 +95,16 @@ class Piece:
             whole[rows] = values
         torn = sum(int((whole[rows] != values).any(axis=1).sum()) for rows, values in shares)
         if torn and np.isfinite(whole).all():
-            raise ValueError(f"{torn} moving nodes are displaced differently by the processes that share them.")
+            raise ValueError(
+                f"{torn} moving nodes are displaced differently by the processes that share them."
+            )
         return whole
 
     def judge(
-        self, mesh: jm.Mesh, points: Real[ArrayLike, "n d"] | None = None, limits: jm.Limits | None = None
+        self,
+        mesh: jm.Mesh,
+        points: Real[ArrayLike, "n d"] | None = None,
+        limits: jm.Limits | None = None,
     ) -> jm.Verdict:
         """Judges all pieces, each cell of which is in one: the same `Verdict` in every process.
 
@@ -142,14 +156,20 @@ def prepare(
     own, ids = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
     marks = owned(comm, ids)
     faces = faces_of(comm, mesh, ids, marks[1])
-    surface, shares = surface_of(comm, own, ids, faces), comm.gather(faces)
+    surface = surface_of(comm, own, ids, faces)
+    shares = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
             return None
         known: dict[str, Any] = {"is_open": is_open}
         if faces is not None:
-            known = {"faces": {kind: surface.rows(np.concatenate([own[kind] for own in shares])) for kind in faces}}
+            known = {
+                "faces": {
+                    kind: surface.rows(np.concatenate([own[kind] for own in shares]))
+                    for kind in faces
+                }
+            }
         try:
             boundary = surface.boundary(symmetry, is_open)
             return jm.prepare_surface(boundary, nodes=surface.names, method=method, **known)
@@ -164,18 +184,29 @@ def prepare(
     return Piece(comm, plan, ids, own.moving, rows, *marks)
 
 
-def _own(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any) -> tuple[jm.Boundary, np.ndarray]:
+def _own(
+    points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any
+) -> tuple[jm.Boundary, np.ndarray]:
     """Returns the boundary of a piece, and the ids (n,) of its points."""
     x = points.points if isinstance(points, jm.Mesh) else points
-    boundary, ids = jm.Boundary(x, moving, fixed, symmetry=symmetry), np.asarray(nodes)
+    boundary = jm.Boundary(x, moving, fixed, symmetry=symmetry)
+    ids = np.asarray(nodes)
     n = len(boundary.points)
-    if ids.shape != (n,) or ids.dtype.kind not in "iu" or (ids < 0).any() or len(np.unique(ids)) < n:
+    if (
+        ids.shape != (n,)
+        or ids.dtype.kind not in "iu"
+        or (ids < 0).any()
+        or len(np.unique(ids)) < n
+    ):
         raise ValueError(f"`nodes` must be one id for each of {n} points, from 0 on, no id twice.")
     return boundary, ids.astype(np.int64)
 
 
 def attach(
-    comm: Any, half: jm.SurfaceHalf, points: Real[ArrayLike, "n d"], nodes: Int[ArrayLike, " n"] | Sequence[int]
+    comm: Any,
+    half: jm.SurfaceHalf,
+    points: Real[ArrayLike, "n d"],
+    nodes: Int[ArrayLike, " n"] | Sequence[int],
 ) -> Piece:
     """Attaches this process' piece of a mesh to a prepared surface; all processes call it together.
 
@@ -196,6 +227,7 @@ def attach(
             raise ValueError(f"`half` must be what prepare_surface returned, not {half!r}.")
         return half.attach(np.asarray(points), np.asarray(nodes))
 
-    plan, ids = together(comm, attached), np.asarray(nodes)
+    plan = together(comm, attached)
+    ids = np.asarray(nodes)
     moving = np.flatnonzero(np.isin(ids, half.moving))
     return Piece(comm, plan, ids, moving, half.rows(ids[moving]), *owned(comm, ids))

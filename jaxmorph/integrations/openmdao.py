@@ -34,10 +34,23 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "recordable": False,
         "desc": "whose cells are judged",
     },
-    "raise_if_inverted": {"types": bool, "default": True, "desc": "AnalysisError on inverted cells"},
+    "raise_if_inverted": {
+        "types": bool,
+        "default": True,
+        "desc": "AnalysisError on inverted cells",
+    },
     "flat": {"types": bool, "default": False, "desc": "variables of one dimension"},
-    "units": {"types": str, "default": None, "allow_none": True, "desc": "of both variables, or the output"},
-    "shape": {"types": object, "recordable": False, "desc": "positions and parameters to positions"},
+    "units": {
+        "types": str,
+        "default": None,
+        "allow_none": True,
+        "desc": "of both variables, or the output",
+    },
+    "shape": {
+        "types": object,
+        "recordable": False,
+        "desc": "positions and parameters to positions",
+    },
     "parameters": {"default": None, "recordable": False, "desc": "parameters at the start"},
     "positions": {"types": bool, "default": False, "desc": "positions instead of displacements"},
 }
@@ -61,7 +74,9 @@ class TracedComponent(om.ExplicitComponent):
 
     def add(self, name: str, value: Any, added: Callable[..., Any]) -> None:
         value = np.asarray(value, float)
-        added(name, val=value.ravel() if self.options["flat"] else value, units=self.options["units"])
+        added(
+            name, val=value.ravel() if self.options["flat"] else value, units=self.options["units"]
+        )
 
     def compute(self, inputs, outputs, discrete_inputs=None, discrete_outputs=None) -> None:
         (name,) = outputs.keys()
@@ -79,8 +94,12 @@ class TracedComponent(om.ExplicitComponent):
             return
         (name,), values = d_outputs.keys(), _arrays(inputs)
         if mode == "fwd":
-            tangents = {key: np.zeros_like(value) for key, value in values.items()} | _arrays(d_inputs)
-            d_outputs[name] += np.asarray(_forward(self.traced(), values, tangents)).reshape(d_outputs[name].shape)
+            tangents = {key: np.zeros_like(value) for key, value in values.items()} | _arrays(
+                d_inputs
+            )
+            d_outputs[name] += np.asarray(_forward(self.traced(), values, tangents)).reshape(
+                d_outputs[name].shape
+            )
         else:
             slopes = _reverse(self.traced(), values, np.array(d_outputs[name]))
             for key in d_inputs:
@@ -93,12 +112,14 @@ class MovedMesh(TracedComponent):
     option_names = ("plan", "mesh", "raise_if_inverted")
 
     def setup(self) -> None:
-        mesh, self._is_inverted = self.options["mesh"], None
+        mesh = self.options["mesh"]
+        self._is_inverted = None
         if not self.options["raise_if_inverted"]:
             return
         if mesh is None:
             warn(
-                "inverted cells are not seen: pass the mesh, mesh=mesh, so that they raise AnalysisError, or "
+                "inverted cells are not seen: pass the mesh, mesh=mesh, so that they raise "
+                "AnalysisError, or "
                 "raise_if_inverted=False."
             )
             return
@@ -176,24 +197,39 @@ class ShapeDisplacement(TracedComponent):
     option_names = ("shape", "plan", "parameters", "positions", "flat", "units")
 
     def setup(self) -> None:
-        start = add_parameters(self, first_parameters(self.options["shape"], self.options["parameters"]))
-        self.add("positions" if self.options["positions"] else "displacements", self.traced()(start), self.add_output)
+        start = add_parameters(
+            self, first_parameters(self.options["shape"], self.options["parameters"])
+        )
+        self.add(
+            "positions" if self.options["positions"] else "displacements",
+            self.traced()(start),
+            self.add_output,
+        )
 
     def traced(self) -> Traced:
-        shape, plan, given, positions = (self.options[name] for name in ("shape", "plan", "parameters", "positions"))
+        shape, plan, given, positions = (
+            self.options[name] for name in ("shape", "plan", "parameters", "positions")
+        )
         return eqx.Partial(_wall, shape, plan, first_parameters(shape, given), positions)
 
 
 def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
     if isinstance(shape, type) or not callable(shape):
-        raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shape!r}.")
+        raise ValueError(
+            f"`shape` must be a shape or a function of positions and parameters, not {shape!r}."
+        )
     if parameters is None and not hasattr(shape, "neutral"):
-        raise ValueError("`parameters` is missing: a plain function does not tell its own. Or take `shapes.Function`.")
+        raise ValueError(
+            "`parameters` is missing: a plain function does not tell its own. Or take "
+            "`shapes.Function`."
+        )
     shapes.names(parameters)  # refuses leaves that are no numbers
     return shape.neutral() if parameters is None else parameters  # pyright: ignore[reportFunctionMemberAccess]
 
 
-def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[str, Float[np.ndarray, "..."]]:
+def add_parameters(
+    component: Any, parameters: PyTree, **options: Any
+) -> dict[str, Float[np.ndarray, "..."]]:
     leaves = jax.tree_util.tree_leaves_with_path(parameters)
     arrays = {_name(path): np.asarray(leaf, float) for path, leaf in leaves}
     for name, values in arrays.items():

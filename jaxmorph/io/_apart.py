@@ -8,7 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-SMALL, UNPACKED = 4 * 10**8, 200
+SMALL = 4 * 10**8
+UNPACKED = 200
 """Bytes of memory that any file may need, and that a byte of it may need."""
 
 
@@ -17,16 +18,23 @@ def run_apart(task: str, path: Path, size: int, folder: str) -> bytes:
 
     Raises `ValueError` for a process that ended by a signal, or with a message.
     """
-    most, script = SMALL + UNPACKED * size, Path(__file__).with_name("_apart_script.py")
+    most = SMALL + UNPACKED * size
+    script = Path(__file__).with_name("_apart_script.py")
     python = os.fsdecode(multiprocessing.spawn.get_executable() or "")
-    if "py" not in Path(python).name.lower():  # this process may be another program that has Python in it
+    if (
+        "py" not in Path(python).name.lower()
+    ):  # this process may be another program that has Python in it
         python = shutil.which("python3") or "python3"
     words = [python, "-P", str(script), task, str(path.absolute()), folder, str(most)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    done = subprocess.run(words, capture_output=True, stdin=subprocess.DEVNULL, env=environment, check=False)
+    done = subprocess.run(
+        words, capture_output=True, stdin=subprocess.DEVNULL, env=environment, check=False
+    )
     if done.returncode < 0:
         name = signal.Signals(-done.returncode).name
-        raise ValueError(f"a damaged file (its reader ended by {name}, or would have taken {most / 1e6:.0f} MB).")
+        raise ValueError(
+            f"a damaged file (its reader ended by {name}, or would have taken {most / 1e6:.0f} MB)."
+        )
     if done.returncode:
         why = done.stderr.decode(errors="replace").strip().split("\n")[-1]
         reader = {"vtk": "VTK", "gmsh": "gmsh"}.get(task, "meshio")

@@ -51,13 +51,17 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple], dict[tuple[int, int
     gmsh.initialize(argv=["gmsh", "-noenv"], readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.open(file)
-    mesh, found, names = gmsh.model.mesh, [], {}
+    mesh = gmsh.model.mesh
+    found = []
+    names = {}
     tags, places, _ = map(np.asarray, mesh.getNodes())
     # gmsh's tags of nodes have gaps and any order: node i is the one with the i-th smallest tag
     order = np.argsort(tags)
     for level, entity in gmsh.model.getEntities():
         groups = [int(group) for group in gmsh.model.getPhysicalGroupsForEntity(level, entity)]
-        names |= {(level, tag): gmsh.model.getPhysicalName(level, tag) or f"group_{tag}" for tag in groups}
+        names |= {
+            (level, tag): gmsh.model.getPhysicalName(level, tag) or f"group_{tag}" for tag in groups
+        }
         for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
             width = mesh.getElementProperties(number)[3]
             ids = np.searchsorted(tags[order], nodes).reshape(-1, width)
@@ -68,7 +72,8 @@ def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple], dict[tuple[int, int
 def by_vtk(path: Path, folder: Path, most: int) -> None:
     from vtkmodules import vtkCommonCore
 
-    reader, names = vtk_reader(path, folder), []
+    reader = vtk_reader(path, folder)
+    names = []
     limit_memory(most)
     said = vtkCommonCore.vtkStringOutputWindow()
     vtkCommonCore.vtkOutputWindow.SetInstance(said)
@@ -82,7 +87,9 @@ def by_vtk(path: Path, folder: Path, most: int) -> None:
         write(folder / f"{len(names)}.xml", data)
         names.append(name)
     text = said.GetOutput()
-    text = text if isinstance(text, str) else text.decode(errors="replace")  # it may quote bytes of the file
+    text = (
+        text if isinstance(text, str) else text.decode(errors="replace")
+    )  # it may quote bytes of the file
     print(json.dumps([names, text]))
 
 
@@ -104,7 +111,9 @@ def vtk_reader(path: Path, folder: Path) -> Any:
         return reader
     raw = path.read_bytes()
     if not HEAD.match(raw):
-        raise SystemExit("not a .vtk file; `# vtk DataFile Version` and three lines more are expected first")
+        raise SystemExit(
+            "not a .vtk file; `# vtk DataFile Version` and three lines more are expected first"
+        )
     copy = folder / "copy.vtk"
     copy.write_bytes(re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw))
     reader = vtkIOLegacy.vtkGenericDataObjectReader()
@@ -121,7 +130,8 @@ def check_counts(raw: bytes, data: Any) -> None:
     found = sum(field.GetNumberOfArrays() for field in fields)
     if found < announced or re.search(rb"_DATA\s+\d+\s*\Z", raw[-99:]):
         raise SystemExit(f"{announced or 'some'} arrays are announced, and {found} are found")
-    first, points = raw.find(b"\nFIELD"), raw.find(b"\nPOINTS ")
+    first = raw.find(b"\nFIELD")
+    points = raw.find(b"\nPOINTS ")
     if 0 <= points < first and b"_DATA" not in raw[points:first]:
         raise SystemExit("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
     if data.GetNumberOfCells() < 1:
@@ -136,7 +146,9 @@ def check_numbers(raw: bytes, data: Any) -> None:
         sizes[b"connectivity"] = data.GetCells().GetNumberOfConnectivityIds()
         counts |= {rb'<DataArray[^>]*Name="%s"[^>]*' % name: size for name, size in sizes.items()}
     for start, count in counts.items():
-        texts = [text for tag, text in re.findall(rb"(%s)>([^<]*)<" % start, raw) if b'"ascii"' in tag]
+        texts = [
+            text for tag, text in re.findall(rb"(%s)>([^<]*)<" % start, raw) if b'"ascii"' in tag
+        ]
         words = [float(word) for word in b" ".join(texts).split()]  # a `ValueError` ends the script
         if texts and len(words) != count:
             raise SystemExit(f"{len(words)} numbers are found where there are {count}")
@@ -153,7 +165,8 @@ def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
     if not isinstance(data, vtkCompositeDataSet):
         yield "", data
         return
-    blocks, name = data.NewIterator(), vtkCompositeDataSet.NAME()
+    blocks = data.NewIterator()
+    name = vtkCompositeDataSet.NAME()
     while not blocks.IsDoneWithTraversal():
         about = blocks.GetCurrentMetaData() if blocks.HasCurrentMetaData() else None
         yield about.Get(name) if about and about.Has(name) else "", blocks.GetCurrentDataObject()

@@ -28,7 +28,8 @@ from ._vtk import Encoding, text_of
 Points = Float[ndarray, "..."]
 Surface = Mapping[str, tuple[Int[ndarray, " k"], Float[ndarray, "k d"]]]
 
-NEEDED, OPTIONAL = {"points", "moved"}, {"degree", "continuity"}
+NEEDED = {"points", "moved"}
+OPTIONAL = {"degree", "continuity"}
 """Keys of a box's table, beside those of its place."""
 ORDERS = ("BSPLINE_ORDER_I", "BSPLINE_ORDER_J", "BSPLINE_ORDER_K")
 RELATIVES = ("FFD_PARENTS", "FFD_CHILDREN")
@@ -60,7 +61,11 @@ def read_box(
     point that is held.
     """
     where = "--box" if isinstance(source, Mapping) else str(source)
-    table = dict(source) if isinstance(source, Mapping) else read(where, input_path(source).read_bytes())
+    table = (
+        dict(source)
+        if isinstance(source, Mapping)
+        else read(where, input_path(source).read_bytes())
+    )
     with faults_of(Path(where)):
         box = _box_of(table, dimensions)
         control = np.zeros((*box.counts, dimensions))
@@ -69,7 +74,9 @@ def read_box(
                 raise ValueError(f"each of moved has at and by, found {entry}.")
             place = tuple(_whole("at", entry["at"], 0, np.array(box.counts) - 1))
             if not box.free[place]:
-                raise ValueError(f"control point {entry['at']} is held by continuity = {box.continuity}.")
+                raise ValueError(
+                    f"control point {entry['at']} is held by continuity = {box.continuity}."
+                )
             control[place] += _numbers("by", entry["by"], dimensions)
     return box, control
 
@@ -78,15 +85,22 @@ def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.He
     needed = NEEDED | ({"corners"} if "corners" in table else {"low", "high"})
     if not needed <= set(table) <= needed | OPTIONAL:
         listed = ", ".join(table) or "nothing"
-        raise ValueError(f"low and high or corners, points and a list moved expected, found {listed}.")
+        raise ValueError(
+            f"low and high or corners, points and a list moved expected, found {listed}."
+        )
     counts = _whole("points", table["points"], 2, np.full(d, MOST))
     if math.prod(counts) > MOST:
-        raise ValueError(f"points = {counts} are {math.prod(counts):.3g} control points; {MOST} at most.")
+        raise ValueError(
+            f"points = {counts} are {math.prod(counts):.3g} control points; {MOST} at most."
+        )
     more = {name: table[name] for name in OPTIONAL & table.keys()}
     if "corners" in table:
         rows = table["corners"] if isinstance(table["corners"], list) else [table["corners"]]
-        return jm.shapes.Hexahedron(np.array([_numbers("corners", row, d) for row in rows]), counts, **more)
-    low, high = _numbers("low", table["low"], d), _numbers("high", table["high"], d)
+        return jm.shapes.Hexahedron(
+            np.array([_numbers("corners", row, d) for row in rows]), counts, **more
+        )
+    low = _numbers("low", table["low"], d)
+    high = _numbers("high", table["high"], d)
     if not (low < high).all():
         raise ValueError("low must be below high.")
     return jm.shapes.FreeForm(low, np.diag(high - low), counts, **more)
@@ -95,12 +109,18 @@ def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.He
 def _whole(name: str, values: Any, least: int, most: Int[ndarray, " d"]) -> list[int]:
     numbers = _numbers(name, values, len(most))
     if (numbers != np.clip(np.floor(numbers), least, most)).any():
-        raise ValueError(f"{name} = {values}: whole numbers from {least} to {most.tolist()} expected.")
+        raise ValueError(
+            f"{name} = {values}: whole numbers from {least} to {most.tolist()} expected."
+        )
     return numbers.astype(int).tolist()
 
 
 def _numbers(name: str, values: Any, d: int) -> Float[ndarray, " d"]:
-    good = isinstance(values, list) and len(values) == d and all(type(value) in (int, float) for value in values)
+    good = (
+        isinstance(values, list)
+        and len(values) == d
+        and all(type(value) in (int, float) for value in values)
+    )
     if not good or not np.isfinite(values).all():
         raise ValueError(f"{name} needs {d} numbers for a mesh in {d}-D, found {values}.")
     return np.array(values, float)
@@ -117,7 +137,8 @@ def write_lattice(file: PathLike, points: Any) -> None:
 
     **Raises:** `ValueError` for another shape or another ending, `ImportError` without vtk.
     """
-    path, points = check_lattice_output(file), finite_array("points", points, (None, None, 2), (None, None, None, 3))
+    path = check_lattice_output(file)
+    points = finite_array("points", points, (None, None, 2), (None, None, None, 3))
     d = points.shape[-1]
     full = np.zeros((*points.shape[:-1], *(1,) * (3 - d), 3))
     full[..., :d] = points.reshape(*full.shape[:-1], d)
@@ -174,7 +195,9 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
     if "FFD_NBOX" not in [keyword.name for keyword in keywords]:
         return ()
     starts = [k for k, keyword in enumerate(keywords) if keyword.name == "FFD_TAG"]
-    return tuple(_box(keywords[a:b], *mesh.points.shape) for a, b in itertools.pairwise([*starts, None]))
+    return tuple(
+        _box(keywords[a:b], *mesh.points.shape) for a, b in itertools.pairwise([*starts, None])
+    )
 
 
 @checked
@@ -194,7 +217,9 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     """
     source = source_of(mesh, NAME)
     if source is None:
-        raise ValueError("the mesh was not read from an SU2 file: other formats hold no free-form boxes.")
+        raise ValueError(
+            "the mesh was not read from an SU2 file: other formats hold no free-form boxes."
+        )
     _check_new(new, mesh.points.shape[1])
     content, (start, stop) = source.content, _extent(source)
     end = b"\r\n" if b"\r\n" in content.text[:1000] else b"\n"
@@ -212,7 +237,9 @@ def _check_new(new: Sequence[Box], d: int) -> None:
     for box in new:
         expected = (*box.shape.counts, d)
         if np.shape(box.control) != expected:
-            raise ValueError(f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}.")
+            raise ValueError(
+                f"box {box.name}: `control` has shape {np.shape(box.control)}; expected {expected}."
+            )
     again = len(new) - len({box.name for box in new})
     if again:
         raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
@@ -221,12 +248,18 @@ def _check_new(new: Sequence[Box], d: int) -> None:
 def _keywords(source: Source) -> list[Keyword]:
     start = source.content.start
     zones = by_zones(source.path, source.content.text)
-    return next(zone for zone in zones if ("NPOIN", start) in [(word.name, word.section.start) for word in zone])
+    return next(
+        zone
+        for zone in zones
+        if ("NPOIN", start) in [(word.name, word.section.start) for word in zone]
+    )
 
 
 def _extent(source: Source) -> tuple[int, int]:
     keywords = _keywords(source)
-    sections = [each.section for each in keywords if each.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
+    sections = [
+        each.section for each in keywords if each.name.startswith(("FFD_", "BSPLINE_ORDER_"))
+    ]
     if not sections:
         end = keywords[-1].section.stop
         return end, end
@@ -235,7 +268,8 @@ def _extent(source: Source) -> tuple[int, int]:
 
 def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     table = {keyword.name: keyword for keyword in keywords}
-    tag, empty = table["FFD_TAG"], Section(Path(), b"", 0, 0)
+    tag = table["FFD_TAG"]
+    empty = Section(Path(), b"", 0, 0)
     name = tag.value.replace(" ", "")
     try:
         shape = _shape(table, d)
@@ -244,8 +278,12 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
         missing = f"box {name} has no {error.args[0]}=; SU2 writes it by DV_KIND= FFD_SETTING."
         raise tag.section.error(missing) from error
     except ValueError as error:
-        raise error if ", line " in str(error) else tag.section.error(f"box {name}: {error}") from error
-    others = {word: Keyword(word, "0", empty) for word in ("FFD_LEVEL", "FFD_SURFACE_POINTS", *RELATIVES)} | table
+        raise (
+            error if ", line " in str(error) else tag.section.error(f"box {name}: {error}")
+        ) from error
+    others = {
+        word: Keyword(word, "0", empty) for word in ("FFD_LEVEL", "FFD_SURFACE_POINTS", *RELATIVES)
+    } | table
     lists = [others[word].section.content.split(b"\n") for word in RELATIVES]
     relatives = [tuple(decoded(line.strip()) for line in lines if line.strip()) for lines in lists]
     surface = _surface(others["FFD_SURFACE_POINTS"], n, d)
@@ -255,7 +293,9 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
 def _shape(table: Mapping[str, Keyword], d: int) -> "jm.shapes.Hexahedron":
     degrees = np.array([table[f"FFD_DEGREE_{axis}"].number() for axis in "IJK"[:d]])
     orders = [table[word].number() if word in table else 0 for word in ORDERS[:d]]
-    is_spline = all(1 < order <= degree + 1 for order, degree in zip(orders, degrees.tolist(), strict=True))
+    is_spline = all(
+        1 < order <= degree + 1 for order, degree in zip(orders, degrees.tolist(), strict=True)
+    )
     corners = _rows(table["FFD_CORNER_POINTS"], d)
     if len(corners) != 2**d:
         raise ValueError(f"{len(corners)} corners; {2**d} expected in {d}-D.")
@@ -279,36 +319,49 @@ def _control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> Poin
         return np.asarray(shape.lattice())
     rows = rows[np.lexsort(rows[:, 2::-1].T)]
     if not np.array_equal(rows[:, :3], list(np.ndindex(counts))):
-        raise ValueError(f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}.")
+        raise ValueError(
+            f"{len(rows)} control points do not make a lattice of {' x '.join(map(str, counts))}."
+        )
     control = rows[:, 3:].reshape(*counts, 3)
     return control if d == 3 else control.mean(axis=2)[..., :2]
 
 
 def _surface(keyword: Keyword, n: int, d: int) -> Surface:
     """Reads rows of a marker, a node and three coordinates; these are left in the text alone."""
-    section, word = keyword.section, re.compile(rb"(?m)^[ \t]*(\S+)")
+    section = keyword.section
+    word = re.compile(rb"(?m)^[ \t]*(\S+)")
     text = section.text[: section.start] + word.sub(b"", section.content)
     numbers = section._replace(text=text, stop=len(text))
     rows = _rows(keyword._replace(section=numbers), 4)
     wrong = np.flatnonzero(~np.isin(rows[:, 0], np.arange(n)))
     if len(wrong):
-        raise numbers.error("a marker, a node and three coordinates in the box expected.", int(wrong[0]))
+        raise numbers.error(
+            "a marker, a node and three coordinates in the box expected.", int(wrong[0])
+        )
     markers = [decoded(marker) for marker in word.findall(section.content)]
     tables = gathered((marker, row[None]) for marker, row in zip(markers, rows, strict=True))
-    return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
+    return {
+        marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d])
+        for marker, table in tables.items()
+    }
 
 
 def _lines(new: Sequence[Box]) -> Iterator[str]:
     yield f"FFD_NBOX= {len(new)}"
     yield f"FFD_NLEVEL= {1 + max(box.level for box in new)}"
     for box in new:
-        counts, degrees = box.shape.counts, box.shape.box.degrees
+        counts = box.shape.counts
+        degrees = box.shape.box.degrees
         is_bezier = list(degrees) == [count - 1 for count in counts]
         yield from (f"FFD_TAG= {box.name}", f"FFD_LEVEL= {box.level}")
-        yield from (f"FFD_DEGREE_{axis}= {count - 1}" for axis, count in zip("IJK", counts, strict=False))
+        yield from (
+            f"FFD_DEGREE_{axis}= {count - 1}" for axis, count in zip("IJK", counts, strict=False)
+        )
         yield f"FFD_BLENDING= {'BEZIER' if is_bezier else 'BSPLINE_UNIFORM'}"
         orders = () if is_bezier else degrees
-        yield from (f"BSPLINE_ORDER_{axis}= {p + 1}" for axis, p in zip("IJK", orders, strict=False))
+        yield from (
+            f"BSPLINE_ORDER_{axis}= {p + 1}" for axis, p in zip("IJK", orders, strict=False)
+        )
         yield from (f"FFD_PARENTS= {len(box.parents)}", *box.parents)
         yield from (f"FFD_CHILDREN= {len(box.children)}", *box.children)
         yield from _points(box)
@@ -316,12 +369,18 @@ def _lines(new: Sequence[Box]) -> Iterator[str]:
 
 def _points(box: Box) -> Iterator[str]:
     """Yields corners, control points, in 2-D below and above the plane, and nodes in the box."""
-    corners, control, d = box.shape.given_corners, np.asarray(box.control, float), len(box.shape.counts)
+    corners = box.shape.given_corners
+    control = np.asarray(box.control, float)
+    d = len(box.shape.counts)
     yield from (f"FFD_CORNER_POINTS= {len(corners)}", *map(_row, corners.tolist()))
     if d == 2:
-        control = np.stack([np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2)
+        control = np.stack(
+            [np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2
+        )
     yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
-    yield from (_row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1]))
+    yield from (
+        _row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1])
+    )
     yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
     for marker, (nodes, inside) in box.surface.items():
         for node, x in zip(nodes.tolist(), inside.tolist(), strict=True):

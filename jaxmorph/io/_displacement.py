@@ -27,7 +27,12 @@ OFF = 0.01
 
 @checked
 def read_displacement(
-    path: PathLike, mesh: Mesh, moving: Int[ndarray, " m"], *, before: PathLike | None = None, is_position: bool = True
+    path: PathLike,
+    mesh: Mesh,
+    moving: Int[ndarray, " m"],
+    *,
+    before: PathLike | None = None,
+    is_position: bool = True,
 ) -> Float[ndarray, "m d"]:
     """Reads the displacement of each of the nodes `moving`, in their order.
 
@@ -50,11 +55,13 @@ def read_displacement(
     **Raises:** `ValueError` for missing or foreign nodes, surfaces of different connectivity, and
     nodes off the surface `before` by more than 0.01 of its size.
     """
-    path, moving = input_path(path), np.asarray(moving)
+    path = input_path(path)
+    moving = np.asarray(moving)
     points = np.asarray(mesh.points)
     if before is not None:
         return _between(input_path(before), path, points[moving])
-    of_file, d = getattr(mesh.source, "node_ids", None), points.shape[1]
+    of_file = getattr(mesh.source, "node_ids", None)
+    d = points.shape[1]
     numbers = moving if of_file is None else of_file[moving]
     with faults_of(path):
         if path.suffix.lower() in (".stl", ".obj"):
@@ -87,18 +94,27 @@ def read_facets(path: PathLike, d: int = 3, *, smooth: bool = False) -> Facets:
     shape = read_shape(path)
     if shape.points.shape[1] < d or shape.simplices.shape[1] != d:
         found = f"faces of {shape.simplices.shape[1]} points in {shape.points.shape[1]}-D"
-        raise ValueError(f"{path}: {'lines' if d == 2 else 'triangles'} in {d}-D are expected, found {found}.")
+        raise ValueError(
+            f"{path}: {'lines' if d == 2 else 'triangles'} in {d}-D are expected, found {found}."
+        )
     return Facets(shape.points[:, :d], shape.simplices, smooth=smooth)
 
 
 def _between(before: Path, after: Path, x: ndarray) -> ndarray:
-    old, new = read_shape(before), read_shape(after)
+    old = read_shape(before)
+    new = read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
-        sizes = " and ".join(f"{len(surface.points)} points, {len(surface.simplices)} faces" for surface in (old, new))
+        sizes = " and ".join(
+            f"{len(surface.points)} points, {len(surface.simplices)} faces"
+            for surface in (old, new)
+        )
         raise ValueError(f"{before} and {after} differ in connectivity: {sizes}.")
     d = x.shape[1]
     if old.points.shape[1] < d or (old.simplices.shape[1] != d and d == 2):
-        raise ValueError(f"{before}: a mesh in {d}-D takes {'lines of OBJ or NPZ' if d == 2 else 'a surface in 3-D'}.")
+        raise ValueError(
+            f"{before}: a mesh in {d}-D takes "
+            f"{'lines of OBJ or NPZ' if d == 2 else 'a surface in 3-D'}."
+        )
     # linear on each triangle or segment, and exact at its corners
     simplex, weights, distance = closest(old.points[old.simplices][..., :d], x)
     values = np.einsum("mc,mck->mk", weights, (new.points - old.points)[old.simplices[simplex], :d])
@@ -107,8 +123,10 @@ def _between(before: Path, after: Path, x: ndarray) -> ndarray:
     if off.size:
         place = ", ".join(f"{value:.4g}" for value in x[distance.argmax()])
         raise ValueError(
-            f"{before}: {off.size} of {len(x)} moving nodes are off this surface by more than {limit:.3g}, at most by "
-            f"{distance.max():.3g} near ({place}). Does the surface have the mesh's units and origin?"
+            f"{before}: {off.size} of {len(x)} moving nodes are off this surface by more than "
+            f"{limit:.3g}, at most by "
+            f"{distance.max():.3g} near ({place}). Does the surface have the mesh's units and "
+            "origin?"
         )
     return values
 
@@ -124,13 +142,17 @@ def read_shape(path: Path) -> Simplices:
     """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either)."""
     with faults_of(path):
         if path.suffix.lower() not in READERS:
-            raise ValueError(f"a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}.")
+            raise ValueError(
+                f"a surface is read from {', '.join(READERS)}, found the ending {path.suffix!r}."
+            )
         points, simplices = READERS[path.suffix.lower()](path)
         if not len(simplices) or points.ndim != 2 or not np.isfinite(points).all():
             contents = f"{len(simplices)} faces between points of shape {points.shape}"
             raise ValueError(f"not a surface, or a damaged one: {contents}, all finite, expected.")
         if simplices.min() < 0 or simplices.max() >= len(points):
-            raise ValueError(f"a face names a point that is not among the {len(points)} of this file.")
+            raise ValueError(
+                f"a face names a point that is not among the {len(points)} of this file."
+            )
         return Simplices(points, simplices)
 
 
@@ -138,12 +160,16 @@ def _stl(path: Path) -> Simplices:
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
-        facets = np.frombuffer(data, np.dtype([("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")]), count, 84)
+        facets = np.frombuffer(
+            data, np.dtype([("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")]), count, 84
+        )
         points = facets["x"].reshape(-1, 3).astype(float)
     else:
         values = parse(b" ".join(re.findall(rb"vertex\s([^\r\n]*)", data)), np.float64)
         if len(values) % 9:
-            raise ValueError(f"{len(values)} coordinates of vertices are no whole number of triangles.")
+            raise ValueError(
+                f"{len(values)} coordinates of vertices are no whole number of triangles."
+            )
         points = values.reshape(-1, 3)
     return Simplices(points, np.arange(len(points)).reshape(-1, 3))
 
@@ -159,10 +185,16 @@ def _obj(path: Path) -> Simplices:
         text = b"\n".join(re.findall(rb"^" + mark + rb"\s+([^\r\n]*)", data, re.MULTILINE))
         if text.strip():
             text = re.sub(rb"/\S*", b"", text)
-            ids, counts = parse(text, np.int64), scan(text)[2]
+            ids = parse(text, np.int64)
+            counts = scan(text)[2]
             if len(ids) != counts.sum() or (counts < corners).any() or (ids < 1).any():
-                raise ValueError(f"faces and lines need the numbers, from 1, of {corners} vertices or more.")
-            chains = np.delete(np.column_stack([ids[:-1], ids[1:]]), np.cumsum(counts)[:-1] - 1, axis=0) - 1
+                raise ValueError(
+                    f"faces and lines need the numbers, from 1, of {corners} vertices or more."
+                )
+            chains = (
+                np.delete(np.column_stack([ids[:-1], ids[1:]]), np.cumsum(counts)[:-1] - 1, axis=0)
+                - 1
+            )
             return Simplices(points, fans(ids - 1, counts) if corners == 3 else chains)
     return Simplices(points, np.zeros((0, 3), np.int64))
 
@@ -173,7 +205,8 @@ def _npz(path: Path) -> Simplices:
     if not kind or "points" not in arrays:
         listed = ", ".join(arrays) or "none"
         raise ValueError(f"arrays points, and triangles or lines, expected; found {listed}.")
-    simplices, corners = arrays[kind], 3 if kind == "triangles" else 2
+    simplices = arrays[kind]
+    corners = 3 if kind == "triangles" else 2
     if simplices.dtype.kind not in "iu" or simplices.ndim != 2 or simplices.shape[1] != corners:
         found = f"{simplices.dtype} of shape {simplices.shape}"
         raise ValueError(f"{kind} must be whole numbers (k, {corners}), found {found}.")
@@ -216,7 +249,9 @@ def read_surface(path: PathLike, d: int) -> tuple[Int[ndarray, " m"], Float[ndar
         return read_table(path, d)
 
 
-def read_table(path: Path, d: int, wanted: tuple[str, ...] = ()) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
+def read_table(
+    path: Path, d: int, wanted: tuple[str, ...] = ()
+) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
     """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and text[:4] in MAGICS:
@@ -228,15 +263,25 @@ def read_table(path: Path, d: int, wanted: tuple[str, ...] = ()) -> tuple[Int[nd
     rows = Section(path, re.sub(rb"[,;]", b" ", text), len(head), len(text)).rows(np.float64)
     if not len(rows.counts):
         raise ValueError(f"no rows of node id and {d} numbers in this file.")
-    columns, width, expected = list(range(d + 1)), d + 1, f"a node id and {d} numbers"
+    columns = list(range(d + 1))
+    width = d + 1
+    expected = f"a node id and {d} numbers"
     if wanted and {*wanted[:d]} <= {*names}:
-        columns = [next((k for k, name in enumerate(names) if name in IDS), 0), *map(names.index, wanted[:d])]
-        width, expected = len(names), f"{len(names)} numbers, as in the header,"
-    rows.refuse(rows.counts != width, lambda k: f"{expected} expected, found {rows.counts[k]} numbers.")
+        columns = [
+            next((k for k, name in enumerate(names) if name in IDS), 0),
+            *map(names.index, wanted[:d]),
+        ]
+        width = len(names)
+        expected = f"{len(names)} numbers, as in the header,"
+    rows.refuse(
+        rows.counts != width, lambda k: f"{expected} expected, found {rows.counts[k]} numbers."
+    )
     table = rows.values.reshape(-1, width)[:, columns]
     ids = np.abs(np.floor(table[:, 0]))
     is_wrong = ~np.isfinite(table).all(axis=1) | (ids != table[:, 0])
-    rows.refuse(is_wrong, lambda k: f"found {table[k].tolist()}, not a node id and {d} finite numbers.")
+    rows.refuse(
+        is_wrong, lambda k: f"found {table[k].tolist()}, not a node id and {d} finite numbers."
+    )
     copies = np.setdiff1d(np.arange(len(ids)), np.unique(ids, return_index=True)[1])
     rows.refuse(copies, lambda k: f"node {ids[k]:.0f} comes a second time.")
     return ids.astype(np.int64), np.ascontiguousarray(table[:, 1:])
@@ -270,29 +315,47 @@ def in_order(
     those `known`, with what these are called, and for missing ones.
     """
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
-        raise ValueError(f"finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
-    foreign, missing = np.setdiff1d(ids, known[0]), np.setdiff1d(wanted, ids)
-    faults = [f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})" for x in foreign[:1]]
-    faults += [f"{missing.size} of the {len(wanted)} nodes are missing (first {x})" for x in missing[:1]]
+        raise ValueError(
+            f"finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}."
+        )
+    foreign = np.setdiff1d(ids, known[0])
+    missing = np.setdiff1d(wanted, ids)
+    faults = [
+        f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})"
+        for x in foreign[:1]
+    ]
+    faults += [
+        f"{missing.size} of the {len(wanted)} nodes are missing (first {x})" for x in missing[:1]
+    ]
     if faults:
         raise ValueError(f"{', and '.join(faults)}.")
     return values[rows_in(ids, wanted)]
 
 
-def _restart(content: bytes, wanted: tuple[str, ...]) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
+def _restart(
+    content: bytes, wanted: tuple[str, ...]
+) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
-    order, begin = MAGICS[content[:4]], 20  # five numbers: 535532, counts of columns and nodes, two zeros
+    order, begin = (
+        MAGICS[content[:4]],
+        20,
+    )  # five numbers: 535532, counts of columns and nodes, two zeros
     k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
     start = begin + WIDTH * k
     size = start + 8 * n * k
     if k < 1 or n < 1 or len(content) < size:
         raise ValueError(
-            f"a binary restart of {n} nodes and {k} columns has {size} bytes or more, found {len(content)}."
+            f"a binary restart of {n} nodes and {k} columns has {size} bytes or more, found "
+            f"{len(content)}."
         )
     words = np.frombuffer(content, f"S{WIDTH}", k, begin).tolist()
     names = [decoded(word.partition(b"\0")[0]).strip("\"' ").lower() for word in words]
     missing = ", ".join(name for name in wanted if name not in names)
     if missing:
-        raise ValueError(f"a binary restart without the columns {missing}; it has {', '.join(names)}.")
-    values = np.frombuffer(content, f"{order}f8", n * k, start).reshape(n, k)[:, [*map(names.index, wanted)]]
+        raise ValueError(
+            f"a binary restart without the columns {missing}; it has {', '.join(names)}."
+        )
+    values = np.frombuffer(content, f"{order}f8", n * k, start).reshape(n, k)[
+        :, [*map(names.index, wanted)]
+    ]
     return np.arange(n), values.astype(float)

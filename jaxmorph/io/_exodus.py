@@ -17,7 +17,14 @@ from ._tree import Coordinates, of_tree, opened, points_of, text_of, write_point
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
-_TYPES = {"TRI": "triangle", "QUA": "quad", "TET": "tetra", "PYR": "pyramid", "WED": "wedge", "HEX": "hexahedron"}
+_TYPES = {
+    "TRI": "triangle",
+    "QUA": "quad",
+    "TET": "tetra",
+    "PYR": "pyramid",
+    "WED": "wedge",
+    "HEX": "hexahedron",
+}
 _TYPES |= dict.fromkeys(("BAR", "BEA", "TRU", "EDG", "ROD"), "line")
 _TYPES |= dict.fromkeys(("SPH", "CIR", "POI", "NOD"), "vertex")
 _SHELLS = {1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
@@ -32,13 +39,22 @@ _SIDES = {
 """Corners of each side, by the shape; cells in 2-D have those of `FACES`."""
 
 _ORDER = NodeOrder(
-    CGNS_ORDER.edges, {**CGNS_ORDER.faces, "hexahedron": numbers("0321 4567 0374 1265 0154 2376")}, inner_places
+    CGNS_ORDER.edges,
+    {**CGNS_ORDER.faces, "hexahedron": numbers("0321 4567 0374 1265 0154 2376")},
+    inner_places,
 )
 """The manual's order; of hexahedra of 27 nodes the middle one comes before those of the faces."""
 
-_SETS = ((("ss", "elem_ss", "sides"), "num_side_sets"), (("ns", "node_ns", "nodes"), "num_node_sets"))
+_SETS = (
+    (("ss", "elem_ss", "sides"), "num_side_sets"),
+    (("ns", "node_ns", "nodes"), "num_node_sets"),
+)
 """Of side sets and node sets: their prefix, the array of members, our word; and their number."""
-_UNREAD = {"num_edge_sets": "edge sets", "num_face_sets": "face sets", "num_elem_sets": "element sets"}
+_UNREAD = {
+    "num_edge_sets": "edge sets",
+    "num_face_sets": "face sets",
+    "num_elem_sets": "element sets",
+}
 _UNREAD |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
@@ -64,7 +80,9 @@ def read(path: Path) -> Parts:
         blocks = list(_blocks(path, file, d))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
         grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
-        patches = [Patch(block.name, block.own, block.corners) for *_, block in grid.of_blocks(blocks)]
+        patches = [
+            Patch(block.name, block.own, block.corners) for *_, block in grid.of_blocks(blocks)
+        ]
         patches += [patch for what, number in _SETS for patch in _sets(file, what, number, blocks)]
         notes = _notes(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
         return of_tree(path, NAME, coordinates, grid, patches, notes)
@@ -94,13 +112,17 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
     for _, name, own, array in _named(file, ("eb", "connect", "block"), "num_el_blk"):
         if array is None:
             continue
-        kind, corners = text_of(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
-        width, letters = corners.shape[-1] if corners.ndim == 2 else 0, kind.upper()[:3]
+        kind = text_of(array.attrs["elem_type"])
+        corners = array[()].astype(np.int64) - 1
+        width = corners.shape[-1] if corners.ndim == 2 else 0
+        letters = kind.upper()[:3]
         shape = (_TYPES | {"SHE": _SHELLS.get(width, "")}).get(letters, "")
         ours = shape if width == CORNERS.get(shape, 1) else f"{shape}{width}"
         if ours not in (*NODES, "vertex"):
             what = f"elements of type {kind[:40]} with {width} nodes"
-            raise ValueError(f"{path}: {what} are not read; of order 1 and 2 are (HEX8, HEX20, ...).")
+            raise ValueError(
+                f"{path}: {what} are not read; of order 1 and 2 are (HEX8, HEX20, ...)."
+            )
         if ours == "hexahedron27":
             corners = np.concatenate([corners[:, :20], corners[:, 21:], corners[:, 20:21]], axis=1)
         # triangles of a mesh in space have sides as shells have, quads have not
@@ -111,12 +133,17 @@ def _blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Bl
 
 def _sides(kind: str, is_shell: bool) -> list[ndarray]:
     """Lists the nodes of each side in a cell; a shell has two faces before its edges."""
-    cell, shape = lagrange_types()[kind], SHAPES[kind]
-    places = {frozenset(face): nodes for face, (_, nodes) in zip(FACES[shape], cell.sides, strict=True)}
+    cell = lagrange_types()[kind]
+    shape = SHAPES[kind]
+    places = {
+        frozenset(face): nodes for face, (_, nodes) in zip(FACES[shape], cell.sides, strict=True)
+    }
     whole = np.arange(len(cell.lattice))
     if shape == "line":
         return [whole, whole]
-    return [whole, whole] * is_shell + [places[frozenset(corners)] for corners in _SIDES.get(shape, FACES[shape])]
+    return [whole, whole] * is_shell + [
+        places[frozenset(corners)] for corners in _SIDES.get(shape, FACES[shape])
+    ]
 
 
 def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
@@ -127,7 +154,9 @@ def _notes(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
             yield f"{file[dimension].shape[0]} {what} are not read, and stay in the file."
 
 
-def _sets(file: Mapping[str, Any], what: tuple[str, str, str], number: str, blocks: list[_Block]) -> Iterator[Patch]:
+def _sets(
+    file: Mapping[str, Any], what: tuple[str, str, str], number: str, blocks: list[_Block]
+) -> Iterator[Patch]:
     for at, name, own, members in _named(file, what, number):
         rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
         if what[0] == "ss" and len(rows):
@@ -135,17 +164,23 @@ def _sets(file: Mapping[str, Any], what: tuple[str, str, str], number: str, bloc
         yield Patch(name, own, rows)
 
 
-def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> Iterator[tuple[int, str, str, Any]]:
+def _named(
+    file: Mapping[str, Any], what: tuple[str, str, str], number: str
+) -> Iterator[tuple[int, str, str, Any]]:
     """Yields place, name, own name, array of blocks or sets; None for empty ones, of status 0."""
     (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
     defaults = {"prop1": np.arange(1, count + 1), "names": [""] * count, "status": np.zeros(count)}
     numbers, names, status = (
-        file[f"{prefix}_{name}"][()] if f"{prefix}_{name}" in file else default for name, default in defaults.items()
+        file[f"{prefix}_{name}"][()] if f"{prefix}_{name}" in file else default
+        for name, default in defaults.items()
     )
     if not len(numbers) == len(names) == len(status) == count:
-        raise ValueError(f"{len(numbers)} numbers and {len(names)} names of {word}, {count} expected")
+        raise ValueError(
+            f"{len(numbers)} numbers and {len(names)} names of {word}, {count} expected"
+        )
     for at in range(count):
-        own, values = f"{word}_{numbers[at]}", file.get(f"{array}{at + 1}")
+        own = f"{word}_{numbers[at]}"
+        values = file.get(f"{array}{at + 1}")
         if values is None and status[at]:
             raise ValueError(f"there is no {array}{at + 1}")
         yield at + 1, text_of(names[at]) or own, own, values
@@ -154,8 +189,11 @@ def _named(file: Mapping[str, Any], what: tuple[str, str, str], number: str) -> 
 def _nodes(blocks: list[_Block], cells: ndarray, sides: ndarray) -> ndarray:
     starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
     if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
-        raise ValueError(f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}")
-    found, of_block = [], np.searchsorted(starts, cells, side="right") - 1
+        raise ValueError(
+            f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}"
+        )
+    found = []
+    of_block = np.searchsorted(starts, cells, side="right") - 1
     for at, side in np.unique(np.column_stack([of_block, sides]), axis=0).tolist():
         block = blocks[at]
         if not 0 <= side < len(block.sides):

@@ -23,10 +23,17 @@ from ._format import FilePoints, Source
 from ._text import Pieces, Section, decoded, replaced
 
 NAME = "Fluent"
-INTERIOR, PARENT = 2, 31
+INTERIOR = 2
+PARENT = 31
 KINDS = {
     **{INTERIOR: "interior", 3: "wall", 4: "pressure-inlet", 5: "pressure-outlet", 7: "symmetry"},
-    **{8: "periodic-shadow", 9: "pressure-far-field", 10: "velocity-inlet", 12: "periodic", 14: "fan"},
+    **{
+        8: "periodic-shadow",
+        9: "pressure-far-field",
+        10: "velocity-inlet",
+        12: "periodic",
+        14: "fan",
+    },
     **{20: "mass-flow-inlet", 24: "interface", PARENT: "parent", 36: "outflow", 37: "axis"},
 }
 """Kinds of zones of faces by Fluent's numbers."""
@@ -76,10 +83,12 @@ class FluentContent(FilePoints):
     parts: list[NodeSection]
 
     def moved(self, points: ndarray) -> Pieces:
-        done, points = 0, self.in_file(points)
+        done = 0
+        points = self.in_file(points)
         for part in sorted(self.parts, key=lambda part: part.section.start):
             values = points[part.rows].ravel()
-            start, stop = part.section.start, part.section.stop
+            start = part.section.start
+            stop = part.section.stop
             if part.kind is None:
                 yield from replaced(self.text[done:stop], slice(start - done, stop - done), values)
             else:
@@ -100,7 +109,8 @@ class _FluentText:
     names: dict[int, tuple[str, str]] = dataclasses.field(default_factory=dict)
 
     def take(self, number: int, section: Section) -> None:
-        kind, width = number % 1000, {2: 4, 3: 8}.get(number // 1000, 0)
+        kind = number % 1000
+        width = {2: 4, 3: 8}.get(number // 1000, 0)
         if number == 2:
             self.dimension = int(section.content)
         elif kind in (45, 39) and (zone := _ZONE.match(section.text, section.start)):
@@ -120,14 +130,19 @@ class _FluentText:
         elif kind == 10:
             self.nodes.append(self._nodes(head, body, width))
         else:
-            words = np.frombuffer(body.content, "<i4") if width else [int(word, 16) for word in body.content.split()]
+            words = (
+                np.frombuffer(body.content, "<i4")
+                if width
+                else [int(word, 16) for word in body.content.split()]
+            )
             table = _table(np.asarray(words, np.int64), head[4] if len(head) > 4 else 0)
             if len(table.cells) != head[2] - head[1] + 1:
                 raise body.error(f"{len(table.cells)} faces, {head[2] - head[1] + 1} expected")
             self.faces.append((head, table))
 
     def _nodes(self, head: list[int], body: Section, width: int) -> NodeSection:
-        count, d = head[2] - head[1] + 1, head[4] if len(head) > 4 else self.dimension
+        count = head[2] - head[1] + 1
+        d = head[4] if len(head) > 4 else self.dimension
         kind = np.dtype(f"<f{width}") if width else None
         values = body.rows(np.float64).values if kind is None else np.frombuffer(body.content, kind)
         if d not in (2, 3) or len(values) != count * d:
@@ -138,17 +153,23 @@ class _FluentText:
         parts = sorted(self.nodes, key=lambda part: part.first)
         ends = np.cumsum([0, *(len(part.points) for part in parts)])
         if not parts or not self.faces or [part.rows.start for part in parts] != ends[:-1].tolist():
-            raise ValueError("not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing.")
+            raise ValueError(
+                "not a Fluent mesh, or a damaged one: no nodes or faces, or some are missing."
+            )
         points = np.concatenate([part.points for part in parts])
         found = [len(points), len(self.table().cells)]
         announced = [self.counts.get(10, found[0]), self.counts.get(13, found[1])]
         if announced != found:
-            raise ValueError(f"{found} nodes and faces, and {announced} announced: the file is cut short.")
+            raise ValueError(
+                f"{found} nodes and faces, and {announced} announced: the file is cut short."
+            )
         singles = [(part.rows, slice(None)) for part in parts if part.kind == "<f4"]
         return FluentContent(points, text, parts, singles=singles)
 
     def table(self) -> FaceTable:
-        return FaceTable(*map(np.concatenate, zip(*(table for _, table in self.faces), strict=True)))
+        return FaceTable(
+            *map(np.concatenate, zip(*(table for _, table in self.faces), strict=True))
+        )
 
     def zones(self) -> Iterator[FaceZone]:
         first = 0
@@ -161,7 +182,8 @@ class _FluentText:
 
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
-    text, found = path.read_bytes(), _FluentText()
+    text = path.read_bytes()
+    found = _FluentText()
     for number, section in _sections(path, text):
         try:
             found.take(number, section)
@@ -179,7 +201,9 @@ def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
     while begin := _BEGIN.search(text, at):
         number = int(begin[1])
         if number >= 2000:
-            end = re.compile(rb"\)\s*End of Binary Section\s+%d\s*\)" % number).search(text, begin.end())
+            end = re.compile(rb"\)\s*End of Binary Section\s+%d\s*\)" % number).search(
+                text, begin.end()
+            )
             stop, at = (end.start(), end.end()) if end else (-1, -1)
         else:
             stop = _closing(text, begin.end())
@@ -200,7 +224,9 @@ def _closing(text: bytes, at: int) -> int:
 
 def _table(words: ndarray, kind: int) -> FaceTable:
     if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
-        begins, at, counts = [], 0, words.tolist()
+        begins = []
+        at = 0
+        counts = words.tolist()
         while at < len(counts):
             if counts[at] < 2:
                 raise ValueError(f"a face of {counts[at]} nodes")
@@ -214,11 +240,18 @@ def _table(words: ndarray, kind: int) -> FaceTable:
         rows, rest = divmod(len(words), kind + 2)
         if rest or kind < 2:
             raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
-        first, sizes = (kind + 2) * np.arange(rows), np.full(rows, kind)
-    return FaceTable(words[spread(first, first + sizes)[0]], sizes, words[(first + sizes)[:, None] + np.arange(2)])
+        first = (kind + 2) * np.arange(rows)
+        sizes = np.full(rows, kind)
+    return FaceTable(
+        words[spread(first, first + sizes)[0]],
+        sizes,
+        words[(first + sizes)[:, None] + np.arange(2)],
+    )
 
 
-def mesh_of(source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]) -> Parts:
+def mesh_of(
+    source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]
+) -> Parts:
     """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
     points = source.content.points
     _check(table, zones, len(points), count)
@@ -257,13 +290,18 @@ def _notes(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
 def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
     if KINDS[PARENT] in [zone.kind for zone in zones]:
         raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
-    labels, cells = table.labels, table.cells
+    labels = table.labels
+    cells = table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
         raise ValueError(f"a face names node {labels.max()}, but there are {n}.")
     if cells.min() < 0 or not 0 < cells.max(axis=1).min() <= cells.max() <= min(most, len(cells)):
-        raise ValueError(f"a face is between cells {cells.min()} to {cells.max()}, but there are {most}; 0 is none.")
-    found, most = len(np.unique(cells[cells > 0])), cells.max() if count is None else count
+        raise ValueError(
+            f"a face is between cells {cells.min()} to {cells.max()}, but there are {most}; 0 is "
+            "none."
+        )
+    found = len(np.unique(cells[cells > 0]))
+    most = cells.max() if count is None else count
     if found != most:
         raise ValueError(f"{found} of {most} cells have faces: a damaged file.")
 
@@ -274,12 +312,17 @@ def _outward(table: FaceTable, points: ndarray) -> Faces:
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.
     """
     first, second = table.cells.T - 1
-    starts, labels = np.append(0, np.cumsum(table.sizes)), table.labels - 1
+    starts = np.append(0, np.cumsum(table.sizes))
+    labels = table.labels - 1
     labels = _reversed(labels, starts, first < 0)
-    faces = Faces(labels, starts, np.where(first < 0, second, first), np.where(first < 0, -1, second))
+    faces = Faces(
+        labels, starts, np.where(first < 0, second, first), np.where(first < 0, -1, second)
+    )
     if points.shape[1] == 2 and (faces.sizes != 2).any():
         raise ValueError("faces of more than two nodes in a mesh of two dimensions.")
-    here, there, is_outer = points[labels], points[following(labels, starts)], faces.neighbour < 0
+    here = points[labels]
+    there = points[following(labels, starts)]
+    is_outer = faces.neighbour < 0
     if points.shape[1] == 2:
         size = (here[::2, 0] * there[::2, 1] - here[::2, 1] * there[::2, 0])[is_outer].sum()
     else:
@@ -287,7 +330,9 @@ def _outward(table: FaceTable, points: ndarray) -> Faces:
         size = np.einsum("fi,fi->f", areas, here[starts[:-1]])[is_outer].sum()
     if not np.isfinite(size):
         raise ValueError("coordinates of its nodes are not finite.")
-    return dataclasses.replace(faces, labels=_reversed(labels, starts, np.full(len(first), size < 0)))
+    return dataclasses.replace(
+        faces, labels=_reversed(labels, starts, np.full(len(first), size < 0))
+    )
 
 
 def _reversed(labels: ndarray, starts: ndarray, chosen: ndarray) -> ndarray:
@@ -309,9 +354,14 @@ def _plane_cells(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Poly
             at = edges[:, :, 0] == corners[:, k - 1, None]
             corners[:, k] = edges[np.arange(len(cells)), at.argmax(axis=1), 1]
         ascending = np.sort(corners, axis=1)
-        is_open = (ascending != np.sort(edges[:, :, 0], axis=1)) | (np.diff(ascending, prepend=-1) == 0)
+        is_open = (ascending != np.sort(edges[:, :, 0], axis=1)) | (
+            np.diff(ascending, prepend=-1) == 0
+        )
         is_open = is_open.any(axis=1)
         if size not in (3, 4) or is_open.any():
-            raise ValueError(f"{len(cells)} cells of {size} edges (first cell {cells[is_open.argmax()]}) are not read.")
+            raise ValueError(
+                f"{len(cells)} cells of {size} edges (first cell {cells[is_open.argmax()]}) are "
+                "not read."
+            )
         blocks.append((SIDE_TYPES[size], corners, cells))
     return blocks, Polyhedra(faces, np.zeros(0, np.int64))

@@ -22,11 +22,13 @@ def read(path: Path) -> Parts:
             missing = f"not {WHAT}: there is no group `meshes`"
             kind = "a mesh of HOPR, which is not read" if "ElemInfo" in file else missing
             raise ValueError(f"{path}: this is {kind}.")
-        mesh, coordinates = only(file["meshes"], "meshes")[1], list(_coordinates(file))
+        mesh = only(file["meshes"], "meshes")[1]
+        coordinates = list(_coordinates(file))
         points = points_of(coordinates, coordinates[-1].rows.stop, coordinates[0].array.shape[1])
         content = FilePoints(points, stamp=stamp_of(path), singles=singles_of(coordinates))
         found = _table(mesh), list(_zones(mesh["faces"]))
-        count, regions = int(mesh.attrs["cellCount"].flat[0]), _names(mesh["cells"]["zoneTopology"])
+        count = int(mesh.attrs["cellCount"].flat[0])
+        regions = _names(mesh["cells"]["zoneTopology"])
     return mesh_of(Source(path, NAME, content), *found, count, regions)
 
 
@@ -48,7 +50,9 @@ def _sections(group: Any) -> list[Any]:
 def _table(mesh: Any) -> FaceTable:
     faces = mesh["faces"]
     labels, sizes = (
-        np.concatenate([section[name][()].ravel() for section in _sections(faces["nodes"])]).astype(np.int64)
+        np.concatenate([section[name][()].ravel() for section in _sections(faces["nodes"])]).astype(
+            np.int64
+        )
         for name in ("nodes", "nnodes")
     )
     cells = np.zeros((len(sizes), 2), np.int64)
@@ -63,7 +67,9 @@ def _table(mesh: Any) -> FaceTable:
 
 def _zones(faces: Any) -> Iterator[FaceZone]:
     topology = faces["zoneTopology"]
-    columns = [topology[name][()].astype(int).tolist() for name in ("id", "zoneType", "minId", "maxId")]
+    columns = [
+        topology[name][()].astype(int).tolist() for name in ("id", "zoneType", "minId", "maxId")
+    ]
     for name, number, kind, first, last in zip(_names(topology), *columns, strict=True):
         yield FaceZone(number, name, KINDS.get(kind, f"kind_{kind}"), np.arange(first - 1, last))
 

@@ -48,17 +48,21 @@ def warn_of_loss(path: Path, cells: Mapping[str, Any], held: Any, points: ndarra
         length = np.linalg.norm(points[end] - points[start], axis=1)
         place = place_of(points[start[length.argmin()]])
         losses.append(
-            f"more than a tenth of {len(start)} edges of cells, the shortest {length.min():.3g} near ({place})"
+            f"more than a tenth of {len(start)} edges of cells, the shortest {length.min():.3g} "
+            f"near ({place})"
         )
     if losses:
         warn(
-            f"{path}: the file holds single precision. Rounding moves nodes by up to {off.max():.3g}: {', and '.join(losses)}. "
+            f"{path}: the file holds single precision. Rounding moves nodes by up to "
+            f"{off.max():.3g}: {', and '.join(losses)}. "
             "Write another format, such as .vtu or .su2, or begin with a file in double precision."
         )
     return stored
 
 
-def _changed_edges(cells: Mapping[str, Any], base: ndarray, points: ndarray, stored: ndarray) -> ndarray:
+def _changed_edges(
+    cells: Mapping[str, Any], base: ndarray, points: ndarray, stored: ndarray
+) -> ndarray:
     """Finds edges (2, k) that rounding changes by much, but those without a length in the file."""
     found = [np.zeros((0, 2), int)]
     for kind, ids in cells.items():
@@ -152,7 +156,9 @@ class Format(NamedTuple):
 
 def source_of(mesh: MeshLike, format_name: str) -> Source | None:
     source = intact_source(mesh)
-    is_of_format = isinstance(source, Source) and source.format == format_name and source.content is not None
+    is_of_format = (
+        isinstance(source, Source) and source.format == format_name and source.content is not None
+    )
     return source if is_of_format else None
 
 
@@ -167,14 +173,19 @@ def own_source(mesh: MeshLike, format_name: str) -> Source:
     """
     source = source_of(mesh, format_name)
     if source is None:
-        article = "an" if format_name in ("Exodus", "MFEM", "I-deas", "Abaqus", "XDMF", "AFLR") else "a"
+        article = (
+            "an" if format_name in ("Exodus", "MFEM", "I-deas", "Abaqus", "XDMF", "AFLR") else "a"
+        )
         other = ".su2" if {*mesh.cells} <= {*CORNERS} else ".msh"
         raise ValueError(
-            f"only a mesh that was read from {article} {format_name} file can be written to one; write .vtu or {other}."
+            f"only a mesh that was read from {article} {format_name} file can be written to one; "
+            f"write .vtu or {other}."
         )
     stamp = getattr(source.content, "stamp", None)
     if stamp is not None and stamp_of(source.path) != stamp:
-        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+        raise ValueError(
+            f"{source.path} has changed since the mesh was read from it; read it again."
+        )
     return source
 
 
@@ -184,7 +195,9 @@ def faults_of(path: Path) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise error if str(error).startswith(str(path)) else ValueError(f"{path}: {error}") from error
+        raise (
+            error if str(error).startswith(str(path)) else ValueError(f"{path}: {error}")
+        ) from error
 
 
 def of_grid(path: Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
@@ -223,7 +236,8 @@ class FilePoints:
 
     def in_file(self, points: ndarray) -> ndarray:
         """Returns the file's points from the mesh's; all copies of an unmoved one stay as read."""
-        d, rows = points.shape[1], slice(None) if self.node is None else self.node
+        d = points.shape[1]
+        rows = slice(None) if self.node is None else self.node
         stays = (points == self.points[self._first, :d].astype(points.dtype))[rows]
         moved = np.where(stays, self.points[:, :d], points[rows])
         return np.concatenate([moved, self.points[:, d:]], axis=1)
@@ -235,7 +249,11 @@ class FilePoints:
     @property
     def known(self) -> dict[str, Any]:
         """Fields of the source of a mesh with these points in its file."""
-        return {"in_file": self.in_file, "file_nodes": self.node, "held": self if self.singles else None}
+        return {
+            "in_file": self.in_file,
+            "file_nodes": self.node,
+            "held": self if self.singles else None,
+        }
 
 
 def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
@@ -244,9 +262,14 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
     A face that several patches could have (the one edge of an inlet between two walls of one patch)
     goes to the smallest. Raises `ValueError` for a patch with nodes that none of its faces holds.
     """
-    n, found = mesh.points.shape[0], {}
-    nodes_of_all = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.asarray, mesh.patches.values())]))
-    left = boundary_sides({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all)
+    n = mesh.points.shape[0]
+    found = {}
+    nodes_of_all = np.unique(
+        np.concatenate([np.zeros(0, np.int64), *map(np.asarray, mesh.patches.values())])
+    )
+    left = boundary_sides(
+        {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all
+    )
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: len(item[1])):
         inside = np.zeros(n, bool)
         inside[nodes] = True
@@ -258,7 +281,9 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
         missing = np.flatnonzero(inside)
         if missing.size:
             raise ValueError(
-                f"patch {name!r}: {missing.size} of {len(nodes)} nodes (first {missing[0]}) are on no boundary face of "
-                "the patch, and this format keeps patches as faces. Drop the patch, or write .vtu, which keeps nodes."
+                f"patch {name!r}: {missing.size} of {len(nodes)} nodes (first {missing[0]}) are "
+                "on no boundary face of "
+                "the patch, and this format keeps patches as faces. Drop the patch, or write "
+                ".vtu, which keeps nodes."
             )
     return {name: found[name] for name in mesh.patches}

@@ -18,13 +18,46 @@ from ._format import FilePoints, MeshLike, Source, content_of, faults_of, of_gri
 from ._text import Section, decoded, replaced
 
 NAME = "gmsh"
-NODES, ELEMENTS = ("Nodes", "ParametricNodes", "NOD"), ("Elements", "ELM")
+NODES = ("Nodes", "ParametricNodes", "NOD")
+ELEMENTS = ("Elements", "ELM")
 """Sections of nodes and of elements; the last name of each is from version 1."""
-TYPES = {1: "line", 2: "triangle", 3: "quad", 4: "tetra", 5: "hexahedron", 6: "wedge", 7: "pyramid", 15: "vertex"}
+TYPES = {
+    1: "line",
+    2: "triangle",
+    3: "quad",
+    4: "tetra",
+    5: "hexahedron",
+    6: "wedge",
+    7: "pyramid",
+    15: "vertex",
+}
 TYPES |= {
-    **{8: "line3", 9: "triangle6", 10: "quad9", 11: "tetra10", 12: "hexahedron27", 13: "wedge18", 14: "pyramid14"},
-    **{16: "quad8", 17: "hexahedron20", 18: "wedge15", 19: "pyramid13", 26: "line4", 21: "triangle10", 36: "quad16"},
-    **{29: "tetra20", 90: "wedge40", 92: "hexahedron64", 118: "pyramid30", 27: "line5", 23: "triangle15"},
+    **{
+        8: "line3",
+        9: "triangle6",
+        10: "quad9",
+        11: "tetra10",
+        12: "hexahedron27",
+        13: "wedge18",
+        14: "pyramid14",
+    },
+    **{
+        16: "quad8",
+        17: "hexahedron20",
+        18: "wedge15",
+        19: "pyramid13",
+        26: "line4",
+        21: "triangle10",
+        36: "quad16",
+    },
+    **{
+        29: "tetra20",
+        90: "wedge40",
+        92: "hexahedron64",
+        118: "pyramid30",
+        27: "line5",
+        23: "triangle15",
+    },
     **{37: "quad25", 30: "tetra35", 91: "wedge75", 93: "hexahedron125", 119: "pyramid55"},
 }
 """Types of cells by gmsh's numbers."""
@@ -34,7 +67,9 @@ ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 
 _NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
 _VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
-_COMMENTS = re.compile(rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE)
+_COMMENTS = re.compile(
+    rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE
+)
 
 Names = dict[tuple[int | None, int], str]
 """Names of physical groups by dimension and tag; None: of any dimension."""
@@ -78,7 +113,9 @@ class GmshPoints(FilePoints):
         data = self.section.text
         if self.form.is_text:
             words = (self.places[:, None] // 8 + np.arange(3)).ravel()
-            return replaced(data, slice(self.section.start, self.section.stop), points.ravel(), at=words)
+            return replaced(
+                data, slice(self.section.start, self.section.stop), points.ravel(), at=words
+            )
         copy = bytearray(data)
         triples(copy)[self.places] = points.astype(f"{self.form.order}f8").view("V24").ravel()
         return iter([copy])
@@ -101,10 +138,15 @@ class _Found:
             self.groups |= entities(Stream(section, self.form, np.float64), name != "Entities")
         elif name in NODES:
             if self.content is not None:
-                raise ValueError("a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh is 0")
+                raise ValueError(
+                    "a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh "
+                    "is 0"
+                )
             stream = Stream(section, self.form, np.float64)
             tags, places = nodes(stream, name == "ParametricNodes")
-            points = triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
+            points = (
+                triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
+            )
             self.content = GmshPoints(points, section, self.form, places, tags)
         elif name in ELEMENTS:
             self.blocks = elements(Stream(section, self.form, np.int64), self.groups)
@@ -127,18 +169,26 @@ def read(path: pathlib.Path) -> Parts:
         except (ValueError, IndexError, OverflowError) as error:
             if str(path) in str(error):
                 raise
-            raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
+            raise ValueError(
+                f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error})."
+            ) from error
     content = found.content
     if content is None or not len(content.tags) or not found.blocks:
-        raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
+        raise ValueError(
+            f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them."
+        )
     with faults_of(path):
         blocks = _numbered(found.blocks, content.tags)
     grid, patches, notes = grid_of(content.points, blocks, found.names)
-    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(found.others)
+    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(
+        found.others
+    )
     return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known), patches)
 
 
-def grid_of(points: np.ndarray, blocks: list[ElementBlock], names: Names) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+def grid_of(
+    points: np.ndarray, blocks: list[ElementBlock], names: Names
+) -> tuple[Grid, list[Patch], tuple[str, ...]]:
     """Makes a grid, patches of the groups of lower dimension, and a note on the others."""
     groups = list(_groups(blocks, names))
     cells = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in blocks]
@@ -149,7 +199,11 @@ def grid_of(points: np.ndarray, blocks: list[ElementBlock], names: Names) -> tup
 
 def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Patch]]:
     """Yields dimension and nodes of each group, of the highest dimension first."""
-    own = (((DIMENSION.get(block.kind, 0), tag), block, rows) for block in blocks for tag, rows in block.groups.items())
+    own = (
+        ((DIMENSION.get(block.kind, 0), tag), block, rows)
+        for block in blocks
+        for tag, rows in block.groups.items()
+    )
     nodes = gathered((key, block.corners[rows].ravel()) for key, block, rows in own)
     for (level, tag), members in sorted(nodes.items(), key=lambda item: -item[0][0]):
         name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
@@ -162,19 +216,38 @@ def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     if head.strip() == b"$NOD":
         return MeshFormat(1.0, True)
     if head.strip() != b"$MeshFormat":
-        mark = " The file begins with a byte order mark: save it without." if data.startswith(codecs.BOM_UTF8) else ""
-        number, first = 1 + data.count(b"\n", 0, start), head.decode(errors="replace").strip()[:40]
-        raise ValueError(f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not {first!r}.{mark}")
+        mark = (
+            " The file begins with a byte order mark: save it without."
+            if data.startswith(codecs.BOM_UTF8)
+            else ""
+        )
+        number = 1 + data.count(b"\n", 0, start)
+        first = head.decode(errors="replace").strip()[:40]
+        raise ValueError(
+            f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not "
+            f"{first!r}.{mark}"
+        )
     found = _VERSION.match(words)
     if found is None:
         said = words.decode(errors="replace").strip()[:40]
-        raise ValueError(f"{path}: .msh of version {said!r}; 1, 2, 4.0 and 4.1 are read, then 0 or 1, and 4 or 8.")
+        raise ValueError(
+            f"{path}: .msh of version {said!r}; 1, 2, 4.0 and 4.1 are read, then 0 or 1, and 4 or "
+            "8."
+        )
     version, binary, size = (float(word) for word in found.groups())
     order = ORDERS.get(rest[:4]) if binary else "<"
     if order is None:
-        raise ValueError(f"{path}: a binary .msh file without the number 1 that tells its byte order.")
+        raise ValueError(
+            f"{path}: a binary .msh file without the number 1 that tells its byte order."
+        )
     is_last = version > 4
-    return MeshFormat(version if is_last else version // 1, not binary, order, int(size) if is_last else 8, version > 2)
+    return MeshFormat(
+        version if is_last else version // 1,
+        not binary,
+        order,
+        int(size) if is_last else 8,
+        version > 2,
+    )
 
 
 def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
@@ -183,7 +256,9 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
         name = data[at + 1 : start].strip()
         stop = data.find((b"$END" if name in (b"NOD", b"ELM") else b"$End") + name, start)
         if start == 0 or stop < 0:
-            raise ValueError(f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is cut short.")
+            raise ValueError(
+                f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is cut short."
+            )
         yield name.decode(errors="replace"), Section(path, data, start, stop)
         at = stop + 4 + len(name)
 
@@ -191,7 +266,9 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
 def physical_names(section: Section, form: MeshFormat) -> Names:
     count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
     if count.strip() != b"%d" % len(rows):
-        raise section.error(f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected.")
+        raise section.error(
+            f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected."
+        )
     names: Names = {}
     for k, row in enumerate(rows, start=1):
         match = _NAME.fullmatch(row)
@@ -204,7 +281,8 @@ def physical_names(section: Section, form: MeshFormat) -> Names:
 def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock]:
     """Replaces the tags of nodes by their places: by a table, by a search if tags are sparse."""
     # Either way a tag that is none gives some place, so the tag at the place is compared.
-    least, most = int(tags.min()), int(tags.max())
+    least = int(tags.min())
+    most = int(tags.max())
     is_dense = most - least <= 10 * len(tags)
     order = np.argsort(tags)
     table = np.zeros(most - least + 1 if is_dense else 0, np.int64)
@@ -213,10 +291,17 @@ def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock
     numbered = []
     for block in blocks:
         corners = np.clip(block.corners, least, most)
-        ids = table[corners - least] if is_dense else order[np.searchsorted(tags, corners, sorter=order)]
+        ids = (
+            table[corners - least]
+            if is_dense
+            else order[np.searchsorted(tags, corners, sorter=order)]
+        )
         wrong = block.corners[tags[ids] != block.corners]
         if len(wrong):
-            raise ValueError(f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in $Nodes.")
+            raise ValueError(
+                f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in "
+                "$Nodes."
+            )
         numbered.append(block._replace(corners=ids))
     return numbered
 
@@ -239,7 +324,8 @@ class Stream:
 
     def skip(self, count: int, kinds: str) -> int:
         """Goes over records of numbers of some kinds; returns where they begin."""
-        start, size = self.at, count * self.width(kinds)
+        start = self.at
+        size = count * self.width(kinds)
         if count < 0 or size > self.stop - start:
             raise ValueError(f"the section ends before the {count} entries that it announces")
         self.at += size
@@ -247,9 +333,13 @@ class Stream:
 
     def take(self, kind: str, count: int, records: str = "") -> np.ndarray:
         """Reads whole numbers, the first of each of the `records`, or side by side."""
-        dtype, start = self.types[kind], self.skip(count, records or kind)
+        dtype = self.types[kind]
+        start = self.skip(count, records or kind)
         values = np.ndarray((count,), dtype, self.data, start, (self.width(records or kind),))
-        if dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < 2.0**53)).all():
+        if (
+            dtype.kind == "f"
+            and not ((values == np.floor(values)) & (np.abs(values) < 2.0**53)).all()
+        ):
             raise ValueError("a number that is not whole where a tag or a count is expected")
         return values.astype(np.int64)
 
@@ -259,7 +349,8 @@ class Stream:
     def announced(self) -> int:
         if self.rows is not None:
             return self.one("n")
-        start, self.at = self.at, self.section.text.index(b"\n", self.at, self.stop) + 1
+        start = self.at
+        self.at = self.section.text.index(b"\n", self.at, self.stop) + 1
         return int(self.section.text[start : self.at])
 
     def end(self) -> None:
@@ -293,12 +384,18 @@ def nodes(stream: Stream, is_parametric: bool) -> Nodes:
     """Reads the nodes of `$Nodes`, of version 2's `$ParametricNodes`, or of version 1's `$NOD`."""
     if stream.version < 4:
         total = stream.announced()
-        blocks = [_with_parameters(stream) for _ in range(total)] if is_parametric else [_records(stream, total)]
+        blocks = (
+            [_with_parameters(stream) for _ in range(total)]
+            if is_parametric
+            else [_records(stream, total)]
+        )
     else:
         count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
         blocks = [_of_entity(stream) for _ in range(count)]
     stream.end()
-    tags, places = (np.concatenate([np.zeros(0, np.int64), *column]) for column in zip(*blocks, strict=True))
+    tags, places = (
+        np.concatenate([np.zeros(0, np.int64), *column]) for column in zip(*blocks, strict=True)
+    )
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
     if (np.diff(tags) <= 0).any() and (again := total - len(np.unique(tags))):
@@ -321,19 +418,24 @@ def _of_entity(stream: Stream) -> Nodes:
     parameters = "d" * dimension * is_parametric
     if stream.version < 4.1:
         return _records(stream, count, parameters)
-    tags, width = stream.take("n", count), stream.width(f"ddd{parameters}")
+    tags = stream.take("n", count)
+    width = stream.width(f"ddd{parameters}")
     return tags, stream.skip(count, f"ddd{parameters}") + width * np.arange(count)
 
 
 def _records(stream: Stream, count: int, parameters: str = "") -> Nodes:
     """Reads nodes of which each has its tag before its coordinates."""
-    kinds, start = f"iddd{parameters}", stream.at
-    return stream.take("i", count, kinds), start + stream.width("i") + stream.width(kinds) * np.arange(count)
+    kinds = f"iddd{parameters}"
+    start = stream.at
+    return stream.take("i", count, kinds), start + stream.width("i") + stream.width(
+        kinds
+    ) * np.arange(count)
 
 
 def _with_parameters(stream: Stream) -> Nodes:
     """Reads a node: tag, coordinates, entity (dimension, tag), parameters (curve 1, surface 2)."""
-    node, dimension = _records(stream, 1), int(stream.take("i", 2)[0])
+    node = _records(stream, 1)
+    dimension = int(stream.take("i", 2)[0])
     if dimension not in range(4):
         raise ValueError(f"a node on an entity of dimension {dimension}")
     stream.skip(dimension % 3, "d")
@@ -351,8 +453,14 @@ def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
         size, (kind, corners) = stream.one("n"), _kind(number)
         if DIMENSION.get(kind, 0) != dimension:
             raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
-        rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(size, 1 + corners)
-        blocks.append(ElementBlock(kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ()), slice(None))))
+        rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(
+            size, 1 + corners
+        )
+        blocks.append(
+            ElementBlock(
+                kind, rows[:, 1:], dict.fromkeys(groups.get((dimension, tag), ()), slice(None))
+            )
+        )
     stream.end()
     if sum(len(block.corners) for block in blocks) != total:
         raise ValueError(f"not the {total} elements that $Elements announces")
@@ -363,7 +471,8 @@ def _kind(number: int) -> tuple[str, int]:
     """Finds the type of a number, and how many nodes it has."""
     if number not in TYPES:
         raise ValueError(
-            f"elements of type {number}; elements of order 1 to 4 are read, from order 3 on with all inner nodes: "
+            f"elements of type {number}; elements of order 1 to 4 are read, from order 3 on with "
+            "all inner nodes: "
             "Mesh.SecondOrderIncomplete=0 makes them"
         )
     return TYPES[number], CORNERS.get(TYPES[number], 1)
@@ -378,20 +487,30 @@ def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
     rows = stream.rows
     assert rows is not None
     if not len(rows.counts) or rows.counts[0] != 1 or rows.values[0] != len(rows.counts) - 1:
-        raise stream.section.error(f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0)
-    values, counts, first = rows.values, rows.counts[1:], rows.first[1:]
+        raise stream.section.error(
+            f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0
+        )
+    values = rows.values
+    counts = rows.counts[1:]
+    first = rows.first[1:]
     message = "an element has a number, a type, and numbers of tags or of nodes."
     rows.refuse(1 + np.flatnonzero(counts < (5 if stream.version < 2 else 4)), lambda k: message)
-    if stream.version < 2:  # two tags and the number of nodes become the number of tags and two tags
+    if (
+        stream.version < 2
+    ):  # two tags and the number of nodes become the number of tags and two tags
         places = first[:, None] + np.arange(2, 5)
         values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
     types = values[first + 1]
     for number in dict.fromkeys(types.tolist()):
         kind, corners = _kind(number)
         chosen = np.flatnonzero(types == number)
-        start, tags, stop = first[chosen, None], values[first[chosen, None] + 2], (first + counts)[chosen, None]
+        start = first[chosen, None]
+        tags = values[first[chosen, None] + 2]
+        stop = (first + counts)[chosen, None]
         wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
-        rows.refuse(1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags.")
+        rows.refuse(
+            1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags."
+        )
         table = values[np.minimum(start + np.arange(3, 5), len(values) - 1)] * (np.arange(2) < tags)
         yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
 
@@ -425,7 +544,9 @@ def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
     keys = np.column_stack([table[:, 1], corners, physical])
     first, which = np.unique(keys[:, :-1], axis=0, return_index=True, return_inverse=True)[1:]
     if len(first) == len(keys) or len(np.unique(keys, axis=0)) < len(keys):
-        return ElementBlock(kind, corners, groups)  # what stands twice in one group is told as a fault
+        return ElementBlock(
+            kind, corners, groups
+        )  # what stands twice in one group is told as a fault
     order = np.sort(first)
     new = np.searchsorted(order, first)[which.ravel()]
     return ElementBlock(kind, corners[order], {tag: new[rows] for tag, rows in groups.items()})
@@ -437,7 +558,10 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         return
     for name in mesh.patches:
         if any(mark in name for mark in '"\r\n') or not name:
-            message = f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or a line break."
+            message = (
+                f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or "
+                "a line break."
+            )
             raise ValueError(message)
     patch_faces(mesh)
 
@@ -446,12 +570,17 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2."""
     content = content_of(mesh, NAME)
     with path.open("wb") as file:
-        file.writelines(_new(mesh) if content is None else content.moved(content.in_file(np.asarray(mesh.points))))
+        file.writelines(
+            _new(mesh)
+            if content is None
+            else content.moved(content.in_file(np.asarray(mesh.points)))
+        )
 
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:
     """Yields a new file. A patch is a group of faces, which have its tag as group and as entity."""
-    points, markers = np.asarray(mesh.points, float), patch_faces(mesh)
+    points = np.asarray(mesh.points, float)
+    markers = patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
     level = DIMENSION[blocks[0][0]] - 1
     names = [f'{level} {tag} "{name}"\n' for tag, name in enumerate(markers, start=1)]

@@ -27,7 +27,12 @@ def block_ids(shape: tuple[int, ...], first: int) -> ndarray:
 
 def block_cells(ids: ndarray) -> tuple[str, ndarray]:
     """Makes the cells between the nodes of a block, i running fastest: their type and corners."""
-    square = [(slice(-1), slice(-1)), (slice(1, None), slice(-1)), (slice(1, None),) * 2, (slice(-1), slice(1, None))]
+    square = [
+        (slice(-1), slice(-1)),
+        (slice(1, None), slice(-1)),
+        (slice(1, None),) * 2,
+        (slice(-1), slice(1, None)),
+    ]
     levels = [()] if ids.ndim == 2 else [(slice(-1),), (slice(1, None),)]
     corners = [ids[(*ij, *k)].ravel(order="F") for k in levels for ij in square]
     return "quad" if ids.ndim == 2 else "hexahedron", np.stack(corners, axis=1)
@@ -40,7 +45,9 @@ def block_sides(ids: ndarray) -> list[ndarray]:
         for at in (0, -1):
             side = ids.take(at, axis=axis)
             if side.ndim == 2:
-                sides.append(block_cells(side)[1] if min(side.shape) > 1 else np.zeros((0, 4), ids.dtype))
+                sides.append(
+                    block_cells(side)[1] if min(side.shape) > 1 else np.zeros((0, 4), ids.dtype)
+                )
             else:
                 sides.append(np.stack([side[:-1], side[1:]], axis=1))
     return sides
@@ -99,7 +106,9 @@ def join(
     """
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
-        raise ValueError(f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}.")
+        raise ValueError(
+            f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}."
+        )
     faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
     node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
     joined = FilePoints(points, node=node)
@@ -109,12 +118,16 @@ def join(
     return checked_parts(np.ascontiguousarray(joined.in_mesh(points)), whole, found), joined
 
 
-def _rest(faces: list[ndarray], names: Sequence[str], patches: Mapping[str, Any]) -> Iterator[tuple[str, ndarray]]:
+def _rest(
+    faces: list[ndarray], names: Sequence[str], patches: Mapping[str, Any]
+) -> Iterator[tuple[str, ndarray]]:
     """Yields names and nodes of faces that no other zone meets."""
     rest = "unnamed" if patches else "boundary"
     while rest in patches:
         rest += "_faces"
-    for name, corners, mask in zip(names or [rest] * len(faces), faces, _single(faces), strict=True):
+    for name, corners, mask in zip(
+        names or [rest] * len(faces), faces, _single(faces), strict=True
+    ):
         if mask.any():
             yield name, corners[mask].ravel()
 
@@ -123,9 +136,15 @@ def _single(faces: list[ndarray]) -> list[ndarray]:
     """Finds faces that come once and are not shrunk to a line or point: a mask for each array."""
     width = max((corners.shape[1] for corners in faces), default=0)
     columns = [sorted_columns(columns_of(corners), width) for corners in faces]
-    once = is_single([np.concatenate(parts) for parts in zip(*columns, strict=True)]) if faces else np.zeros(0, bool)
+    once = (
+        is_single([np.concatenate(parts) for parts in zip(*columns, strict=True)])
+        if faces
+        else np.zeros(0, bool)
+    )
     masks = []
-    for corners, mask in zip(faces, np.split(once, np.cumsum([*map(len, faces)])[:-1]), strict=False):
+    for corners, mask in zip(
+        faces, np.split(once, np.cumsum([*map(len, faces)])[:-1]), strict=False
+    ):
         distinct = 1 + np.count_nonzero(np.diff(np.sort(corners, axis=1), axis=1), axis=1)
         masks.append(mask & (distinct >= min(corners.shape[1], 3)))
     return masks

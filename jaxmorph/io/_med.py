@@ -15,7 +15,12 @@ from ._tree import Coordinates, of_tree, only, opened, points_of, text_of, write
 
 NAME = "MED"
 WHAT = "a MED file"
-TYPES = {"PO1": ("vertex", "0"), "SE2": ("line", "01"), "TR3": ("triangle", "012"), "QU4": ("quad", "0123")}
+TYPES = {
+    "PO1": ("vertex", "0"),
+    "SE2": ("line", "01"),
+    "TR3": ("triangle", "012"),
+    "QU4": ("quad", "0123"),
+}
 TYPES |= {"TE4": ("tetra", "0213"), "PY5": ("pyramid", "03214"), "PE6": ("wedge", "021354")}
 TYPES |= {"HE8": ("hexahedron", "03214765")}
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
@@ -28,10 +33,13 @@ def read(path: Path) -> Parts:
         coordinates = list(_coordinates(file))
         n = int(coordinates[0].array.attrs["NBR"])
         points = points_of(coordinates, n, coordinates[0].array.size // n)
-        blocks, families = [], []
+        blocks = []
+        families = []
         for kind, group in step["MAI"].items():
             if kind not in TYPES:
-                raise ValueError(f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)}).")
+                raise ValueError(
+                    f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)})."
+                )
             ours, places = TYPES[kind]
             (order,) = numbers(places)
             corners = group["NOD"][()].reshape(len(order), -1).T[:, order].astype(np.int64) - 1
@@ -42,8 +50,13 @@ def read(path: Path) -> Parts:
             group: [np.flatnonzero(np.isin(family, ids)) for family in families]
             for group, ids in _groups(file, name, "ELEME").items()
         }
-        nodes = {group: np.flatnonzero(np.isin(of_nodes, ids)) for group, ids in _groups(file, name, "NOEUD").items()}
-        grid = Grid(points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes"))
+        nodes = {
+            group: np.flatnonzero(np.isin(of_nodes, ids))
+            for group, ids in _groups(file, name, "NOEUD").items()
+        }
+        grid = Grid(
+            points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes")
+        )
         return of_tree(path, NAME, coordinates, grid)
 
 
@@ -72,5 +85,7 @@ def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
-            groups.setdefault(text_of(np.asarray(characters, np.uint8)), []).append(int(family.attrs["NUM"]))
+            groups.setdefault(text_of(np.asarray(characters, np.uint8)), []).append(
+                int(family.attrs["NUM"])
+            )
     return groups

@@ -47,32 +47,49 @@ def numbered(
     """
     elements = [*cells, *sides]
     keys = [node_keys(each.corners, of_order(each.kind, order)) for each in elements]
-    same = np.unique(np.concatenate([key.reshape(-1, 16) for key in keys]), axis=0, return_inverse=True)[1].ravel()
+    same = np.unique(
+        np.concatenate([key.reshape(-1, 16) for key in keys]), axis=0, return_inverse=True
+    )[1].ravel()
     parts = np.split(same, np.cumsum([key[..., 0].size for key in keys])[:-1])
     new = [part.reshape(key.shape[:2]) for part, key in zip(parts, keys, strict=True)]
-    levels = zip(*(_levels(each, order, ids) for each, ids in zip(cells, new, strict=False)), strict=True)
+    levels = zip(
+        *(_levels(each, order, ids) for each, ids in zip(cells, new, strict=False)), strict=True
+    )
     listed = np.concatenate([_in_file_order(cells, level) for level in levels])
     first = np.sort(np.unique(listed, return_index=True)[1])
     number = np.full(same.max(initial=-1) + 1, -1)
     number[listed[first]] = count + np.arange(len(first))
-    nodes = [np.concatenate([each.corners, number[ids]], axis=1) for each, ids in zip(elements, new, strict=True)]
+    nodes = [
+        np.concatenate([each.corners, number[ids]], axis=1)
+        for each, ids in zip(elements, new, strict=True)
+    ]
     return nodes, count + len(first)
 
 
 def _levels(cells: AttributedCells, order: int, new: ndarray) -> list[ndarray]:
     """Lists new nodes as MFEM does: on edges, from the lower vertex on, on faces, inside."""
     corners, (first, second) = cells.corners, np.array(ORDER.edges[cells.kind]).T
-    kind, count = of_order(cells.kind, order).name, len(inner_places(cells.kind, order))
-    new = reordered(kind, np.concatenate([corners, new], axis=1), None, ORDER)[:, corners.shape[1] :]
+    kind = of_order(cells.kind, order).name
+    count = len(inner_places(cells.kind, order))
+    new = reordered(kind, np.concatenate([corners, new], axis=1), None, ORDER)[
+        :, corners.shape[1] :
+    ]
     edges, faces, inside = np.split(new, [len(first) * (order - 1), new.shape[1] - count], axis=1)
     edges = edges.reshape(len(new), len(first), order - 1)
     turned = corners[:, first] > corners[:, second]
-    return [np.where(turned[..., None], edges[..., ::-1], edges).reshape(len(new), -1), faces, inside]
+    return [
+        np.where(turned[..., None], edges[..., ::-1], edges).reshape(len(new), -1),
+        faces,
+        inside,
+    ]
 
 
 def _in_file_order(cells: list[AttributedCells], tables: Iterable[ndarray]) -> ndarray:
     """Joins the rows (k, m) of several types, as these take turns in the file."""
-    joined = [(np.repeat(each.rows, table.shape[1]), table.ravel()) for each, table in zip(cells, tables, strict=True)]
+    joined = [
+        (np.repeat(each.rows, table.shape[1]), table.ravel())
+        for each, table in zip(cells, tables, strict=True)
+    ]
     rows, ids = map(np.concatenate, zip(*joined, strict=True))
     return ids[np.argsort(rows, kind="stable")]
 
@@ -88,7 +105,9 @@ def at_places(cells: Arrays, points: ndarray, *, are_lobatto: bool) -> ndarray:
 
 def to_lobatto(kind: str) -> ndarray:
     cell = lagrange_types()[kind]
-    p, at, simplex = cell.order, cell.lattice, SIMPLEX.get(cell.shape, 0)
+    p = cell.order
+    at = cell.lattice
+    simplex = SIMPLEX.get(cell.shape, 0)
     inner = legendre.legroots(legendre.legder(np.eye(p + 1)[p]))
     line = np.concatenate([[0], (np.sort(inner) + 1) / 2, [1]])
     places = line[at]
@@ -104,7 +123,10 @@ GEOMETRIES = ("point", "line", "triangle", "quad", "tetra", "hexahedron", "wedge
 SIZES = {number: CORNERS.get(kind, 1) for number, kind in enumerate(GEOMETRIES)}
 SAME = 1e-8
 """Distance of duplicates in L2, as a share of the mesh's extent."""
-_SPACE = rb"\s*FiniteElementSpace\s+FiniteElementCollection:\s*(\S+)\s+VDim:\s*(\d{1,9})\s+Ordering:\s*([01])\b"
+_SPACE = (
+    rb"\s*FiniteElementSpace\s+FiniteElementCollection:\s*(\S+)"
+    rb"\s+VDim:\s*(\d{1,9})\s+Ordering:\s*([01])\b"
+)
 
 
 class Space(NamedTuple):
@@ -124,10 +146,12 @@ class Space(NamedTuple):
 
     def values(self, node: ndarray, total: int) -> tuple[ndarray, ndarray]:
         """Reads the coordinates of each `node` (m,), and of the first place of all nodes."""
-        numbers, first = self.section.rows(np.float64).values[self.skipped :], np.unique(node, return_index=True)[1]
+        numbers = self.section.rows(np.float64).values[self.skipped :]
+        first = np.unique(node, return_index=True)[1]
         if self.d not in (2, 3) or len(numbers) != len(node) * self.d or len(first) < total:
             raise self.section.error(
-                f"{len(node)} nodes of 2 or 3 coordinates expected, found {len(numbers)} numbers for {self.d}."
+                f"{len(node)} nodes of 2 or 3 coordinates expected, found {len(numbers)} numbers "
+                f"for {self.d}."
             )
         rows = numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
         distance = np.abs(rows - rows[first][node]).max()
@@ -157,9 +181,14 @@ class MFEMContent:
 
     def in_file(self, points: ndarray) -> ndarray:
         """Computes the file's coordinates (m, d); unchanged where points have not changed."""
-        new, old = (at_places(self.cells, places, are_lobatto=False) for places in (points, self.points))
-        rows, d = self.values.copy(), points.shape[1]
-        rows[:, :d] = np.where((new != old.astype(new.dtype))[self.node], new[self.node], rows[:, :d])
+        new, old = (
+            at_places(self.cells, places, are_lobatto=False) for places in (points, self.points)
+        )
+        rows = self.values.copy()
+        d = points.shape[1]
+        rows[:, :d] = np.where(
+            (new != old.astype(new.dtype))[self.node], new[self.node], rows[:, :d]
+        )
         return rows
 
     def in_mesh(self, values: ndarray) -> ndarray:
@@ -167,7 +196,8 @@ class MFEMContent:
         return at_places(self.cells, lobatto, are_lobatto=True)
 
     def moved(self, points: ndarray) -> Pieces:
-        rows, section = self.in_file(points), self.space.section
+        rows = self.in_file(points)
+        section = self.space.section
         words = (rows.T if self.space.by_nodes else rows).ravel()
         at = np.arange(len(words)) + self.space.skipped
         return replaced(self.text, slice(section.start, section.stop), words, at=at, plain=_plain)
@@ -184,7 +214,9 @@ def read(path: Path) -> Parts:
     if space.order > 1 and "pyramid" in [each.kind for each in cells]:
         raise space.section.error("pyramids of order 2 and more are not read.")
     ids, total = numbered(cells, sides, space.order, space.vertices)
-    nodes = {of_order(each.kind, space.order).name: rows for each, rows in zip(cells, ids, strict=False)}
+    nodes = {
+        of_order(each.kind, space.order).name: rows for each, rows in zip(cells, ids, strict=False)
+    }
     content = _content(text, space, cells, nodes, total)
     patches = _patches(sides, ids[len(cells) :])
     source = Source(
@@ -200,15 +232,22 @@ def read(path: Path) -> Parts:
     return checked_parts(content.points.copy(), nodes, patches, source)
 
 
-def _content(text: bytes, space: Space, cells: list[AttributedCells], nodes: Arrays, total: int) -> MFEMContent:
-    node, curved = np.arange(total), nodes if space.order > 2 else {}
+def _content(
+    text: bytes, space: Space, cells: list[AttributedCells], nodes: Arrays, total: int
+) -> MFEMContent:
+    node = np.arange(total)
+    curved = nodes if space.order > 2 else {}
     if space.is_torn:  # cell by cell, the first coordinate fastest
-        tables = [ids[:, np.lexsort(lagrange_types()[kind].lattice.T)] for kind, ids in nodes.items()]
+        tables = [
+            ids[:, np.lexsort(lagrange_types()[kind].lattice.T)] for kind, ids in nodes.items()
+        ]
         node = _in_file_order(cells, tables)
     values, lobatto = space.values(node, total)
     if lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2]):
         lobatto = lobatto[:, :2]
-    return MFEMContent(text, space, values, node, at_places(curved, lobatto, are_lobatto=True), curved)
+    return MFEMContent(
+        text, space, values, node, at_places(curved, lobatto, are_lobatto=True), curved
+    )
 
 
 def _plain(text: bytes) -> bytes:
@@ -222,9 +261,14 @@ def _sections(path: Path, text: bytes) -> dict[str, Section]:
     plain = _plain(text)
     words = list(re.finditer(rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$", plain))
     ends = [*(word.start() for word in words[1:]), len(plain)]
-    parts = {word[1].decode(): Section(path, plain, word.end(), end) for word, end in zip(words, ends, strict=False)}
+    parts = {
+        word[1].decode(): Section(path, plain, word.end(), end)
+        for word, end in zip(words, ends, strict=False)
+    }
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
-    missing += ["line mfem_mesh_end"] * (head[-1] in "23" and [*parts][-1:] in (["vertices"], ["nodes"]))
+    missing += ["line mfem_mesh_end"] * (
+        head[-1] in "23" and [*parts][-1:] in (["vertices"], ["nodes"])
+    )
     if missing:
         raise ValueError(f"no {', '.join(missing)} in this file; it is cut short.")
     return parts
@@ -234,23 +278,36 @@ def _elements(section: Section, count: int) -> list[AttributedCells]:
     """Reads rows of attribute, type and corners, type by type; points of a boundary are none."""
     table = section.rows(np.int64)
     if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(table.counts) - 1:
-        raise section.error("a number of elements expected, and as many rows of attribute, type and corners.")
+        raise section.error(
+            "a number of elements expected, and as many rows of attribute, type and corners."
+        )
     rows = table._replace(values=table.values[1:], counts=table.counts[1:], row=1)
     found = sorted(rows.by_kind(1, SIZES, count), key=lambda kind: kind[0])
-    return [AttributedCells(GEOMETRIES[kind], each[:, 2:], at, each[:, 0]) for kind, at, each in found if kind]
+    return [
+        AttributedCells(GEOMETRIES[kind], each[:, 2:], at, each[:, 0])
+        for kind, at, each in found
+        if kind
+    ]
 
 
 def _space_of(parts: dict[str, Section]) -> Space:
-    vertices, section = parts["vertices"], parts.get("nodes")
+    vertices = parts["vertices"]
+    section = parts.get("nodes")
     count, *rest = [*map(int, vertices.rows(np.float64).values[:2])] or [-1]
     if not 0 <= count <= len(vertices.text):
-        raise vertices.error(f"{count:.6g} vertices do not fit into a file of {len(vertices.text)} bytes.")
+        raise vertices.error(
+            f"{count:.6g} vertices do not fit into a file of {len(vertices.text)} bytes."
+        )
     if section is None:
         return Space(vertices, count, 1, sum(rest), skipped=2)
     head = re.match(_SPACE, section.content)
     if head is None:
-        raise section.error("FiniteElementSpace with its FiniteElementCollection, VDim and Ordering expected.")
-    name = {b"Linear": "H1_P1", b"Quadratic": "H1_P2"}.get(head[1], head[1].decode(errors="replace"))
+        raise section.error(
+            "FiniteElementSpace with its FiniteElementCollection, VDim and Ordering expected."
+        )
+    name = {b"Linear": "H1_P1", b"Quadratic": "H1_P2"}.get(
+        head[1], head[1].decode(errors="replace")
+    )
     known = re.fullmatch(r"(H1|L2_T1)_(?:[23]D_)?P([1-4])", name)
     if known is None:
         raise section.error(f"nodes of {name[:40]} are not read; H1 and L2_T1 of order 1 to 4 are.")
@@ -273,7 +330,9 @@ def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[
     again = next((name for name in names if names.count(name) > 1), None)
     if again is not None:
         raise ValueError(f"two sets of boundary attributes are called {again!r}.")
-    members = {name: tuple(patch for patch in patches if patch[9:] in numbers) for name, numbers in sets}
+    members = {
+        name: tuple(patch for patch in patches if patch[9:] in numbers) for name, numbers in sets
+    }
     return {name: listed for name, listed in members.items() if listed}
 
 

@@ -43,7 +43,9 @@ KINDS = {
     "I-deas": LibraryKind("gmsh", "gmsh", rb"^\s+(?:2411|781)\s*\n", is_fixed=True),
     "Nastran": LibraryKind("gmsh", "gmsh"),
     "Medit": LibraryKind("meshio", "medit", rb"^\s*Vertices\s+\d+", writes=True),
-    "Abaqus": LibraryKind("meshio", "abaqus", rb"(?i)^\*node\b(?!\s*(?:print|file|output))[^\n]*\n", writes=True),
+    "Abaqus": LibraryKind(
+        "meshio", "abaqus", rb"(?i)^\*node\b(?!\s*(?:print|file|output))[^\n]*\n", writes=True
+    ),
     "XDMF": LibraryKind("meshio", "xdmf", writes=True),
     "AFLR": LibraryKind("meshio", "ugrid", rb"\A(?:\s*\d+){7}"),
     "Netgen": LibraryKind("meshio", "netgen", rb"^points\s+\d+", writes=True),
@@ -95,16 +97,24 @@ class Codec(NamedTuple):
         place, points = _place(raw, self.kind, np.asarray(grid.points))
         grid = dataclasses.replace(grid, points=points)
         is_single = place is not None and place.dtype is not None and place.dtype.itemsize == 4
-        content = OtherContent(points, raw, place, grid.content, singles=EVERYTHING if is_single else ())
+        content = OtherContent(
+            points, raw, place, grid.content, singles=EVERYTHING if is_single else ()
+        )
         if place is None and self.kind.writes:
-            notes += ("meshio writes it anew: comments, and what has no place in a mesh, are lost.",)
+            notes += (
+                "meshio writes it anew: comments, and what has no place in a mesh, are lost.",
+            )
         if self.name == "Abaqus" and re.search(rb"(?im)^\*surface\b", raw):
             notes += ("surfaces of elements are not read, and are no patches.",)
-        return of_grid(path, grid, Source(path, self.name, content, notes=notes, **content.known), patches)
+        return of_grid(
+            path, grid, Source(path, self.name, content, notes=notes, **content.known), patches
+        )
 
     def check(self, path: Path, mesh: MeshLike) -> None:
         source = own_source(mesh, self.name)
-        if (source.content.place is None or _form(path) != _form(source.path)) and not self.kind.writes:
+        if (
+            source.content.place is None or _form(path) != _form(source.path)
+        ) and not self.kind.writes:
             what = f"a file of {self.name} like this one"
             what = what if source.content.place is None else "another form of the file"
             raise ValueError(f"{what} is not written; write .vtu or .msh.")
@@ -118,7 +128,9 @@ class Codec(NamedTuple):
                 file.writelines(_moved(source.content.raw, source.content.place, self.kind, values))
         else:
             moved = to_meshio(Parts(mesh.points, mesh.cells, {}, mesh.source), None, None)
-            options = {"data_format": "XML"} if self.name == "XDMF" else {}  # else arrays are in another file
+            options = (
+                {"data_format": "XML"} if self.name == "XDMF" else {}
+            )  # else arrays are in another file
             imported("meshio", "io").write(path, moved, file_format=self.kind.name, **options)
 
 
@@ -158,7 +170,9 @@ def _place(raw: bytes, kind: LibraryKind, points: ndarray) -> tuple[Place | None
     for code in ("<f8", ">f8", "<f4", ">f4"):
         start = raw.find(points.astype(code).tobytes())
         if start >= 0 and np.array_equal(points.astype(code), points):
-            return Place(start, start + np.dtype(code).itemsize * points.size, np.dtype(code)), points.astype(float)
+            return Place(
+                start, start + np.dtype(code).itemsize * points.size, np.dtype(code)
+            ), points.astype(float)
     for begin in re.finditer(kind.nodes, raw, re.MULTILINE) if kind.nodes else ():
         end = _WORD.search(raw, begin.end())
         stop = end.start() if end else len(raw)
@@ -191,14 +205,22 @@ def _found(path: Path, kind: LibraryKind, size: int) -> tuple[Grid, list[Patch],
     return (of_meshio(found), [], ()) if kind.library == "meshio" else _of_gmsh(*found)
 
 
-def _of_gmsh(points: ndarray, found: list[tuple], names: Names) -> tuple[Grid, list[Patch], tuple[str, ...]]:
+def _of_gmsh(
+    points: ndarray, found: list[tuple], names: Names
+) -> tuple[Grid, list[Patch], tuple[str, ...]]:
     """Makes a grid of what `_apart_script.py` gives; a boundary without a group is `surface_5`."""
     unknown = [number for _, _, number, *_ in found if number not in TYPES]
     if unknown or not found:
-        raise ValueError(f"elements of gmsh's types {unknown} are not read." if unknown else "no elements.")
-    blocks, top = [], max(level for level, *_ in found)
+        raise ValueError(
+            f"elements of gmsh's types {unknown} are not read." if unknown else "no elements."
+        )
+    blocks = []
+    top = max(level for level, *_ in found)
     for level, entity, number, ids, groups in found:
         if not groups and level == top - 1:
-            groups, names[level, -entity] = [-entity], f"{LEVELS[level]}_{entity}"
-        blocks.append(ElementBlock(TYPES[number], ids.astype(np.int64), dict.fromkeys(groups, slice(None))))
+            groups = [-entity]
+            names[level, -entity] = f"{LEVELS[level]}_{entity}"
+        blocks.append(
+            ElementBlock(TYPES[number], ids.astype(np.int64), dict.fromkeys(groups, slice(None)))
+        )
     return grid_of(points, blocks, names)

@@ -34,7 +34,11 @@ DOUBLE = np.dtype("f8")
 TEXTS = [RecordForm(0, DOUBLE, [(DOUBLE, None), (DOUBLE, DOUBLE)])]
 Shapes = tuple[tuple[int, ...], ...]
 BINARIES = [
-    RecordForm(mark, whole, [(np.dtype(order + real), blank) for real in ("f8", "f4") for blank in (None, whole)])
+    RecordForm(
+        mark,
+        whole,
+        [(np.dtype(order + real), blank) for real in ("f8", "f4") for blank in (None, whole)],
+    )
     for order, whole in (("<", np.dtype("<i4")), (">", np.dtype(">i4")))
     for mark in (4, 0)
 ]
@@ -61,7 +65,10 @@ class FileLayout(NamedTuple):
         if self.blank is None:
             return []
         ends = zip(self.coordinates(numbers), self.starts, strict=True)
-        return [ndarray(block.shape[1], self.blank, numbers.data, int(start) + block.nbytes) for block, start in ends]
+        return [
+            ndarray(block.shape[1], self.blank, numbers.data, int(start) + block.nbytes)
+            for block, start in ends
+        ]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,7 +77,9 @@ class Plot3DContent(FilePoints):
     layout: FileLayout
 
     def moved(self, points: ndarray) -> Pieces:
-        points, numbers, first = self.in_file(points), _numbers(self.data, self.layout.is_text).copy(), 0
+        points = self.in_file(points)
+        numbers = _numbers(self.data, self.layout.is_text).copy()
+        first = 0
         for block in self.layout.coordinates(numbers):
             block[...] = points[first : first + block.shape[1]].T
             first += block.shape[1]
@@ -92,7 +101,9 @@ def read(path: Path) -> Parts:
     layout = next(itertools.chain.from_iterable(_layouts(numbers, form) for form in forms), None)
     if layout is None:
         form = "text" if is_text else "binary"
-        raise ValueError(f"not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file.")
+        raise ValueError(
+            f"not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file."
+        )
     points = np.concatenate([block.T.astype(float) for block in layout.coordinates(numbers)])
     blank = sum(int((block == 0).sum()) for block in layout.blanks(numbers))
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
@@ -121,8 +132,14 @@ def _numbers(data: bytes, is_text: bool) -> ndarray:
 
 def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
     """Yields sizes that fit a form to its last byte, between Fortran's marks where it has them."""
-    mark, head = form.mark, form.head
-    for is_multiple, d in ((True, 3), (False, 3), (True, 2), (False, 2)):  # does a count of blocks come first?
+    mark = form.mark
+    head = form.head
+    for is_multiple, d in (
+        (True, 3),
+        (False, 3),
+        (True, 2),
+        (False, 2),
+    ):  # does a count of blocks come first?
         start = mark + (head.itemsize + 2 * mark) * is_multiple
         count = _view(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
         shapes = _shapes(count, _view(numbers[start:], head), d)
@@ -131,12 +148,16 @@ def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
         for dtype, blank in form.types if shapes else []:
             sizes = np.append(first, nodes * (d * dtype.itemsize + getattr(blank, "itemsize", 0)))
             ends = np.cumsum(sizes + 2 * mark)
-            layout = FileLayout(shapes, (ends - mark - sizes)[-len(shapes) :], dtype, blank, head.kind == "f")
+            layout = FileLayout(
+                shapes, (ends - mark - sizes)[-len(shapes) :], dtype, blank, head.kind == "f"
+            )
             if ends[-1] == len(numbers) and _is_whole(numbers, layout, form, sizes, ends):
                 yield layout
 
 
-def _is_whole(numbers: ndarray, layout: FileLayout, form: RecordForm, sizes: ndarray, ends: ndarray) -> bool:
+def _is_whole(
+    numbers: ndarray, layout: FileLayout, form: RecordForm, sizes: ndarray, ends: ndarray
+) -> bool:
     """Checks IBLANK of a text, and whether Fortran's marks stand before and after each record."""
     if not form.mark:
         return all((block == np.floor(block)).all() for block in layout.blanks(numbers))
@@ -162,7 +183,10 @@ def _shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
 
 def _zones(path: Path, shapes: Shapes) -> tuple[list, dict, list[ndarray], list[str]]:
     """Makes the cells, patches and outer faces of all blocks, and the names of the faces."""
-    cells, faces, names, first = [], [], [], 0
+    cells = []
+    faces = []
+    names = []
+    first = 0
     for block, shape in enumerate(shapes, start=1):
         ids = block_ids(shape, first)
         cells.append(block_cells(ids))
@@ -185,7 +209,8 @@ def _patches(path: Path, shapes: Shapes) -> dict[str, list[ndarray]]:
         except (ValueError, IndexError) as error:
             sizes = ", ".join(" x ".join(map(str, shape)) for shape in shapes)
             raise ValueError(
-                f"{path}, line {number}: NAME BLOCK SIDE or NAME BLOCK and node ranges expected, found {line.strip()!r}; "
+                f"{path}, line {number}: NAME BLOCK SIDE or NAME BLOCK and node ranges expected, "
+                f"found {line.strip()!r}; "
                 f"blocks are {sizes}."
             ) from error
     return patches

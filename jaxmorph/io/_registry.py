@@ -72,21 +72,31 @@ class _Plugin(NamedTuple):
     def read(self, path: Path) -> Parts:
         mesh = self.codec.read(path)
         if not isinstance(mesh, Mesh):
-            raise ValueError(f"the format {self.name} of another package returned {type(mesh).__name__}, no Mesh.")
-        return Parts(mesh.points, dict(mesh.cells), dict(mesh.patches), Source(path, self.name, mesh.source))
+            raise ValueError(
+                f"the format {self.name} of another package returned {type(mesh).__name__}, no "
+                "Mesh."
+            )
+        return Parts(
+            mesh.points, dict(mesh.cells), dict(mesh.patches), Source(path, self.name, mesh.source)
+        )
 
     def check(self, path: Path, mesh: Mesh) -> None:
         if not hasattr(self.codec, "write"):
-            raise ValueError(f"files of the format {self.name} are read, and not written; write .vtu.")
+            raise ValueError(
+                f"files of the format {self.name} are read, and not written; write .vtu."
+            )
 
     def write(self, path: Path, mesh: Mesh) -> None:
         source = source_of(mesh, self.name)
-        self.codec.write(path, Mesh(mesh.points, mesh.cells, mesh.patches, source and source.content))
+        self.codec.write(
+            path, Mesh(mesh.points, mesh.cells, mesh.patches, source and source.content)
+        )
 
 
 def check_nodes(path: Path, mesh: Parts) -> None:
     """Refuses duplicate cells but pieces of polyhedra; warns of duplicate nodes in curved cells."""
-    whole, first = mesh.source.polyhedra, 0
+    whole = mesh.source.polyhedra
+    first = 0
     for kind, corners in mesh.cells.items():
         corners = np.asarray(corners)
         rows = np.arange(len(corners))
@@ -96,14 +106,16 @@ def check_nodes(path: Path, mesh: Parts) -> None:
         twice = rows[repeated_cells(corners[rows])]
         if len(twice):
             raise ValueError(
-                f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
+                f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first "
+                f"cell {twice[0]} "
                 f"between nodes {corners[twice[0]].tolist()}: remove the copies."
             )
         folded = np.flatnonzero((np.diff(np.sort(corners, axis=1), axis=1) == 0).any(axis=1))
         if kind in HIGH_ORDER and len(folded):
             centre = place_of(np.asarray(mesh.points)[corners[folded[0]]].mean(axis=0))
             warn(
-                f"{path}: {len(folded)} of {len(corners)} cells of type {kind} name a node twice, first cell {folded[0]} "
+                f"{path}: {len(folded)} of {len(corners)} cells of type {kind} name a node twice, "
+                f"first cell {folded[0]} "
                 f"near ({centre}): they fold there, or are flat."
             )
 
@@ -152,13 +164,15 @@ def read(path: PathLike) -> Mesh:
     if file != path:
         if getattr(mesh.source.content, "stamp", None) is not None:
             raise ValueError(
-                f"{path}: files of {mesh.source.format} are copied when they are written: unpack it first."
+                f"{path}: files of {mesh.source.format} are copied when they are written: unpack "
+                "it first."
             )
         mesh = mesh._replace(source=dataclasses.replace(mesh.source, path=path))
     check_nodes(path, mesh)
     groups = {group: names for group, names in mesh.source.groups.items() if group in mesh.patches}
     hidden = (
-        f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch alone."
+        f"the group {group} ({', '.join(names)}) has the name of a patch: {group} is the patch "
+        "alone."
         for group, names in groups.items()
         if {*names} != {group}
     )
@@ -199,20 +213,25 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
     wrong length, points that are not finite, and what the format cannot express.
     """
-    chosen, path = _checked(path, mesh), Path(path)
+    chosen = _checked(path, mesh)
+    path = Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
         raise ValueError(
-            f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
+            f"{path}: {chosen.name} files hold no arrays; write .vtu to keep "
+            f"{', '.join([*arrays[0], *arrays[1]])}."
         )
     as_written(path, mesh)
-    appear, codec = contextlib.nullcontext if chosen.is_folder else complete, chosen.codec()
+    appear = contextlib.nullcontext if chosen.is_folder else complete
+    codec = chosen.codec()
     with appear(path) as target, files.packed(target, path.stem) as file:
         if hasattr(codec, "write"):
             codec.write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
         else:
             with file.open("wb") as stream:
-                stream.writelines(own_source(mesh, chosen.name).content.moved(np.asarray(mesh.points)))
+                stream.writelines(
+                    own_source(mesh, chosen.name).content.moved(np.asarray(mesh.points))
+                )
 
 
 @checked
@@ -233,7 +252,8 @@ def as_written(path: PathLike, mesh: Mesh) -> Float[ndarray, "n d"]:
     """
     chosen = format_of(Path(path), mesh.source)
     path = files.output_path(path, folder=chosen.is_folder)
-    points, source = np.asarray(mesh.points), source_of(mesh, chosen.name)
+    points = np.asarray(mesh.points)
+    source = source_of(mesh, chosen.name)
     if source is None or source.held is None:
         return points
     return warn_of_loss(path, mesh.cells, source.held, points)
@@ -256,7 +276,8 @@ def check_output(path: PathLike, mesh: Mesh) -> bool:
 
 
 def _checked(name: PathLike, mesh: Mesh) -> Format:
-    source, chosen = mesh.source, format_of(Path(name), mesh.source)
+    source = mesh.source
+    chosen = format_of(Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
@@ -268,7 +289,9 @@ def _checked(name: PathLike, mesh: Mesh) -> Format:
             own_source(mesh, chosen.name)
     bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
     if len(bad):
-        raise ValueError(f"{path}: {len(bad)} of {len(mesh.points)} points are not finite, first node {bad[0]}.")
+        raise ValueError(
+            f"{path}: {len(bad)} of {len(mesh.points)} points are not finite, first node {bad[0]}."
+        )
     return chosen
 
 
@@ -284,7 +307,8 @@ def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
 
     **Raises:** `ValueError` as `check_output` does.
     """
-    chosen, source = _checked(path, mesh), mesh.source
+    chosen = _checked(path, mesh)
+    source = mesh.source
     if not isinstance(source, Source) or source_of(mesh, chosen.name) is not None:
         return ()
     names = {
@@ -350,9 +374,13 @@ def write_moved(path: PathLike, mesh: Mesh, moved: Mesh, report: QualityReport) 
     if not check_output(path, mesh):
         write(path, moved)
         return
-    before, after = np.asarray(mesh.points), np.asarray(moved.points)
+    before = np.asarray(mesh.points)
+    after = np.asarray(moved.points)
     if before.shape != after.shape:
-        raise ValueError(f"`moved` has points of shape {after.shape}, `mesh` {before.shape}. It must be `mesh`, moved.")
+        raise ValueError(
+            f"`moved` has points of shape {after.shape}, `mesh` {before.shape}. It must be "
+            "`mesh`, moved."
+        )
     write(path, moved, point_data={"displacement": after - before}, cell_data=cell_arrays(report))
 
 
@@ -363,8 +391,14 @@ def write_pvd(path: PathLike, files: Sequence[PathLike], times: Sequence[float])
     if len(files) != len(times):
         raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
     names = [quoteattr(Path(file).name) for file in files]
-    rows = [f'    <DataSet timestep="{t!r}" part="0" file={name}/>' for name, t in zip(names, times, strict=True)]
-    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
+    rows = [
+        f'    <DataSet timestep="{t!r}" part="0" file={name}/>'
+        for name, t in zip(names, times, strict=True)
+    ]
+    head = [
+        '<?xml version="1.0"?>',
+        '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
+    ]
     text = "\n".join([*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
     with complete(path) as partial:
         partial.write_bytes(text.encode())

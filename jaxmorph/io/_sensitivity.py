@@ -27,7 +27,9 @@ NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 
 
 @checked
-def read_sensitivity(path: PathLike, mesh: Mesh, *, moving: Int[ndarray, " m"] | None = None) -> Float[ndarray, "k d"]:
+def read_sensitivity(
+    path: PathLike, mesh: Mesh, *, moving: Int[ndarray, " m"] | None = None
+) -> Float[ndarray, "k d"]:
     """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
     With `moving` it may be for every node of a wall, for `shapes.project`. The file is one of
@@ -60,7 +62,8 @@ def read_sensitivity(path: PathLike, mesh: Mesh, *, moving: Int[ndarray, " m"] |
         if path.suffix.lower() == ".npz":
             ids, values, _ = read_named(path, ("sensitivity",))
         elif is_foam_file(path):
-            ids, values = np.arange(n), read_point_vectors(path, mesh)
+            ids = np.arange(n)
+            values = read_point_vectors(path, mesh)
         else:
             ids, values = read_table(path, d, NAMES)
         wanted = np.arange(n) if moving is None or len(ids) >= n else moving
@@ -68,7 +71,9 @@ def read_sensitivity(path: PathLike, mesh: Mesh, *, moving: Int[ndarray, " m"] |
 
 
 @checked
-def write_sensitivity(path: PathLike, ids: Int[ndarray, " m"], values: Float[ndarray, "m d"]) -> None:
+def write_sensitivity(
+    path: PathLike, ids: Int[ndarray, " m"], values: Float[ndarray, "m d"]
+) -> None:
     """Writes dJ/d(nodes) by node id: a table (.csv), or .npz of `ids` and `sensitivity`.
 
     **Arguments:**
@@ -79,7 +84,8 @@ def write_sensitivity(path: PathLike, ids: Int[ndarray, " m"], values: Float[nda
     **Raises:** `ValueError` for another ending, bad ids, and values of another shape or that are
     not finite.
     """
-    path, ids = check_sensitivity_output(path), rows_of("ids", ids, 2**62)
+    path = check_sensitivity_output(path)
+    ids = rows_of("ids", ids, 2**62)
     values = finite_array("values", values, (len(ids), 2), (len(ids), 3)).astype(float)
     if path.suffix.lower() == ".npz":
         stream = io.BytesIO()
@@ -87,7 +93,10 @@ def write_sensitivity(path: PathLike, ids: Int[ndarray, " m"], values: Float[nda
         content = stream.getvalue()
     else:
         header = ",".join(["id", *(f"dJ_d{axis}" for axis in "xyz"[: values.shape[1]])])
-        rows = [f"{node},{','.join(map(repr, row))}" for node, row in zip(ids.tolist(), values.tolist(), strict=True)]
+        rows = [
+            f"{node},{','.join(map(repr, row))}"
+            for node, row in zip(ids.tolist(), values.tolist(), strict=True)
+        ]
         content = "\n".join([header, *rows, ""]).encode()
     with complete(path) as partial:
         partial.write_bytes(content)
@@ -116,15 +125,20 @@ def read_point_vectors(path: Path, mesh: Mesh) -> Float[ndarray, "n d"]:
     if source is None:
         raise ValueError("a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
     file = load(path.parent, path.name)
-    kind, entry = file.header.get("class", "no class"), _INTERNAL.search(file.data, file.end)
+    kind = file.header.get("class", "no class")
+    entry = _INTERNAL.search(file.data, file.end)
     if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
         found = f"{kind}{' with one value for all points' if kind == 'pointVectorField' else ''}"
         raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
     stop = None if file.is_binary else _END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
-    values, content = file._replace(data=data, end=entry.end()).numbers("scalar", 3), source.content
+    values = file._replace(data=data, end=entry.end()).numbers("scalar", 3)
+    content = source.content
     if len(values) != len(content.points):
-        raise file.error(f"{len(content.points)} vectors expected, one for each point of the case, found {len(values)}")
+        raise file.error(
+            f"{len(content.points)} vectors expected, one for each point of the case, found "
+            f"{len(values)}"
+        )
     return values if content.plane is None else content.plane.added(values)
 
 
@@ -143,15 +157,26 @@ def write_gradient(path: PathLike, parameters: PyTree, gradient: PyTree) -> None
 
     **Raises:** `ValueError` for another ending, and for a gradient of another structure.
     """
-    path, variables = check_gradient_output(path), jm.shapes.names(parameters)
+    path = check_gradient_output(path)
+    variables = jm.shapes.names(parameters)
     given = jm.shapes.names(gradient)
     if given != variables:
-        raise ValueError(f"a gradient of {len(given)} numbers for {len(variables)} design variables.")
+        raise ValueError(
+            f"a gradient of {len(given)} numbers for {len(variables)} design variables."
+        )
     trees = (jax.tree.leaves(tree) for tree in (parameters, gradient))
-    rows = list(zip(variables, *([float(x) for leaf in tree for x in np.ravel(leaf)] for tree in trees), strict=True))
+    rows = list(
+        zip(
+            variables,
+            *([float(x) for leaf in tree for x in np.ravel(leaf)] for tree in trees),
+            strict=True,
+        )
+    )
     stream = io.StringIO()
     if path.suffix.lower() == ".csv":
-        csv.writer(stream, lineterminator="\n").writerows([("variable", "value", "dJ_dvalue"), *rows])
+        csv.writer(stream, lineterminator="\n").writerows(
+            [("variable", "value", "dJ_dvalue"), *rows]
+        )
     else:
         keys = ("value", "dJ_dvalue")
         table = {

@@ -27,7 +27,10 @@ SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
 """Variants of keywords."""
 ROWS = 1 << 16
-WANTED = "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
+WANTED = (
+    "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write "
+    "writes other meshes."
+)
 
 
 class Keyword(NamedTuple):
@@ -39,7 +42,9 @@ class Keyword(NamedTuple):
         """Reads the value's first whole number: `NPOIN= 9 6` counts with and without halos."""
         words = self.value.split()
         if not words or not words[0].isdecimal() or int(words[0]) < least:
-            raise self.section.error(f"{self.name}= must be followed by a whole number, found {self.value[:40]!r}.")
+            raise self.section.error(
+                f"{self.name}= must be followed by a whole number, found {self.value[:40]!r}."
+            )
         return int(words[0])
 
 
@@ -55,7 +60,9 @@ class SU2Content(NamedTuple):
     def moved(self, points: ndarray) -> Pieces:
         n, d = self.shape
         places = (self.width * np.arange(n)[:, None] + np.arange(d)).ravel()
-        return replaced(self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments)
+        return replaced(
+            self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments
+        )
 
 
 def read(path: Path) -> Parts:
@@ -69,8 +76,10 @@ def read(path: Path) -> Parts:
     zones = by_zones(path, text)
     if len(zones) > 1:
         raise ValueError(
-            f"the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
-            "writes some of them, other zones as they are. On the command line --zone 1 is the first."
+            f"the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads "
+            "them, and io.write_zones "
+            "writes some of them, other zones as they are. On the command line --zone 1 is the "
+            "first."
         )
     return mesh_of(path, text, zones[0])
 
@@ -82,40 +91,54 @@ def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
     _check_zones(head, zones)
     zones = sorted(zones, key=lambda zone: zone[0].number())
-    found = [[*(word for word in head if word.name not in [own.name for own in zone]), *zone] for zone in zones]
+    found = [
+        [*(word for word in head if word.name not in [own.name for own in zone]), *zone]
+        for zone in zones
+    ]
     return found or [head]
 
 
 def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
     for keyword in head:
         if keyword.name == "NZONE" and keyword.number(least=1) != max(len(zones), 1):
-            raise keyword.section.error(f"NZONE= {keyword.value}, but {len(zones)} zones are in the file.")
+            raise keyword.section.error(
+                f"NZONE= {keyword.value}, but {len(zones)} zones are in the file."
+            )
     numbers = [zone[0].number() for zone in zones]
     if sorted(numbers) != list(range(1, len(zones) + 1)):
-        raise ValueError(f"IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
+        raise ValueError(
+            f"IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once."
+        )
 
 
 def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     dimension, rows = (_only(keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-    table, section = _points(rows, d), rows.section
+    table = _points(rows, d)
+    section = rows.section
     points = np.ascontiguousarray(table[:, :d])
     elements = _only(keywords, "NELEM")
     tables = gathered(_tables(elements, elements.section, len(points), "elements"))
     if 1 in tables:
-        raise elements.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
+        raise elements.section.error(
+            "NELEM= holds elements of type 1 (a single node); these are no cells."
+        )
     cells = {TYPES[number]: corners for number, corners in tables.items()}
     content = SU2Content(text, section.start, section.stop, points.shape, table.shape[1])
     patches = _markers(keywords, len(points))
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
-    return checked_parts(points, cells, patches, Source(path, NAME, content, notes=tuple(_notes(keywords))))
+    return checked_parts(
+        points, cells, patches, Source(path, NAME, content, notes=tuple(_notes(keywords)))
+    )
 
 
 def _notes(keywords: list[Keyword]) -> Iterator[str]:
-    tags = collections.Counter(keyword.value for keyword in keywords if keyword.name == "MARKER_TAG")
+    tags = collections.Counter(
+        keyword.value for keyword in keywords if keyword.name == "MARKER_TAG"
+    )
     for tag, count in tags.items():
         if count > 1 and tag != "SEND_RECEIVE":  # the tag of all markers between parts of a mesh
             yield f"the {count} markers {tag} are one patch, as they are to SU2."
@@ -127,18 +150,27 @@ def check(path: Path, mesh: MeshLike) -> None:
         return
     curved = [kind for kind in mesh.cells if kind not in VTK]
     if curved:
-        raise ValueError(f"SU2's files hold linear cells, not {', '.join(curved)}; write .msh or .vtu.")
+        raise ValueError(
+            f"SU2's files hold linear cells, not {', '.join(curved)}; write .msh or .vtu."
+        )
     for name in mesh.patches:
         if name != name.strip() or not name or any(mark in name for mark in "%=\r\n"):
-            raise ValueError(f"{name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break.")
+            raise ValueError(
+                f"{name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line "
+                "break."
+            )
     patch_faces(mesh)
 
 
 def write(path: Path, mesh: MeshLike) -> None:
     """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
-    source, points = source_of(mesh, NAME), np.asarray(mesh.points)
+    source = source_of(mesh, NAME)
+    points = np.asarray(mesh.points)
     if source is not None and points.shape != source.content.shape:
-        raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {source.content.shape}.")
+        raise ValueError(
+            f"the mesh has points of shape {points.shape}; {source.path} has "
+            f"{source.content.shape}."
+        )
     with path.open("wb") as file:
         file.writelines(_new_text(mesh) if source is None else source.content.moved(points))
 
@@ -163,7 +195,11 @@ def _only(keywords: list[Keyword], name: str) -> Keyword:
     matches = [keyword for keyword in keywords if keyword.name == name]
     if not matches:
         small = any(keyword.name.upper() == name for keyword in keywords)
-        cause = "SU2's keywords are in capitals" if small else "it is not an SU2 mesh, or it is cut short"
+        cause = (
+            "SU2's keywords are in capitals"
+            if small
+            else "it is not an SU2 mesh, or it is cut short"
+        )
         raise ValueError(f"no {name}= in this file; {cause}.")
     if len(matches) > 1:
         raise matches[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
@@ -171,7 +207,8 @@ def _only(keywords: list[Keyword], name: str) -> Keyword:
 
 
 def _points(keyword: Keyword, d: int) -> ndarray:
-    n, rows = keyword.number(least=1), keyword.section.rows(np.float64)
+    n = keyword.number(least=1)
+    rows = keyword.section.rows(np.float64)
     counts = rows.counts
     width = int(counts[:1].sum()) or d
     expected = f"a point of {d} coordinates, and on all rows or none up to 2 indices, expected"
@@ -191,18 +228,26 @@ def _markers(keywords: list[Keyword], n: int) -> Arrays:
         tag, *rest = keywords[at : at + 3]
         if not rest or rest[0].name != "MARKER_ELEMS":
             raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
-        section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section  # of SEND_RECEIVE, it stands before the rows
+        section = rest[
+            -1 if rest[-1].name == "SEND_TO" else 0
+        ].section  # of SEND_RECEIVE, it stands before the rows
         tables = _tables(rest[0], section, n, f"elements of marker {tag.value!r}")
-        found += [(tag.value, np.zeros(0, np.int64)), *((tag.value, corners.ravel()) for _, corners in tables)]
+        found += [
+            (tag.value, np.zeros(0, np.int64)),
+            *((tag.value, corners.ravel()) for _, corners in tables),
+        ]
     stated = _only(keywords, "NMARK")
     if stated.number() != len(tags):
-        raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
+        raise stated.section.error(
+            f"NMARK= {stated.number()}, but {len(tags)} markers are in the file."
+        )
     return gathered(found)
 
 
 def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, ndarray]]:
     """Yields types by SU2's number and corners (k, corners), in order of first appearance."""
-    count, more = 0, None
+    count = 0
+    more = None
     for block in section.blocks(np.int64):
         if more is None:  # all rows have an index behind the nodes, or none
             more = min(max(int(block.counts[0]) - 1 - SIZES.get(int(block.values[0]), 0), 0), 1)
@@ -218,7 +263,8 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
 
 
 def _new_text(mesh: MeshLike) -> Pieces:
-    points, markers = np.asarray(mesh.points), patch_faces(mesh)
+    points = np.asarray(mesh.points)
+    markers = patch_faces(mesh)
     n, d = points.shape
     yield f"NDIME= {d}\nNELEM= {sum(map(len, mesh.cells.values()))}\n".encode()
     yield from _element_rows(mesh.cells)
@@ -232,7 +278,9 @@ def _new_text(mesh: MeshLike) -> Pieces:
 
 def _element_rows(cells: Mapping[str, Any]) -> Pieces:
     for kind, corners in cells.items():
-        yield from _rows(" ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners))
+        yield from _rows(
+            " ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners)
+        )
 
 
 def _rows(form: str, table: ndarray) -> Pieces:
@@ -258,7 +306,10 @@ def read_zones(path: PathLike) -> tuple[Mesh, ...]:
     """
     path = input_path(path)
     if path.suffix.lower() != ".su2":
-        raise ValueError(f"{path}: SU2 files have zones that are meshes of their own; io.read joins zones of others.")
+        raise ValueError(
+            f"{path}: SU2 files have zones that are meshes of their own; io.read joins zones of "
+            "others."
+        )
     text = path.read_bytes()
     with faults_of(path):
         meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
@@ -293,7 +344,8 @@ def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
     text = zones[0][0].text
     if any(content.text is not text for content, _ in zones):
         raise ValueError(
-            f"{path}: `meshes` are not of one reading of one file: read its zones together, io.read_zones."
+            f"{path}: `meshes` are not of one reading of one file: read its zones together, "
+            "io.read_zones."
         )
     if len({content.start for content, _ in zones}) < len(zones):
         raise ValueError(f"{path}: one zone is twice in `meshes`.")

@@ -72,7 +72,9 @@ def spliced(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
     first, size = np.zeros((2, len(place)), np.int64)
     first[last] = np.append(0, breaks[:-1] + 1)
     size[last] = breaks - first[last]
-    table, inside = (np.concatenate(pair, axis=1) for pair in zip(own, _rows(lines, first, size), strict=True))
+    table, inside = (
+        np.concatenate(pair, axis=1) for pair in zip(own, _rows(lines, first, size), strict=True)
+    )
     return table[inside].tobytes() + text[ends[-1] :]
 
 
@@ -120,7 +122,8 @@ class Section(NamedTuple):
     def blocks(self, dtype: type) -> Iterator["Rows"]:
         row = 0
         for chunk in chunks(self.text, self.start, self.stop):
-            counts, values = scan(chunk)[2], parse(chunk, dtype)
+            counts = scan(chunk)[2]
+            values = parse(chunk, dtype)
             if len(values) != counts.sum():
                 raise self._not_a_number(dtype)
             if len(counts):
@@ -129,17 +132,23 @@ class Section(NamedTuple):
 
     def rows(self, dtype: type) -> "Rows":
         blocks = [Rows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
-        values, counts = ([getattr(block, name) for block in blocks] for name in ("values", "counts"))
+        values, counts = (
+            [getattr(block, name) for block in blocks] for name in ("values", "counts")
+        )
         return Rows(self, np.concatenate(values), np.concatenate(counts))
 
     def _not_a_number(self, dtype: type) -> ValueError:
-        kind, what = (int, "an integer") if np.issubdtype(dtype, np.integer) else (float, "a number")
+        kind, what = (
+            (int, "an integer") if np.issubdtype(dtype, np.integer) else (float, "a number")
+        )
         for row, line in enumerate(line for line in self._lines() if line.strip()):
             for word in line.split():
                 try:
                     kind(word.translate(_FORTRAN))
                 except ValueError:
-                    return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {what}.", row)
+                    return self.error(
+                        f"found {word[:40].decode(errors='replace')!r} in place of {what}.", row
+                    )
         return self.error("the rows that follow hold something that is not a number.")
 
 
@@ -160,7 +169,9 @@ class Rows(NamedTuple):
         rows = np.flatnonzero(wrong) if wrong.dtype == bool else wrong
         if len(rows):
             row = int(rows[0])
-            raise self.section.error(message if isinstance(message, str) else message(row), self.row + row)
+            raise self.section.error(
+                message if isinstance(message, str) else message(row), self.row + row
+            )
 
     def by_kind(
         self, column: int, sizes: Mapping[int, int], n: int, more: int = 0
@@ -172,11 +183,15 @@ class Rows(NamedTuple):
         self.refuse(self.counts <= column, "an element's type and nodes expected.")
         kinds = self.values[self.first + column]
         for kind in dict.fromkeys(kinds.tolist()):
-            rows, size = np.flatnonzero(kinds == kind), sizes.get(kind, 0)
+            rows = np.flatnonzero(kinds == kind)
+            size = sizes.get(kind, 0)
             known = f"element type {kind} is not known; known are {', '.join(map(str, sizes))}."
             self.refuse(rows[: 0 if size else 1], known)
             width = column + 1 + size
-            message = f"an element of type {kind} has {size} nodes: {width} numbers{' and an index' * more} expected."
+            message = (
+                f"an element of type {kind} has {size} nodes: {width} "
+                f"numbers{' and an index' * more} expected."
+            )
             self.refuse(rows[self.counts[rows] != width + more], message)
             table = self.values[self.first[rows, None] + np.arange(width)]
             nodes = table[:, column + 1 :]
@@ -207,14 +222,20 @@ def scan(chunk: bytes) -> tuple[ndarray, ndarray, ndarray]:
     blank = np.ones(len(codes) + 2, bool)
     np.less_equal(codes, 32, out=blank[1:-1])
     change = np.flatnonzero(blank[1:] != blank[:-1])
-    starts, ends = change[0::2], change[1::2]
+    starts = change[0::2]
+    ends = change[1::2]
     line_ends = np.append(np.flatnonzero(codes == 10), len(codes))
     counts = np.diff(np.searchsorted(starts, line_ends), prepend=0)
     return starts, ends, counts[counts > 0]
 
 
 def replaced(
-    text: bytes, part: slice, values: ndarray, *, at: ndarray | None = None, plain: Callable[[bytes], bytes] = bytes
+    text: bytes,
+    part: slice,
+    values: ndarray,
+    *,
+    at: ndarray | None = None,
+    plain: Callable[[bytes], bytes] = bytes,
 ) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 
@@ -222,7 +243,8 @@ def replaced(
     `plain` turns what stands between numbers into blanks, byte for byte. An unchanged number keeps
     its digits; a changed one gets the shortest that read back bit for bit.
     """
-    words, done = 0, 0
+    words = 0
+    done = 0
     yield memoryview(text)[: part.start]
     for chunk in chunks(text, part.start, part.stop):
         numbers = plain(chunk)
@@ -233,6 +255,11 @@ def replaced(
         new = values[done : done + len(chosen)]
         changed = np.flatnonzero(new != parse(numbers, np.float64)[chosen].astype(new.dtype))
         places = chosen[changed]
-        yield spliced(chunk, starts[places], ends[places], lines(new[changed])) if len(changed) else chunk
-        words, done = words + len(starts), done + len(chosen)
+        yield (
+            spliced(chunk, starts[places], ends[places], lines(new[changed]))
+            if len(changed)
+            else chunk
+        )
+        words = words + len(starts)
+        done = done + len(chosen)
     yield memoryview(text)[part.stop :]

@@ -72,13 +72,19 @@ def _refuse_foreign_data(path: Path, file: Any) -> None:
 
     found = file.id.links.visit(elsewhere)  # each link once, though groups may hold each other
     if found:
-        remedy = "Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
+        remedy = (
+            "Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
+        )
         raise ValueError(f"{path}: {found[-200:]}. {remedy}")
 
 
 def text_of(value: Any) -> str:
     """Decodes a text in a file: what stands before its first zero, without blanks around."""
-    return value if isinstance(value, str) else decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()
+    return (
+        value
+        if isinstance(value, str)
+        else decoded(np.asarray(value).tobytes().split(b"\0")[0]).strip()
+    )
 
 
 def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
@@ -117,11 +123,17 @@ def of_tree(
     notes: Iterable[str] = (),
 ) -> Parts:
     content = FilePoints(grid.points, stamp=stamp_of(path), singles=singles_of(coordinates))
-    return of_grid(path, grid, Source(path, name, content, notes=tuple(notes), **content.known), patches)
+    return of_grid(
+        path, grid, Source(path, name, content, notes=tuple(notes), **content.known), patches
+    )
 
 
 def write_points(
-    path: Path, mesh: MeshLike, format_name: str, coordinates: Callable[[Any], Iterable[Coordinates]], what: str = WHAT
+    path: Path,
+    mesh: MeshLike,
+    format_name: str,
+    coordinates: Callable[[Any], Iterable[Coordinates]],
+    what: str = WHAT,
 ) -> None:
     """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
 
@@ -132,7 +144,8 @@ def write_points(
     with opened(source.path, what=what):
         pass
     shutil.copyfile(source.path, path)
-    points, old = source.content.in_file(np.asarray(mesh.points)), source.content.points
+    points = source.content.in_file(np.asarray(mesh.points))
+    old = source.content.points
     if np.array_equal(points, old):
         return
     with opened(path, writes=True, what=what) as file:
@@ -142,7 +155,10 @@ def write_points(
                 array[...] = (new if by_rows else new.T).reshape(array.shape).astype(array.dtype)
 
 
-BLOCK, ENTRY, POINTER, TAG = 4096, 44, 12, 4
+BLOCK = 4096
+ENTRY = 44
+POINTER = 12
+TAG = 4
 ADF = b"ADF Database Version "
 _ORDERS = {b"L": "<", b"B": ">"}
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
@@ -191,7 +207,9 @@ class Node(dict[str, Any]):
 def check_spans(spans: list[tuple[int, int]], size: int) -> None:
     """Raises `ValueError` for parts of a file that share a byte, or lie beyond its end."""
     places = np.array(sorted(spans))
-    if (places[1:, 0] < places[:-1, 1]).any() or places[places[:, 0] < places[:, 1], 1].max() > size:
+    if (places[1:, 0] < places[:-1, 1]).any() or places[
+        places[:, 0] < places[:, 1], 1
+    ].max() > size:
         raise ValueError("parts of the file lie in one another, or beyond its end")
 
 
@@ -211,7 +229,8 @@ class Reader:
         self.is_old, code, long = head[25:26] != b"B", head[100:101], hexadecimal(head[112:114])
         if code not in _ORDERS:
             raise ValueError(
-                f"{path}: an ADF file with numbers of format {code.decode(errors='replace')!r}; IEEE's "
+                f"{path}: an ADF file with numbers of format {code.decode(errors='replace')!r}; "
+                "IEEE's "
                 "formats are read: `cgnsconvert`, where the file was written, converts it."
             )
         if long not in (4, 8):
@@ -225,7 +244,8 @@ class Reader:
     def tree(self) -> Node:
         """Reads the tree of an open file, without arrays; refuses links, cycles and damage."""
         root, below = self._node(self.root)
-        waiting, seen = [(root, "", below)], {self.root}
+        waiting = [(root, "", below)]
+        seen = {self.root}
         while waiting:
             node, place, entries = waiting.pop()
             for at in entries:
@@ -250,7 +270,11 @@ class Reader:
         return self._integer(raw[:8]) * BLOCK + self._integer(raw[8:])
 
     def _integer(self, raw: bytes) -> int:
-        return hexadecimal(raw) if self.is_old else int(np.frombuffer(raw, f"{self.order}u{len(raw)}")[0])
+        return (
+            hexadecimal(raw)
+            if self.is_old
+            else int(np.frombuffer(raw, f"{self.order}u{len(raw)}")[0])
+        )
 
     def _tagged(self, raw: bytes, tags: dict[int, bytes]) -> None:
         for at, tag in tags.items():
@@ -266,13 +290,19 @@ class Reader:
         code = kind.strip(b" \0").decode(errors="replace").upper()
         pieces = self._pieces(hexadecimal(chunks), data)
         if code == "LK":
-            target = b"".join(self._read(first, count) for first, count in pieces)[:200].decode(errors="replace")
+            target = b"".join(self._read(first, count) for first, count in pieces)[:200].decode(
+                errors="replace"
+            )
             raise ValueError(
-                f"{self.path}: {place}/{node.name} is a link to {target.strip()}. Only files that hold all of their "
+                f"{self.path}: {place}/{node.name} is a link to {target.strip()}. Only files that "
+                "hold all of their "
                 "data, and without links, are read: `cgnsconvert -l` makes one."
             )
         # HDF5 has the last number of ADF's sizes first
-        shape = tuple(self._integer(sizes[8 * k : 8 * k + 8]) for k in reversed(range(hexadecimal(dimensions))))
+        shape = tuple(
+            self._integer(sizes[8 * k : 8 * k + 8])
+            for k in reversed(range(hexadecimal(dimensions)))
+        )
         if code in self.kinds and pieces and shape:
             need = math.prod(shape) * self.kinds[code].itemsize
             if need > sum(count for _, count in pieces):
@@ -306,7 +336,8 @@ class Reader:
         """Finds a part's content, behind the place of the last one, and its number of bytes."""
         at = self._pointer(raw)
         head = self._read(at, TAG + POINTER)
-        first, stop = at + len(head), self._pointer(head[TAG:])
+        first = at + len(head)
+        stop = self._pointer(head[TAG:])
         self._tagged(head, {0: tags[0]})
         self._tagged(self._read(stop, TAG), {0: tags[1]})
         if stop < first:
@@ -316,8 +347,22 @@ class Reader:
 
 
 CDF = b"CDF"
-_TYPES = {1: "i1", 2: "S1", 3: ">i2", 4: ">i4", 5: ">f4", 6: ">f8", 7: "u1", 8: ">u2", 9: ">u4", 10: ">i8", 11: ">u8"}
-_DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
+_TYPES = {
+    1: "i1",
+    2: "S1",
+    3: ">i2",
+    4: ">i4",
+    5: ">f4",
+    6: ">f8",
+    7: "u1",
+    8: ">u2",
+    9: ">u4",
+    10: ">i8",
+    11: ">u8",
+}
+_DIMENSIONS = 10
+_VARIABLES = 11
+_ATTRIBUTES = 12
 _UNSTATED = 2**32 - 4
 """Bytes of a variable from which on the header of an older file cannot state its size."""
 
@@ -343,7 +388,8 @@ class _Header:
 
     def entries(self, tag: int) -> Iterator[str]:
         """Yields names of a list: behind a tag and a count, or zeros for a list that is absent."""
-        found, count = self.number(4), self.number()
+        found = self.number(4)
+        count = self.number()
         if found != tag and (found, count) != (0, 0):
             raise ValueError(f"a list of tag {found} where {tag} is expected")
         names = set()
@@ -370,17 +416,26 @@ class _Header:
         self.number()  # of records
         lengths = {name: self.number() for name in self.entries(_DIMENSIONS)}
         self.attributes()
-        arrays = {name: self._variable(name, [*lengths.values()]) for name in self.entries(_VARIABLES)}
+        arrays = {
+            name: self._variable(name, [*lengths.values()]) for name in self.entries(_VARIABLES)
+        }
         pieces = [(at, at + size) for array in arrays.values() for at, size in array.pieces]
         check_spans([(0, self.file.tell()), *pieces], self.size)
-        arrays = {name: array for name, array in arrays.items() if array.shape[0]}  # a record has none
-        return {name: Array(self.file, np.dtype("i1"), (n,), []) for name, n in lengths.items()} | arrays
+        arrays = {
+            name: array for name, array in arrays.items() if array.shape[0]
+        }  # a record has none
+        return {
+            name: Array(self.file, np.dtype("i1"), (n,), []) for name, n in lengths.items()
+        } | arrays
 
     def _variable(self, name: str, lengths: list[int]) -> Array:
         """Reads the place of a variable; one of a number each record stands behind all else."""
         sizes = [lengths[self.number()] for _ in range(self.number())] or [1]
-        attributes, kind = self.attributes(), np.dtype(_TYPES[self.number(4)])
-        stated, at, size = self.number(), self.number(self.place), kind.itemsize * math.prod(sizes)
+        attributes = self.attributes()
+        kind = np.dtype(_TYPES[self.number(4)])
+        stated = self.number()
+        at = self.number(self.place)
+        size = kind.itemsize * math.prod(sizes)
         if sizes[0] and stated not in (size, -(-size // 4) * 4) and size < _UNSTATED:
             raise ValueError(f"{name} has {stated} bytes, {size} expected")
         return Array(self.file, kind, tuple(sizes), [(at, size)], attributes)

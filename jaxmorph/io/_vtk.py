@@ -52,7 +52,9 @@ class VTKContent(NamedTuple):
     @property
     def arrays(self) -> list[str]:
         fields = (self.data.GetPointData(), self.data.GetCellData(), self.data.GetFieldData())
-        names = [str(field.GetArrayName(k)) for field in fields for k in range(field.GetNumberOfArrays())]
+        names = [
+            str(field.GetArrayName(k)) for field in fields for k in range(field.GetNumberOfArrays())
+        ]
         return [name for name in names if not name.startswith(PREFIX)]
 
     def __reduce__(self) -> tuple:
@@ -64,9 +66,13 @@ def read(path: Path) -> Parts:
     content = _read(path)
     mesh = vtk.mesh_of(vtk.unstructured(content.data))
     places = vtk.coordinates(content.data)
-    points = FilePoints(np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ())
+    points = FilePoints(
+        np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ()
+    )
     origin = mesh.source
-    source = Source(path, NAME, content, origin.polyhedra, origin.cell_ids, notes=origin.notes, **points.known)
+    source = Source(
+        path, NAME, content, origin.polyhedra, origin.cell_ids, notes=origin.notes, **points.known
+    )
     return mesh._replace(source=source)
 
 
@@ -74,7 +80,9 @@ def check(path: Path, mesh: MeshLike) -> None:
     suffix = path.suffix.lower()
     content = content_of(mesh, NAME)
     if suffix in FILES_OF_FILES:
-        raise ValueError(f"{suffix} files name other files, and are not written; write .vtu, which holds all.")
+        raise ValueError(
+            f"{suffix} files name other files, and are not written; write .vtu, which holds all."
+        )
     for kind in mesh.cells if content is None else ():
         vtk.number_of(kind)
     holds = GRIDS.get(suffix, "vtkDataSet")
@@ -84,11 +92,18 @@ def check(path: Path, mesh: MeshLike) -> None:
 
 def write(path: Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes what was read with other points, or a new grid in double precision."""
-    content, is_legacy = content_of(mesh, NAME), path.suffix.lower() == ".vtk"
+    content = content_of(mesh, NAME)
+    is_legacy = path.suffix.lower() == ".vtk"
     parts = Parts(mesh.points, mesh.cells, mesh.patches, mesh.source)
     data = to_vtk(parts, content and content.data, point_data, cell_data)
-    encoding = content.encoding if content and content.encoding.is_legacy == is_legacy else Encoding(is_legacy)
-    path.write_bytes(text_of(vtk.unstructured(data) if path.suffix.lower() == ".vtu" else data, encoding))
+    encoding = (
+        content.encoding
+        if content and content.encoding.is_legacy == is_legacy
+        else Encoding(is_legacy)
+    )
+    path.write_bytes(
+        text_of(vtk.unstructured(data) if path.suffix.lower() == ".vtu" else data, encoding)
+    )
 
 
 def text_of(data: Any, encoding: Encoding) -> bytes:
@@ -114,11 +129,15 @@ def _xml_writer(data: Any, encoding: Encoding) -> Any:
 
 
 def _legacy_writer(data: Any, encoding: Encoding) -> Any:
-    kind = data.GetClassName().removeprefix("vtk")  # a writer of any kind does not take the precision
+    kind = data.GetClassName().removeprefix(
+        "vtk"
+    )  # a writer of any kind does not take the precision
     writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
-    is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(vtk.unstructured(data))
+    is_new = encoding.version > "5" or VTK_LAGRANGE["hexahedron"] in vtk.numbers_of(
+        vtk.unstructured(data)
+    )
     writer.SetFileVersion(51 if is_new else 42)
     (writer.SetFileTypeToASCII if encoding.mode == "ascii" else writer.SetFileTypeToBinary)()
     writer.SetPrecision(17)
@@ -135,14 +154,19 @@ def _encoding(raw: bytes) -> Encoding:
     modes = {*re.findall(rb'format="(\w+)"', raw)}
     mode = next((mode for mode in ("appended", "binary") if mode.encode() in modes), "ascii")
     compressor = re.sub("^vtk|DataCompressor$", "", said.get("compressor", "None"))
-    header, order = said.get("header_type", "UInt32"), said.get("byte_order", "LittleEndian")
+    header = said.get("header_type", "UInt32")
+    order = said.get("byte_order", "LittleEndian")
     return Encoding(False, mode, b'encoding="raw"' in raw, compressor, header, order)
 
 
 def _read(path: Path) -> VTKContent:
-    raw, named = path.read_bytes(), []
+    raw = path.read_bytes()
+    named = []
     if path.suffix.lower() in FILES_OF_FILES:
-        named = [path.parent / os.fsdecode(file) for file in re.findall(rb'(?:Source|file)="([^"]+)"', raw)]
+        named = [
+            path.parent / os.fsdecode(file)
+            for file in re.findall(rb'(?:Source|file)="([^"]+)"', raw)
+        ]
     size = len(raw) + sum(file.stat().st_size for file in named if file.is_file())
     data_sets = _read_apart(path, size)
     if named:
@@ -160,7 +184,9 @@ def _read_apart(path: Path, size: int) -> list[tuple[str, Any]]:
         names, said = json.loads(run_apart("vtk", path, size, folder))
         errors = [" ".join(sentence.split())[:200] for sentence in TOLD.findall(said)]
         if errors or not names:
-            raise ValueError(f"a damaged file, or one cut short ({(errors or ['it holds nothing'])[0]}).")
+            raise ValueError(
+                f"a damaged file, or one cut short ({(errors or ['it holds nothing'])[0]})."
+            )
         found = []
         for k, name in enumerate(names):
             reader = generic()
@@ -174,7 +200,8 @@ def _joined(named: list[tuple[str, Any]]) -> Any:
     """Joins pieces and blocks without ghost cells; blocks of lower dimension become patches."""
     grids = [(name, vtk.unstructured(data)) for name, data in named]
     levels = np.array([vtk.dimension_of(grid) for _, grid in grids])
-    joined, is_solid = vtk.vtk("vtkFiltersCore").vtkAppendFilter(), levels == levels.max()
+    joined = vtk.vtk("vtkFiltersCore").vtkAppendFilter()
+    is_solid = levels == levels.max()
     for at in np.flatnonzero(is_solid):
         joined.AddInputData(grids[at][1])
     joined.Update()

@@ -8,7 +8,20 @@ Plots take matplotlib's axes `ax` or pyvista's `plotter`, by default a new one, 
 from ._curves import convergence as convergence, histogram as histogram
 from ._files import page as page
 from ._picture import picture as picture
-from ._plane import Window as Window, before_after as before_after, graph as graph, mesh as mesh, whole as whole
+from ._plane import (
+    Window as Window,
+    before_after as before_after,
+    graph as graph,
+    mesh as mesh,
+    whole as whole,
+)
 from ._sources import sources as sources, sources_3d as sources_3d
 from ._space import before_after_3d as before_after_3d, cut as cut, surface as surface
-from ._style import BLUE as BLUE, COLOURS as COLOURS, DARK as DARK, GREEN as GREEN, GREY as GREY, ORANGE as ORANGE
+from ._style import (
+    BLUE as BLUE,
+    COLOURS as COLOURS,
+    DARK as DARK,
+    GREEN as GREEN,
+    GREY as GREY,
+    ORANGE as ORANGE,
+)

@@ -14,7 +14,9 @@ from ._style import BLUE, DARK, GREEN, GREY, LIGHT, ORANGE, RULE, WIDTH, Column
 
 
 @checked
-def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None) -> Axes:
+def histogram(
+    reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None
+) -> Axes:
     """Draws histograms of a measure for reports by name: `{"before": ..., "after": ...}`.
 
     Counts are on a logarithmic scale: the worst cells are few. Boundary cells and infinite values
@@ -29,16 +31,29 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
     **Returns:** the axes. **Raises:** `ValueError` for an unknown measure, and no report.
     """
     if measure not in jm.QualityReport.measures:
-        raise ValueError(f"no measure is called {measure!r}; there are {', '.join(jm.QualityReport.measures)}.")
+        raise ValueError(
+            f"no measure is called {measure!r}; there are {', '.join(jm.QualityReport.measures)}."
+        )
     if not reports:
-        raise ValueError("`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}.")
+        raise ValueError(
+            "`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}."
+        )
     finite = {name: _of_cells(report, measure) for name, report in reports.items()}
     ax = given_or_new(ax)
     bins = np.histogram_bin_edges(np.concatenate(list(finite.values())), bins=60)
     colours = (GREY, BLUE, ORANGE, GREEN, DARK)
     for k, (name, of_cells) in enumerate(finite.items()):
-        style = {"histtype": "bar", "alpha": 0.5} if k == 0 else {"histtype": "step", "linewidth": 1.8}
-        ax.hist(of_cells, bins=list(bins), label=name, color=colours[k % len(colours)], log=True, **style)
+        style = (
+            {"histtype": "bar", "alpha": 0.5} if k == 0 else {"histtype": "step", "linewidth": 1.8}
+        )
+        ax.hist(
+            of_cells,
+            bins=list(bins),
+            label=name,
+            color=colours[k % len(colours)],
+            log=True,
+            **style,
+        )
     ax.set_ylim(bottom=0.5)  # below a single cell
     ax.set_xlabel(measure.replace("_", " "))
     ax.set_ylabel("cells")
@@ -53,7 +68,10 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Column:
 
 @checked
 def convergence(
-    history: History, *, bounds: Mapping[str, tuple[float | int, float | int]] | None = None, ax: Axes | None = None
+    history: History,
+    *,
+    bounds: Mapping[str, tuple[float | int, float | int]] | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draws an optimisation's progress: the objective, each constraint and each measure against the
     iterations, one below the other, each on its own scale; what is beyond bounds is shaded.
@@ -72,7 +90,9 @@ def convergence(
     bounds = {} if bounds is None else bounds
     if not len(history):
         raise ValueError(f"`history`: {history.path} has no iteration yet.")
-    panels = {"objective": history.values} | {name: history.column(name) for name in (*history.names, *bounds)}
+    panels = {"objective": history.values} | {
+        name: history.column(name) for name in (*history.names, *bounds)
+    }
     axes = _stack(ax, len(panels))
     for axis, (name, column) in zip(axes, panels.items(), strict=True):
         style: dict[str, Any] = {"marker": "."} if column.ndim == 1 else {"linewidth": 0.8}
@@ -89,7 +109,8 @@ def convergence(
 
 def _shade_beyond(axis: Axes, bounds: tuple[float | int, float | int]) -> None:
     low, high = axis.get_ylim()
-    known, room = np.array([bound for bound in bounds if np.isfinite(bound)]), 0.05 * (high - low)
+    known = np.array([bound for bound in bounds if np.isfinite(bound)])
+    room = 0.05 * (high - low)
     axis.set_ylim(min(low, *(known - room), np.inf), max(high, *(known + room), -np.inf))
     for bound, end in zip(bounds, axis.get_ylim(), strict=True):
         if np.isfinite(bound):
@@ -101,7 +122,11 @@ def _stack(ax: Axes | None, count: int) -> list[Axes]:
     """Makes axes one below the other, with one axis of iterations, in the place of one."""
     if ax is None:
         size = WIDTH, 0.6 + 1.15 * count
-        return list(plt.subplots(count, sharex=True, squeeze=False, figsize=size, layout="constrained")[1].ravel())
+        return list(
+            plt.subplots(count, sharex=True, squeeze=False, figsize=size, layout="constrained")[
+                1
+            ].ravel()
+        )
     place = ax.get_subplotspec()
     if place is None:
         raise ValueError("`ax` stands in no grid: give axes of plt.subplots.")

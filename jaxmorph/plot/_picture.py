@@ -48,7 +48,9 @@ def picture(
     check_cells(before)
     places = finite(before.points if points is None else before.moved(np.asarray(points)).points)
     path = output_path(path, *((".png",) if places.shape[1] == 2 else (".png", ".html")))
-    nodes = _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))
+    nodes = (
+        _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))
+    )
     side = None if path.suffix.lower() == ".html" else FlatSide.of(before, places)
     if side is None and points is not None:
         return _in_3d(path, before, places, nodes)
@@ -61,7 +63,9 @@ def picture(
 
 def _moved(mesh: jm.Mesh, places: Places) -> Ids:
     lengths = np.linalg.norm(places - np.asarray(mesh.points), axis=1)
-    return np.intersect1d(mesh.patch(*mesh.patches), np.flatnonzero(lengths > STILL * lengths.max()))
+    return np.intersect1d(
+        mesh.patch(*mesh.patches), np.flatnonzero(lengths > STILL * lengths.max())
+    )
 
 
 def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: np.ndarray) -> None:
@@ -94,8 +98,10 @@ def _of_cells(verdict: jm.Verdict) -> Column:
 
 
 def _in_2d(path: pathlib.Path, side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> None:
-    mesh, name = side.mesh, _measure(verdict)
-    label, states = name.replace("_", " "), {"deformed": (side.points, verdict)}
+    mesh = side.mesh
+    name = _measure(verdict)
+    label = name.replace("_", " ")
+    states = {"deformed": (side.points, verdict)}
     if verdict.before is not None:
         states = {"undeformed": (np.asarray(mesh.points), verdict.before)} | states
     seen = np.flatnonzero(np.isin(side.nodes, moving))
@@ -103,10 +109,16 @@ def _in_2d(path: pathlib.Path, side: "FlatSide", moving: np.ndarray, verdict: jm
     figure, axes = _panels(window, len(states))
     colours = [_averaged(mesh, _of_cells(own)[side.cells]) for _, own in states.values()]
     largest = np.nanmax([np.nanmax(values, initial=0) for values in colours])
-    for axis, values, (state, (points, own)) in zip(axes.ravel(), colours, states.items(), strict=True):
-        _plane.mesh(mesh, points, values=values, limits=(0, largest or 1), window=window, bar=False, ax=axis)
+    for axis, values, (state, (points, own)) in zip(
+        axes.ravel(), colours, states.items(), strict=True
+    ):
+        _plane.mesh(
+            mesh, points, values=values, limits=(0, largest or 1), window=window, bar=False, ax=axis
+        )
         worst = own.rows["max", name]
-        axis.plot(*np.array(worst.near)[side.axes], "x", color=BLUE, markersize=7, markeredgewidth=1.5)
+        axis.plot(
+            *np.array(worst.near)[side.axes], "x", color=BLUE, markersize=7, markeredgewidth=1.5
+        )
         titles = [state, f"largest {label} {round(worst.value, 9):.3g} (×)"][-axes.size :]
         axis.set_title(("\n" if len(axes) == 1 else ": ").join(titles), fontsize="medium")
         axis.label_outer()
@@ -129,9 +141,15 @@ def _panels(window: _plane.Window, count: int) -> tuple[Figure, Any]:
 def _averaged(mesh: jm.Mesh, values: Column) -> Column:
     """Means over the cells at each node, then over its nodes: single triangles are noise."""
     kinds = [np.asarray(ids) for ids in mesh.cells.values()]
-    cell = np.repeat(np.arange(len(values)), np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds]))
-    node, counts = np.concatenate([ids.ravel() for ids in kinds]), np.isfinite(values)
-    weights, sums = (np.bincount(node, part[cell], len(mesh.points)) for part in (counts, np.where(counts, values, 0)))
+    cell = np.repeat(
+        np.arange(len(values)), np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds])
+    )
+    node = np.concatenate([ids.ravel() for ids in kinds])
+    counts = np.isfinite(values)
+    weights, sums = (
+        np.bincount(node, part[cell], len(mesh.points))
+        for part in (counts, np.where(counts, values, 0))
+    )
     at_nodes = sums / np.maximum(weights, 1)
     return np.bincount(cell, at_nodes[node]) / np.bincount(cell)
 
@@ -155,16 +173,22 @@ class FlatSide:
         base = np.asarray(mesh.points)
         if base.shape[1] == 2:
             return cls(mesh, places, np.arange(len(base)), np.asarray(mesh.cell_ids), [0, 1])
-        height, size = base - base.min(axis=0), np.ptp(base, axis=0)
+        height = base - base.min(axis=0)
+        size = np.ptp(base, axis=0)
         near = 1e-6 * size.max()
         is_layer = (size > near) & ((height < near) | (height > size - near)).all(axis=0)
         thin = int(np.argmin(np.where(is_layer, size, np.inf)))
         if not is_layer[thin] or np.abs(places - base)[:, thin].max() > near:
             return None
-        on, axes = height[:, thin] < near, [k for k in range(3) if k != thin]
+        on = height[:, thin] < near
+        axes = [k for k in range(3) if k != thin]
         surface, owner = jm.Mesh(base, mesh.cells).skin()
         chosen = {kind: on[ids].all(axis=1) for kind, ids in surface.cells.items()}
-        nodes, number = np.flatnonzero(on), np.cumsum(on) - 1
-        flat = jm.Mesh(base[nodes][:, axes], {kind: number[ids[chosen[kind]]] for kind, ids in surface.cells.items()})
+        nodes = np.flatnonzero(on)
+        number = np.cumsum(on) - 1
+        flat = jm.Mesh(
+            base[nodes][:, axes],
+            {kind: number[ids[chosen[kind]]] for kind, ids in surface.cells.items()},
+        )
         cells = np.asarray(mesh.cell_ids)[owner[np.concatenate([*chosen.values()])]]
         return cls(flat, places[nodes][:, axes], nodes, cells, axes)

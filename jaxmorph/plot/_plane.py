@@ -45,14 +45,21 @@ try:
     from matplotlib.textpath import TextPath as TextPath
     from matplotlib.ticker import MaxNLocator
 except ImportError as error:
-    raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
+    raise ImportError(
+        "jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'"
+    ) from error
 
 Window = tuple[tuple[float, float], tuple[float, float]]
 Outlines = Float[np.ndarray, "_ c 2"]
 
-THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4  # widths of lines in points: of cells, a sixth of the cell; of walls
+THINNEST, THICKEST, WALL = (
+    0.01,
+    0.5,
+    1.4,
+)  # widths of lines in points: of cells, a sixth of the cell; of walls
 NARROW = 0.8  # width in points below which cells show their colour and no line
-SEEN = 0.5  # the part of the area below which lines of the cells that are wide enough for one are left out
+# the part of the area below which lines of the cells that are wide enough for one are left out
+SEEN = 0.5
 LABEL = 0.3  # inches of an axis for a number at least: numbers of a small window have many digits
 UNLABELLED = 0.775  # the part of a figure's width that axes have until their labels are laid out
 STEPS = 1, 2, 2.5, 5, 10  # steps between round numbers, times powers of ten
@@ -115,7 +122,9 @@ def mesh(
         faces.set_clim(*ends)
         if bar:
             extend = ("neither", "min", "max", "both")[beyond[0] + 2 * beyond[1]]
-            ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or UNNAMED, extend=extend)
+            ax.figure.colorbar(
+                faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or UNNAMED, extend=extend
+            )
     draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW)
     draw_walls(ax, cells, DARK)
     return ax
@@ -123,14 +132,20 @@ def mesh(
 
 @checked
 def before_after(
-    mesh: jm.Mesh, points: Float[Any, "n 2"], *, window: Window | None = None, ax: Axes | None = None
+    mesh: jm.Mesh,
+    points: Float[Any, "n 2"],
+    *,
+    window: Window | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draws the deformed 2-D mesh in blue over the undeformed bodies in light orange.
 
     Arguments, result and errors are as of `plot.mesh`.
     """
-    before, after = PlaneCells.of(mesh, None), PlaneCells.of(mesh, points)
-    old, new = before.drawn(window), after.drawn(window)
+    before = PlaneCells.of(mesh, None)
+    after = PlaneCells.of(mesh, points)
+    old = before.drawn(window)
+    new = after.drawn(window)
     window = window_of(mesh, None, None, points) if window is None else window
     ax = show(given_or_new(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
@@ -139,7 +154,9 @@ def before_after(
     draw_walls(ax, before, ORANGE)
     draw_walls(ax, after, BLUE)
     colours = (LIGHT, ORANGE, "undeformed"), ("white", BLUE, "deformed")
-    legend_above(ax, [Patch(facecolor=face, edgecolor=edge, label=name) for face, edge, name in colours])
+    legend_above(
+        ax, [Patch(facecolor=face, edgecolor=edge, label=name) for face, edge, name in colours]
+    )
     return ax
 
 
@@ -167,7 +184,8 @@ def graph(
     **Raises:** `ValueError` for a plan in 3-D, and when the shape of `u` is not (m, 2).
     """
     points = in_dimension(plan.points)
-    moving, fixed = np.asarray(plan.moving), np.asarray(plan.fixed)
+    moving = np.asarray(plan.moving)
+    fixed = np.asarray(plan.fixed)
     nodes = np.concatenate([moving, fixed])
     simplices = nodes[Delaunay(points[nodes]).simplices]
     if u is not None:
@@ -176,8 +194,12 @@ def graph(
     ax = show(given_or_new(ax, window, above=0.35), window)
     if interior:
         ax.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
-    edges = np.unique(np.sort(simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    ax.add_collection(LineCollection(list(points[edges]), colors=DARK, linewidths=0.25), autolim=False)
+    edges = np.unique(
+        np.sort(simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
+    )
+    ax.add_collection(
+        LineCollection(list(points[edges]), colors=DARK, linewidths=0.25), autolim=False
+    )
     for ids, colour, name in ((moving, ORANGE, "moving nodes"), (fixed, BLUE, "fixed nodes")):
         label = name if len(seen_in(points[ids][:, None], window)) else None
         ax.plot(*points[ids].T, ".", color=colour, markersize=5, label=label, zorder=3)
@@ -205,15 +227,19 @@ class PlaneCells:
     def of(cls, mesh: jm.Mesh, points: Any) -> "PlaneCells":
         if mesh.points.shape[1] != 2:
             raise ValueError(
-                f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
+                f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and "
+                "`plot.before_after_3d`."
             )
         check_cells(mesh)
         places = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-        fine, cell = mesh, np.arange(len(mesh.cell_ids))
+        fine = mesh
+        cell = np.arange(len(mesh.cell_ids))
         if mesh.is_curved:
             fine, cell = refined(mesh.moved(places), PIECES)
             places = np.asarray(fine.points)
-        ids = [np.asarray(ids)[:, [*range(ids.shape[1]), -1, -1][:4]] for ids in fine.cells.values()]
+        ids = [
+            np.asarray(ids)[:, [*range(ids.shape[1]), -1, -1][:4]] for ids in fine.cells.values()
+        ]
         steps = round((len(cell) / len(mesh.cell_ids)) ** 0.5)
         return cls(places, np.concatenate(ids), cell, np.asarray(mesh.cell_ids)[cell], steps)
 
@@ -235,8 +261,12 @@ class PlaneCells:
         """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""
         ids = self.ids[cells]
         ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        lengths = np.linalg.norm(np.diff(self.points[ends], axis=1), axis=2).reshape(-1, 4).max(axis=1)
-        width = np.repeat(self.steps * self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny), 4)
+        lengths = (
+            np.linalg.norm(np.diff(self.points[ends], axis=1), axis=2).reshape(-1, 4).max(axis=1)
+        )
+        width = np.repeat(
+            self.steps * self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny), 4
+        )
         real = ends[:, 0] != ends[:, 1]
         # an edge between two pieces of a whole cell is none; a line's cell has its edge twice
         keys = np.column_stack([ends, np.repeat(self.whole[cells], 4)])[real]
@@ -250,21 +280,27 @@ class PlaneCells:
 
 
 def seen_in(corners: Outlines, window: Window) -> Ids:
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low = corners.min(axis=1)
+    high = corners.max(axis=1)
     (left, right), (bottom, top) = window
     return np.flatnonzero((high >= (left, bottom)).all(axis=1) & (low <= (right, top)).all(axis=1))
 
 
 def fill(ax: Axes, outlines: Outlines, **style: Any) -> PolyCollection:
-    faces = PolyCollection(list(outlines), linewidths=0.3, edgecolors="face", rasterized=True, **style)
+    faces = PolyCollection(
+        list(outlines), linewidths=0.3, edgecolors="face", rasterized=True, **style
+    )
     ax.add_collection(faces, autolim=False)
     return faces
 
 
-def draw_lines(ax: Axes, cells: PlaneCells, seen: Ids, window: Window, colour: str, least: float | int = 0) -> None:
+def draw_lines(
+    ax: Axes, cells: PlaneCells, seen: Ids, window: Window, colour: str, least: float | int = 0
+) -> None:
     edges, _, narrowest = cells.edges(seen)
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
-    chosen, areas = narrowest * to_points >= least, narrowest * np.linalg.norm(np.ptp(edges, axis=1), axis=1)
+    chosen = narrowest * to_points >= least
+    areas = narrowest * np.linalg.norm(np.ptp(edges, axis=1), axis=1)
     if areas[chosen].sum() < SEEN * areas.sum():  # single lines here and there are no mesh
         return
     widths = np.clip(narrowest[chosen] * to_points / 6, THINNEST, THICKEST)
@@ -276,16 +312,23 @@ def draw_walls(ax: Axes, cells: PlaneCells, colour: str) -> None:
     # an edge with a cell on one side has an odd count: a line's cell has it twice
     edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
     lines = list(edges[counts % 2 == 1])
-    ax.add_collection(LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False)
+    ax.add_collection(
+        LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False
+    )
 
 
-def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1) -> Axes:
+def given_or_new(
+    ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1
+) -> Axes:
     if ax is not None:
         return ax
     if window is None:
         return plt.subplots(figsize=(WIDTH, 0.7 * WIDTH), layout="constrained")[1]
     width, height = (side[1] - side[0] for side in window)
-    beside, below = 0.85 + 1.0 * bar, 0.55 + above  # inches for labels, in which the mesh has no part
+    beside, below = (
+        0.85 + 1.0 * bar,
+        0.55 + above,
+    )  # inches for labels, in which the mesh has no part
     scale = min((WIDTH - beside) / width, (TALLEST - below) / height)
     size = scale * width + beside, max(scale * height + below, 1.5)
     ax = plt.subplots(figsize=size, layout="constrained")[1]
@@ -301,12 +344,23 @@ def round_numbers(low: float, high: float, count: int) -> list[float]:
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
-    size, figure = plt.rcParams["font.size"], ax.figure
+    size = plt.rcParams["font.size"]
+    figure = ax.figure
     room = figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size * figure.dpi / 72
-    tight: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0, "frameon": False}
+    tight: dict[str, Any] = {
+        "handlelength": 1.2,
+        "handletextpad": 0.4,
+        "columnspacing": 1.0,
+        "frameon": False,
+    }
     for columns in range(len(handles), 0, -1):
         legend = ax.legend(
-            handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, fontsize=size, **tight
+            handles=handles,
+            loc="lower center",
+            bbox_to_anchor=(0.5, 1.0),
+            ncols=columns,
+            fontsize=size,
+            **tight,
         )
         if legend.get_window_extent().width <= room:
             return
@@ -322,7 +376,8 @@ def in_dimension(points: Any, dimension: int = 2) -> Places:
     points = finite(points)
     if points.ndim != 2 or points.shape[1] != dimension:
         raise ValueError(
-            f"this is for points in {dimension}-D, not of shape {points.shape}; `plot.sources_3d` and `plot.surface` "
+            f"this is for points in {dimension}-D, not of shape {points.shape}; `plot.sources_3d` "
+            "and `plot.surface` "
             "are for 3-D, `plot.sources` and `plot.mesh` for 2-D."
         )
     return points
@@ -351,7 +406,11 @@ def window_of(mesh: jm.Mesh, nodes: Ids | None, *states: Any) -> Window:
 
 def window_round(body: Places, points: Places) -> Window:
     """Leaves room round a body; of internal flow it is the whole mesh's."""
-    low, high = body.min(axis=0), body.max(axis=0)
+    low = body.min(axis=0)
+    high = body.max(axis=0)
     room = ROOM * (high - low).max()
-    low, high = np.maximum(low - room, points.min(axis=0)), np.minimum(high + room, points.max(axis=0))
-    return whole(points if (high - low > INTERNAL * np.ptp(points, axis=0)).any() else np.stack([low, high]))
+    low = np.maximum(low - room, points.min(axis=0))
+    high = np.minimum(high + room, points.max(axis=0))
+    return whole(
+        points if (high - low > INTERNAL * np.ptp(points, axis=0)).any() else np.stack([low, high])
+    )

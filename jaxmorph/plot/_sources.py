@@ -74,7 +74,8 @@ def sources_3d(
     **Returns:** the plotter. **Raises:** `ValueError` as `sources` does, for points in 2-D.
     """
     nodes, chosen, boxes = _drawn(surface, reduction, fixed, dimension=3)
-    new, plotter = plotter is None, new_plotter() if plotter is None else plotter
+    new = plotter is None
+    plotter = new_plotter() if plotter is None else plotter
     legend = [(f"{len(nodes)} nodes", GREY), (f"{len(chosen)} sources", ORANGE)]
     balls = {"render_points_as_spheres": True, "lighting": False}
     plotter.add_points(nodes, color=GREY, point_size=5, **balls)
@@ -93,15 +94,22 @@ def _drawn(
     """Returns coordinates of nodes and sources, corners of leaves' boxes."""
     if isinstance(surface, jm.Plan):
         if reduction is not None:
-            raise ValueError("a plan has its own reductions: give points with `reduction`, or the plan alone.")
+            raise ValueError(
+                "a plan has its own reductions: give points with `reduction`, or the plan alone."
+            )
         parts, chosen = _of_plan(surface, fixed)
     else:
         if reduction is None:
-            raise ValueError("points need the `reduction` that is to choose among them, such as jm.KDTree(16).")
+            raise ValueError(
+                "points need the `reduction` that is to choose among them, such as jm.KDTree(16)."
+            )
         points = in_dimension(surface, dimension)
-        parts, chosen = [(points, reduction)], points[reduction(points)]
+        parts = [(points, reduction)]
+        chosen = points[reduction(points)]
     nodes = in_dimension(np.concatenate([points for points, _ in parts]), dimension)
-    trees = [(tree, points) for points, tree in parts if isinstance(tree, jm.KDTree) and len(points)]
+    trees = [
+        (tree, points) for points, tree in parts if isinstance(tree, jm.KDTree) and len(points)
+    ]
     boxes = [np.zeros((0, 2, dimension)), *(tree.boxes(points) for tree, points in trees)]
     return nodes, chosen, np.concatenate(boxes)
 
@@ -112,15 +120,26 @@ def _radial_basis_functions(plan: jm.Plan) -> jm.RBF:
         method = method.coarse
     method = method.rbf if isinstance(method, jm.FittedRBF) else method
     if not isinstance(method, jm.RBF):
-        raise ValueError(f"the plan's method has no radial basis functions, and so no sources: {plan.method}.")
+        raise ValueError(
+            f"the plan's method has no radial basis functions, and so no sources: {plan.method}."
+        )
     return method
 
 
-def _of_plan(plan: jm.Plan, fixed: bool) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
+def _of_plan(
+    plan: jm.Plan, fixed: bool
+) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
     """Returns moving and fixed nodes with their reductions; and sources, without images."""
-    rbf, points, sources = _radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
-    on_wall, other = points[np.asarray(plan.moving)], points[np.asarray(plan.fixed)]
-    reduction = rbf.reduction.given(on_wall, other) if isinstance(rbf.reduction, jm.KDTree) else rbf.reduction
+    rbf = _radial_basis_functions(plan)
+    points = np.asarray(plan.points, dtype=float)
+    sources = plan.sources
+    on_wall = points[np.asarray(plan.moving)]
+    other = points[np.asarray(plan.fixed)]
+    reduction = (
+        rbf.reduction.given(on_wall, other)
+        if isinstance(rbf.reduction, jm.KDTree)
+        else rbf.reduction
+    )
     parts = [(on_wall, reduction)]
     if fixed:
         parts.append((other, rbf.fixed_reduction))
@@ -131,6 +150,12 @@ def _of_plan(plan: jm.Plan, fixed: bool) -> tuple[list[tuple[np.ndarray, jm.Abst
 
 def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:
     corners = np.array([*itertools.product((0, 1), repeat=3)])
-    edges = [(i, j) for i, j in itertools.combinations(range(8), 2) if np.abs(corners[i] - corners[j]).sum() == 1]
+    edges = [
+        (i, j)
+        for i, j in itertools.combinations(range(8), 2)
+        if np.abs(corners[i] - corners[j]).sum() == 1
+    ]
     points = boxes[:, corners, range(3)].reshape(-1, 3)
-    return lines_of(points, (8 * np.arange(len(boxes))[:, None, None] + np.array(edges)).reshape(-1, 2))
+    return lines_of(
+        points, (8 * np.arange(len(boxes))[:, None, None] + np.array(edges)).reshape(-1, 2)
+    )

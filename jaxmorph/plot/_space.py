@@ -35,14 +35,24 @@ LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_widt
 
 Direction = Sequence[float] | np.ndarray
 
-VIEWER = -1.0, -2.5, 1.8  # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
+VIEWER = (
+    -1.0,
+    -2.5,
+    1.8,
+)  # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
 
 AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 """The view that `aim` gave each plotter, its direction, and the window."""
 
-WINDOW, TEXT = (1200, 900), 30  # width and largest height of a picture, height of letters in pixels
+WINDOW = (1200, 900)
+TEXT = 30  # width and largest height of a picture, height of letters in pixels
 ALONG = 0.97  # cosine between an axis and the view from which the axis is a point, and has no name
-EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25  # over the width: sides; below for axes; a legend; a colour bar
+EDGE, BELOW, LEGEND, BAR = (
+    0.025,
+    0.13,
+    0.06,
+    0.25,
+)  # over the width: sides; below for axes; a legend; a colour bar
 
 
 @checked
@@ -72,18 +82,25 @@ def surface(
 
     **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, an unknown `patch`, and no faces.
     """
-    return _draw(outside(mesh, points, values, patches_of(mesh, patch)), limits, label, bar, plotter)
+    return _draw(
+        outside(mesh, points, values, patches_of(mesh, patch)), limits, label, bar, plotter
+    )
 
 
 @checked
-def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
+def before_after_3d(
+    mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None
+) -> Any:
     """Draws a 3-D mesh's bodies or patch: undeformed orange, deformed blue (paper, figure 7a).
 
     Both are translucent; faces that hardly move are grey, and drawn once. Arguments, result and
     errors are as of `surface`.
     """
-    before, after = (outside(mesh, state, None, patches_of(mesh, patch)) for state in (None, points))
-    new, plotter = plotter is None, new_plotter() if plotter is None else plotter
+    before, after = (
+        outside(mesh, state, None, patches_of(mesh, patch)) for state in (None, points)
+    )
+    new = plotter is None
+    plotter = new_plotter() if plotter is None else plotter
     moved = np.linalg.norm(after.points - before.points, axis=1)
     is_still = np.ones(after.n_cells, bool)
     is_still[after.extract_points(moved > STILL * moved.max())["vtkOriginalCellIds"]] = False
@@ -134,7 +151,9 @@ def cut(
     is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
     near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
     section, walls = (
-        _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
+        _cropped(
+            part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:]
+        )
         for part in (grid, outside(mesh, points, None, ()))
     )
     drawn = _draw(section, limits, label, bar, plotter, is_cut=True)
@@ -155,15 +174,20 @@ def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) 
     return section
 
 
-def _draw(part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, is_cut: bool = False) -> Any:
+def _draw(
+    part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, is_cut: bool = False
+) -> Any:
     if part.n_cells == 0:
         raise ValueError(NOTHING)
     has_values = "values" in part.cell_data
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    plain: dict[str, Any] = {"lighting": False, "color": "white"} if is_cut else LIT | {"color": GREY}
+    plain: dict[str, Any] = (
+        {"lighting": False, "color": "white"} if is_cut else LIT | {"color": GREY}
+    )
     style, ends = _scaled(part, limits) if has_values else (plain, {})
-    new, plotter = plotter is None, new_plotter() if plotter is None else plotter
+    new = plotter is None
+    plotter = new_plotter() if plotter is None else plotter
     _add_faces(plotter, part, not is_cut, show_scalar_bar=False, **style)
     if has_values and bar:
         add_bar(plotter, label, style["clim"], ends)
@@ -173,10 +197,20 @@ def _draw(part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *,
 
 
 def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
-    values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
+    values = part.cell_data["values"]
+    sizes = part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     colours, limits, *beyond = scale_of(values, sizes, limits)
-    ends = [(side, sign) for (side, sign), is_so in zip((("below", "<"), ("above", ">")), beyond, strict=True) if is_so]
-    style: dict[str, Any] = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
+    ends = [
+        (side, sign)
+        for (side, sign), is_so in zip((("below", "<"), ("above", ">")), beyond, strict=True)
+        if is_so
+    ]
+    style: dict[str, Any] = {
+        "scalars": "values",
+        "cmap": colours,
+        "clim": limits,
+        "lighting": False,
+    }
     style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
     return style, {f"{side}_label": sign for side, sign in ends}
 
@@ -198,13 +232,18 @@ def _in_front(actor: Any) -> None:
 def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
     """Chooses the viewer's direction: not into an open surface, but across a motion (3,)."""
     only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
-    viewer, rim = np.array(VIEWER), np.asarray(part.extract_feature_edges(**only_rim).points, dtype=float)
+    viewer = np.array(VIEWER)
+    rim = np.asarray(part.extract_feature_edges(**only_rim).points, dtype=float)
     if not len(rim):
         return viewer
     outward = rim.mean(axis=0) - part.points.mean(axis=0)
     _, (size, _, thin), axes = np.linalg.svd(rim - rim.mean(axis=0), full_matrices=False)
     normal = axes[2] * np.sign(axes[2] @ outward)
-    if thin > 1e-3 * size or outward @ normal < 0.05 * np.ptp(part.points @ normal) or viewer @ normal <= 0:
+    if (
+        thin > 1e-3 * size
+        or outward @ normal < 0.05 * np.ptp(part.points @ normal)
+        or viewer @ normal <= 0
+    ):
         return viewer
     mirrored = viewer - 2 * (viewer @ normal) * normal
     faces = skin(part).compute_normals(point_normals=False, consistent_normals=False)
@@ -217,14 +256,22 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
     return directions[int(np.argmax(shown > 0.85 * shown.max()))]
 
 
-def add_bar(plotter: Any, label: str | None, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
-    title = (label or UNNAMED.replace(" of", "\nof")).replace("|", "\u2223")  # VTK begins a column at an ASCII bar
-    bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
+def add_bar(
+    plotter: Any, label: str | None, limits: tuple[float | int, float | int], beyond: dict[str, str]
+) -> None:
+    title = (label or UNNAMED.replace(" of", "\nof")).replace(
+        "|", "\u2223"
+    )  # VTK begins a column at an ASCII bar
+    bar = plotter.add_scalar_bar(
+        f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond
+    )
     bar.SetUnconstrainedFontSize(True)
     bar.SetUseCustomLabels(True)
     bar.SetCustomLabels(pyvista().convert_array(np.array(round_numbers(*limits, 6))))
     bar.SetTextPad(8)
-    _in_font(*(getattr(bar, f"Get{part}TextProperty")() for part in ("Title", "Label", "Annotation")))
+    _in_font(
+        *(getattr(bar, f"Get{part}TextProperty")() for part in ("Title", "Label", "Annotation"))
+    )
 
 
 def _in_font(*texts: Any) -> None:
@@ -237,10 +284,14 @@ def _in_font(*texts: Any) -> None:
 
 
 def new_plotter() -> Any:
-    with pyvista().vtk_verbosity("off"):  # VTK complains where there is no display, and draws anyway
+    with pyvista().vtk_verbosity(
+        "off"
+    ):  # VTK complains where there is no display, and draws anyway
         plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
     plotter.set_background("white")
-    plotter.enable_anti_aliasing("ssaa")  # with samples for each pixel, VTK draws nothing of what it peels
+    plotter.enable_anti_aliasing(
+        "ssaa"
+    )  # with samples for each pixel, VTK draws nothing of what it peels
     _add_axes(plotter)
     return plotter
 
@@ -248,7 +299,8 @@ def new_plotter() -> Any:
 def _add_axes(plotter: Any) -> None:
     from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
 
-    axes, scale = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3), vtkAxisActor2D()
+    axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
+    scale = vtkAxisActor2D()
     scale.SetNumberOfLabels(2)
     scale.AdjustLabelsOff()
     scale.LabelVisibilityOff()
@@ -272,9 +324,12 @@ def _add_axes(plotter: Any) -> None:
 def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
     """Fits axes, scale and bars to the window and the view, before each drawing."""
     (width, height), camera = plotter.window_size, plotter.camera
-    tall, seen = width / height, 2 * camera.parallel_scale * width / height
+    tall = width / height
+    seen = 2 * camera.parallel_scale * width / height
     power = 10 ** np.floor(np.log10(0.2 * seen))
-    length = max(factor * power for factor in (1, 2, 5) if factor * power <= 0.2 * seen * (1 + 1e-9))
+    length = max(
+        factor * power for factor in (1, 2, 5) if factor * power <= 0.2 * seen * (1 + 1e-9)
+    )
     scale.SetPosition(0.97 - length / seen, 0.075 * tall)
     scale.SetPosition2(0.97, 0.075 * tall)
     scale.SetTitle(f"{length:g}")
@@ -293,14 +348,21 @@ def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
 def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
     """Shows all without perspective, in a window of its shape, with room for bars and legends."""
     axes = np.stack(view_axes(viewer))
-    seen = np.concatenate([np.asarray(part.points, dtype=float) for part in plotter.meshes]) @ axes.T
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    seen = (
+        np.concatenate([np.asarray(part.points, dtype=float) for part in plotter.meshes]) @ axes.T
+    )
+    low = seen.min(axis=0)
+    high = seen.max(axis=0)
     depth, width, height = high - low
     right = BAR if len(plotter.scalar_bars) else EDGE
     above = LEGEND if any(name.startswith("legend") for name in plotter.actors) else EDGE
-    wide, tall = 1 - EDGE - right, BELOW + above
+    wide = 1 - EDGE - right
+    tall = BELOW + above
     share = wide * height / max(width, 1e-9 * height) + tall
-    plotter.window_size = WINDOW[0], round(float(np.clip(share * WINDOW[0], WINDOW[1] / 2, WINDOW[1])))
+    plotter.window_size = (
+        WINDOW[0],
+        round(float(np.clip(share * WINDOW[0], WINDOW[1] / 2, WINDOW[1]))),
+    )
     share = plotter.window_size[1] / WINDOW[0]
     scale = max(width / wide, height / (share - tall))  # length across the window
     middle = ((low + high) / 2 + scale / 2 * np.array([0, right - EDGE, above - BELOW])) @ axes
@@ -333,7 +395,9 @@ def view_axes(viewer: Direction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def add_legend(plotter: Any, entries: Sequence[tuple[str, str]]) -> None:
     place = EDGE
     for k, (name, colour) in enumerate(entries):
-        text = plotter.add_text(name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.0))
+        text = plotter.add_text(
+            name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.0)
+        )
         text.prop.SetVerticalJustificationToTop()
         text.SetPosition(place, 0.985)
         _in_font(text.prop)
@@ -354,7 +418,10 @@ def lines_of(points: Any, ids: np.ndarray) -> Any:
 
 def outlines(section: Any) -> Any:
     cells = section.cast_to_unstructured_grid().GetCells()
-    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
+    labels, starts = (
+        pyvista().convert_array(part())
+        for part in (cells.GetConnectivityArray, cells.GetOffsetsArray)
+    )
     after = np.roll(labels, -1)
     after[starts[1:] - 1] = labels[starts[:-1]]
     owner = np.repeat(section.cell_data["whole"], np.diff(starts))
@@ -377,12 +444,20 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
         grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
         if values is not None:
             grid.cell_data["values"] = cell_values(mesh, values)
-        faces = skin(grid) if mesh.polyhedra is None else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
+        faces = (
+            skin(grid)
+            if mesh.polyhedra is None
+            else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
+        )
         if on_patch is not None:
-            faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
+            faces = faces.extract_points(
+                np.isin(faces.point_data["node"], on_patch), adjacent_cells=False
+            )
     if faces.n_cells == 0:
         owner = f"patch {', '.join(map(repr, patches))}" if patches else "the mesh"
-        raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
+        raise ValueError(
+            f"there is nothing to draw: no face of the outside has all its nodes in {owner}."
+        )
     return faces
 
 
@@ -415,7 +490,9 @@ def _polygons(whole: Any, grid: Any, cell_ids: Any) -> Any:
 
 def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
     if mesh.points.shape[1] != 3:
-        raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
+        raise ValueError(
+            f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`."
+        )
     return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
 
 
@@ -432,19 +509,26 @@ def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str
     return skin(grid)
 
 
-def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray) -> Any:
+def _near_plane(
+    mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray
+) -> Any:
     """Returns solid cells that a plane may cut, curved ones in pieces; `whole` are the file's."""
-    x, kinds = _places(mesh, points), lagrange_types()
-    above, chosen, is_met = (x - origin) @ normal, {}, []
+    x = _places(mesh, points)
+    kinds = lagrange_types()
+    above = (x - origin) @ normal
+    chosen = {}
+    is_met = []
     for kind, ids in mesh.cells.items():
-        low, high = above[ids].min(axis=1), above[ids].max(axis=1)
+        low = above[ids].min(axis=1)
+        high = above[ids].max(axis=1)
         room = (high - low) / 2  # a curved cell goes beyond its nodes
         is_met.append((low - room <= 0) & (high + room >= 0) & (kinds[kind].dimension == 3))
         chosen[kind] = np.asarray(ids)[is_met[-1]]
     cells = np.flatnonzero(np.concatenate(is_met))
     if not len(cells):
         raise ValueError(NOTHING)
-    near, owner = jm.Mesh(x, chosen), np.arange(len(cells))
+    near = jm.Mesh(x, chosen)
+    owner = np.arange(len(cells))
     if mesh.is_curved:
         near, owner = refined(near)
     grid = near.to_pyvista()

@@ -25,16 +25,27 @@ Weights = Float[Array, "m k"]
 
 def positions(x: Numbers, name: str = "x", like: tuple[int, ...] | None = None) -> Positions:
     is_array = isinstance(x, jax.Array) or not is_known(x)
-    places = jnp.asarray(x) if is_array else jax.device_put(np.array(x))  # copied, and no program compiled
+    places = (
+        jnp.asarray(x) if is_array else jax.device_put(np.array(x))
+    )  # copied, and no program compiled
     if places.ndim != 2 or places.shape[1] not in (2, 3):
-        raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
+        raise ValueError(
+            f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3)."
+        )
     if like is not None and places.shape != like:
         raise ValueError(f"`{name}` has shape {places.shape}; this shape is for positions {like}.")
-    return places if jnp.issubdtype(places.dtype, jnp.floating) else places.astype(jnp.result_type(float))
+    return (
+        places
+        if jnp.issubdtype(places.dtype, jnp.floating)
+        else places.astype(jnp.result_type(float))
+    )
 
 
 def cast(module: M, x: Positions) -> M:
-    return jax.tree.map(lambda leaf: leaf.astype(x.dtype) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, module)
+    return jax.tree.map(
+        lambda leaf: leaf.astype(x.dtype) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf,
+        module,
+    )
 
 
 def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
@@ -42,20 +53,30 @@ def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
     known = np.asarray(positions(x, name))
     bad = np.flatnonzero(~np.isfinite(known).all(axis=1))
     if len(bad):
-        raise ValueError(f"{len(bad)} of {len(known)} rows of `{name}` are not finite, first row {bad[0]}.")
+        raise ValueError(
+            f"{len(bad)} of {len(known)} rows of `{name}` are not finite, first row {bad[0]}."
+        )
     return known
 
 
 def check_finite(**arrays: Any) -> None:
     for name, values in arrays.items():
-        if values is not None and is_known(values) and not (finite := np.isfinite(np.asarray(values, float))).all():
-            raise ValueError(f"{(~finite).sum()} of {finite.size} numbers of `{name}` are not finite.")
+        if (
+            values is not None
+            and is_known(values)
+            and not (finite := np.isfinite(np.asarray(values, float))).all()
+        ):
+            raise ValueError(
+                f"{(~finite).sum()} of {finite.size} numbers of `{name}` are not finite."
+            )
 
 
 def check_parameters(parameters: Any) -> None:
     for leaf in jax.tree.leaves(parameters):
         if not hasattr(leaf, "dtype") and np.asarray(leaf).dtype.kind not in "fiub":
-            raise ValueError(f"`parameters` holds {reprlib.repr(leaf)}; design variables are real numbers.")
+            raise ValueError(
+                f"`parameters` holds {reprlib.repr(leaf)}; design variables are real numbers."
+            )
 
 
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
@@ -75,7 +96,9 @@ def vector(name: str, values: Any, like: Array) -> Vector:
     return _finite(name, values, like, (d,), f"positions in {d}-D need ({d},)")
 
 
-def _finite(name: str, values: Any, like: Array, shape: tuple[int, ...], expected: str) -> Float[Array, "..."]:
+def _finite(
+    name: str, values: Any, like: Array, shape: tuple[int, ...], expected: str
+) -> Float[Array, "..."]:
     values = jnp.asarray(values, like.dtype)
     if values.shape != shape:
         raise ValueError(f"`{name}` has shape {values.shape}; {expected}.")
@@ -106,8 +129,15 @@ def axis_for(values: Any, like: Positions) -> Float[Array, " 3"]:
     """The direction (3,) about which positions turn; in 2-D that of the drawing."""
     if (values is None) != (like.shape[1] == 2):
         is_missing = "is missing: a rotation in 3-D needs (3,) numbers"
-        raise ValueError(f"`axis` {is_missing if values is None else 'is for positions in 3-D; leave it out in 2-D'}.")
-    return jnp.array([0.0, 0.0, 1.0], like.dtype) if values is None else direction("axis", values, like)
+        raise ValueError(
+            "`axis` "
+            f"{is_missing if values is None else 'is for positions in 3-D; leave it out in 2-D'}."
+        )
+    return (
+        jnp.array([0.0, 0.0, 1.0], like.dtype)
+        if values is None
+        else direction("axis", values, like)
+    )
 
 
 def piecewise(t: Column, breaks: Any, coefficients: Sequence[Any]) -> Weights:

@@ -50,7 +50,9 @@ class HicksHenne(AbstractLinearShape):
         known = finite_array("centres", np.asarray(centres, float), (None,))
         powers = finite_array("widths", np.asarray(widths, float), (), known.shape)
         if not ((known > 0) & (known < 1) & (powers > 0)).all():
-            raise ValueError(f"`centres` lie between 0 and 1, `widths` above 0; got {known} and {powers}.")
+            raise ValueError(
+                f"`centres` lie between 0 and 1, `widths` above 0; got {known} and {powers}."
+            )
         bumps = np.column_stack([known, np.broadcast_to(powers, known.shape)])
         if twice := len(bumps) - len(np.unique(bumps, axis=0)):
             raise ValueError(f"{twice} of {len(bumps)} bumps stand twice.")
@@ -65,7 +67,10 @@ class HicksHenne(AbstractLinearShape):
         own = cast(self, x)
         t = own.chord.coordinates(x)[0][:, None]
         inside = (t > 0) & (t < 1)
-        power = jnp.where(inside, t, 0.5) ** (jnp.log(0.5) / jnp.log(own.centres)).astype(x.dtype)[None, :]
+        power = (
+            jnp.where(inside, t, 0.5)
+            ** (jnp.log(0.5) / jnp.log(own.centres)).astype(x.dtype)[None, :]
+        )
         bumps = jnp.where(inside, jnp.sin(jnp.pi * power) ** own.widths[None, :], 0)
         return lambda heights: (bumps @ self._numbers(heights, x))[:, None] * own.chord.up[None, :]
 
@@ -90,10 +95,18 @@ class CST(AbstractLinearShape):
     chord: Chord
 
     @checked
-    def __init__(self, order: int, exponents: tuple[float, float] = (0.5, 1.0), *, chord: Chord | None = None):
+    def __init__(
+        self, order: int, exponents: tuple[float, float] = (0.5, 1.0), *, chord: Chord | None = None
+    ):
         if order < 1 or min(exponents) <= 0:
-            raise ValueError(f"order {order} and exponents {exponents} must be 1 or more, and above 0.")
-        self.order, self.exponents, self.chord = order, exponents, Chord() if chord is None else chord
+            raise ValueError(
+                f"order {order} and exponents {exponents} must be 1 or more, and above 0."
+            )
+        self.order, self.exponents, self.chord = (
+            order,
+            exponents,
+            Chord() if chord is None else chord,
+        )
 
     def neutral(self) -> Vector:
         return jnp.zeros(self.order + 2)
@@ -139,10 +152,16 @@ class BSplineCurve(AbstractLinearShape):
         known = known_positions(points, "points")
         steps = np.linalg.norm(np.diff(known, axis=0), axis=1)
         if not 1 <= degree < count:
-            raise ValueError(f"a B-spline of degree {degree} with {count} control points: degree is 1 to count - 1.")
+            raise ValueError(
+                f"a B-spline of degree {degree} with {count} control points: degree is 1 to count "
+                "- 1."
+            )
         if (steps == 0).any():
             first = int(np.argmin(steps))
-            raise ValueError(f"{(steps == 0).sum()} nodes stand on the one before, first {first + 1}: leave them out.")
+            raise ValueError(
+                f"{(steps == 0).sum()} nodes stand on the one before, first {first + 1}: leave "
+                "them out."
+            )
         lengths = np.append(0, np.cumsum(steps))
         self.shares, self.count, self.degree = jnp.asarray(lengths / lengths[-1]), count, degree
         self.dimension = known.shape[1]
@@ -176,12 +195,17 @@ class Modes(AbstractLinearShape):
 
     def at(self, x: Numbers) -> Move:
         x = positions(x, like=self.fields.shape[1:])
-        return lambda amplitudes: jnp.tensordot(self._numbers(amplitudes, x), self.fields.astype(x.dtype), 1)
+        return lambda amplitudes: jnp.tensordot(
+            self._numbers(amplitudes, x), self.fields.astype(x.dtype), 1
+        )
 
 
 Pair = tuple[Array, Array]
 
-LAST = (0.1015, 0.1036)  # last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge
+LAST = (
+    0.1015,
+    0.1036,
+)  # last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge
 REACH = 2.0  # chords before and behind the crest of the mean line in which feet are searched
 
 HALVINGS = 56
@@ -202,7 +226,9 @@ class NACA4(AbstractShape):
     chord: Chord
 
     @checked
-    def __init__(self, camber: float, place: float, thickness: float, *, chord: Chord | None = None):
+    def __init__(
+        self, camber: float, place: float, thickness: float, *, chord: Chord | None = None
+    ):
         between("camber", camber)
         between("place", place, 0, 1)
         between("thickness", thickness, 0)
@@ -214,22 +240,28 @@ class NACA4(AbstractShape):
 
     def __call__(self, x: Numbers, parameters: Numbers) -> Positions:
         x = positions(x)
-        own, parameters = cast(self, x), jnp.asarray(parameters, x.dtype)
+        own = cast(self, x)
+        parameters = jnp.asarray(parameters, x.dtype)
         if parameters.shape != (3,):
-            raise ValueError(f"parameters have shape {parameters.shape}; expected camber, place, thickness.")
-        chord, original = own.chord, own.original
+            raise ValueError(
+                f"parameters have shape {parameters.shape}; expected camber, place, thickness."
+            )
+        chord = own.chord
+        original = own.original
         t, height = chord.coordinates(x)
         height = height / chord.length
         s = _station(t, height, original)
         offset = _offset(s, t, height, original)
         t0, y0 = _from_mean_line(s, offset, original)
         t1, y1 = _from_mean_line(s, offset * (parameters[2] / original[2]), parameters)
-        along, across = chord.tail - chord.nose, chord.up * chord.length
+        along = chord.tail - chord.nose
+        across = chord.up * chord.length
         return x + (t1 - t0)[:, None] * along[None, :] + (y1 - y0)[:, None] * across[None, :]
 
 
 def _mean_line(s, airfoil: Vector) -> Pair:
-    camber, place = airfoil[0], airfoil[1]
+    camber = airfoil[0]
+    place = airfoil[1]
     width = jnp.where(s < place, place, 1 - place)
     return camber * (1 - ((s - place) / width) ** 2), 2 * camber / width**2 * (place - s)
 
@@ -263,8 +295,13 @@ def _station(t: Column, height: Column, airfoil: Vector) -> Column:
     offset = jnp.abs(_offset(s, *position))
     x = jnp.clip(s, 0, 1)
     root = 0.2969 * jnp.sqrt(x)
-    half = (5 * airfoil[2] * (root + x * (-0.126 + x * (-0.3516 + x * (0.2843 - last * x)))) for last in LAST)
-    miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(_away(s, *position))
+    half = (
+        5 * airfoil[2] * (root + x * (-0.126 + x * (-0.3516 + x * (0.2843 - last * x))))
+        for last in LAST
+    )
+    miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(
+        _away(s, *position)
+    )
     first = jnp.argmax(miss <= miss.min(axis=0, keepdims=True) + slack(s.dtype), axis=0)
     return jnp.take_along_axis(s, first[None], axis=0)[0]
 
@@ -286,9 +323,12 @@ def _borders(height: Column, airfoil: Vector) -> Float[Array, "5 m"]:
     root of 2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its
     extremum, and beyond it.
     """
-    camber, place = airfoil[0], airfoil[1]
+    camber = airfoil[0]
+    place = airfoil[1]
     bend = -camber / jnp.stack([place, 1 - place])[:, None] ** 2
-    square = -(1 + 2 * bend * (camber - height)[None]) / (6 * bend**2)  # of v at the extremum; without a bend -inf
+    square = -(1 + 2 * bend * (camber - height)[None]) / (
+        6 * bend**2
+    )  # of v at the extremum; without a bend -inf
     ahead, behind = jnp.minimum(jnp.sqrt(jnp.maximum(square, 0)), REACH)
     last = jnp.full_like(height, REACH)
     return place + jnp.stack([-last, -ahead, 0 * last, behind, last])

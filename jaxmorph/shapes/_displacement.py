@@ -15,7 +15,15 @@ import jaxmorph as jm
 from jaxmorph import Plan
 from jaxmorph.extend import Module, checked, is_known, whole
 
-from ._arguments import Column, Numbers, Positions, Scalar, check_finite, check_parameters, positions
+from ._arguments import (
+    Column,
+    Numbers,
+    Positions,
+    Scalar,
+    check_finite,
+    check_parameters,
+    positions,
+)
 from ._curves import CST
 from ._section import Chord, upper_side
 from ._shape import AbstractLinearShape, Part, Together
@@ -56,12 +64,17 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     given, needed = (jax.tree.map(np.shape, tree) for tree in (parameters, start))
     if given != needed:
         raise ValueError(f"`parameters` have shapes {given}; this shape takes {needed}.")
-    at = [jax.tree.map(lambda a, b, j=j: a + (j + 1) / steps * (b - a), start, parameters) for j in range(steps)]
+    at = [
+        jax.tree.map(lambda a, b, j=j: a + (j + 1) / steps * (b - a), start, parameters)
+        for j in range(steps)
+    ]
     return jnp.stack([moves(shape, x, values) for values in at])
 
 
 @checked
-def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, cotangent: Numbers) -> PyTree:
+def pullback(
+    shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, cotangent: Numbers
+) -> PyTree:
     """Takes dJ/d(points) of all nodes to dJ/d(parameters) of the shape that moved the mesh.
 
     **Arguments:**
@@ -78,7 +91,9 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
         expected = plans[0].points.shape if plans else "plans of a march"
         raise ValueError(f"`cotangent` has shape {np.shape(cotangent)}; expected {expected}.")
     x = plans[0].points[plans[0].moving]
-    total, transpose = jax.vjp(lambda values: path(shape, x, values, len(plans)), _floats(parameters, x))
+    total, transpose = jax.vjp(
+        lambda values: path(shape, x, values, len(plans)), _floats(parameters, x)
+    )
     cotangent = jnp.asarray(cotangent, x.dtype)
     if len(plans) == 1:
         return transpose(jm.pullback(plans[0], total[0], cotangent)[None])[0]
@@ -101,7 +116,9 @@ def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) 
     """
     x = positions(x)
     if np.shape(gradient) != x.shape:
-        raise ValueError(f"`gradient` has shape {np.shape(gradient)}; the wall has positions {x.shape}.")
+        raise ValueError(
+            f"`gradient` has shape {np.shape(gradient)}; the wall has positions {x.shape}."
+        )
     transpose = jax.vjp(lambda values: moves(shape, x, values), _floats(parameters, x))[1]
     return transpose(jnp.asarray(gradient, x.dtype))[0]
 
@@ -113,7 +130,9 @@ def _floats(parameters: PyTree, x: Positions) -> PyTree:
 
 def neutral(shape: AnyShape) -> PyTree:
     if not hasattr(shape, "neutral"):
-        raise ValueError("a plain function has no neutral parameters: take `shapes.Function(function, rest)`.")
+        raise ValueError(
+            "a plain function has no neutral parameters: take `shapes.Function(function, rest)`."
+        )
     return shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
 
 
@@ -121,11 +140,15 @@ def moves(shape: AnyShape, x: Positions, parameters: PyTree) -> Positions:
     check_parameters(parameters)
     if isinstance(shape, AbstractLinearShape):
         if parameters is None:
-            raise ValueError("`parameters` is None; `shape.neutral()` gives parameters that move nothing.")
+            raise ValueError(
+                "`parameters` is None; `shape.neutral()` gives parameters that move nothing."
+            )
         return shape.at(x)(parameters)
     moved = shape(x, parameters)
     if moved.shape != x.shape:
-        raise ValueError(f"the shape turns positions {x.shape} into {moved.shape}; it must keep their shape.")
+        raise ValueError(
+            f"the shape turns positions {x.shape} into {moved.shape}; it must keep their shape."
+        )
     return moved - x
 
 
@@ -139,7 +162,9 @@ def names(parameters: PyTree) -> list[str]:
     Keys are joined by dots, places in an array follow in brackets: `wing.twist`, `wing.box[2,1,0]`.
     """
     check_parameters(parameters)
-    return [name for stem, leaf in _leaves(parameters) for name in _of_numbers(stem, np.shape(leaf))]
+    return [
+        name for stem, leaf in _leaves(parameters) for name in _of_numbers(stem, np.shape(leaf))
+    ]
 
 
 @checked
@@ -157,11 +182,14 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
     values = [np.array(leaf, float) for leaf in jax.tree.leaves(parameters)]
     places: dict[str, tuple[int, Any]] = {}
     for k, (stem, value) in enumerate(zip(stems, values, strict=True)):
-        places |= zip(_of_numbers(stem, value.shape), ((k, at) for at in np.ndindex(value.shape)), strict=True)
+        places |= zip(
+            _of_numbers(stem, value.shape), ((k, at) for at in np.ndindex(value.shape)), strict=True
+        )
         places[stem] = k, ...
     for name, change in changes.items():
         k, at = places[_match(name, places, dict(zip(stems, map(np.shape, values), strict=True)))]
-        value, target = np.asarray(change, float), values[k][at]
+        value = np.asarray(change, float)
+        target = values[k][at]
         if value.size != target.size or not np.isfinite(value).all():
             count = "one finite number" if target.size == 1 else f"{target.size} finite numbers"
             raise ValueError(f"{name} takes {count}, found {value.ravel().tolist()}.")
@@ -175,11 +203,17 @@ def _match(name: str, places: Iterable[str], arrays: Mapping[str, tuple[int, ...
         return matches[0]
     listed = ", ".join((matches or list(arrays))[:LISTED]) or "none"
     if matches:
-        raise ValueError(f"{len(matches)} design variables are called {name}; take one of: {listed}.")
+        raise ValueError(
+            f"{len(matches)} design variables are called {name}; take one of: {listed}."
+        )
     array = _called(name.partition("[")[0], arrays)
     if "[" in name and len(array) == 1:
-        raise ValueError(f"there is no design variable {name}: {array[0]} has shape {arrays[array[0]]}.")
-    near = difflib.get_close_matches(name, [*arrays, *(stem.rpartition(".")[2] for stem in arrays)], n=1)
+        raise ValueError(
+            f"there is no design variable {name}: {array[0]} has shape {arrays[array[0]]}."
+        )
+    near = difflib.get_close_matches(
+        name, [*arrays, *(stem.rpartition(".")[2] for stem in arrays)], n=1
+    )
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     raise ValueError(f"there is no design variable {name}{hint}; there are: {listed}.")
 
@@ -216,7 +250,8 @@ class Fit(Module):
         """Raises `ValueError` where parameters, or combinations of them, have no effect."""
         if idle := self.count - int(self.rank):
             raise ValueError(
-                f"the fit is singular: {idle} of {self.count} parameters have no effect of their own on these {len(self.residual)} "
+                f"the fit is singular: {idle} of {self.count} parameters have no effect of their "
+                f"own on these {len(self.residual)} "
                 f"points. Try fewer parameters, or more points."
             )
 
@@ -227,7 +262,12 @@ class Fit(Module):
 
 @checked
 def fit(
-    shape: Callable, points: Numbers, targets: Numbers, start: PyTree | None = None, *, max_steps: int = 100
+    shape: Callable,
+    points: Numbers,
+    targets: Numbers,
+    start: PyTree | None = None,
+    *,
+    max_steps: int = 100,
 ) -> Fit:
     """Finds the parameters with which a shape moves points closest to targets (least squares).
 
@@ -244,10 +284,13 @@ def fit(
     which none moves a point.
     """
     whole("max_steps", max_steps)
-    points, targets = positions(points, "points"), positions(targets, "targets")
+    points = positions(points, "points")
+    targets = positions(targets, "targets")
     check_finite(points=points, targets=targets)
     if points.shape != targets.shape:
-        raise ValueError(f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row.")
+        raise ValueError(
+            f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row."
+        )
     start = neutral(shape) if start is None else start
     flat, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, points.dtype), start))
 
@@ -264,10 +307,13 @@ def fit(
     change, _, rank, _ = jnp.linalg.lstsq(jacobian, -miss(flat))
     if is_known(jacobian) and not jnp.any(jacobian):
         raise ValueError(
-            f"none of {len(flat)} parameters moves one of the {len(points)} points: are they outside the box?"
+            f"none of {len(flat)} parameters moves one of the {len(points)} points: are they "
+            "outside the box?"
         )
     flat = flat + change if is_linear else flat
-    return Fit(unravel(flat), jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1), rank, len(flat))
+    return Fit(
+        unravel(flat), jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1), rank, len(flat)
+    )
 
 
 @checked
@@ -296,13 +342,19 @@ def fit_cst(
     whole("order", order)
     points = positions(points, "points")
     chord = Chord.along(points) if chord is None else chord
-    cst, upper = CST(order, exponents, chord=chord), upper_side(points, chord, wall=wall)
+    cst = CST(order, exponents, chord=chord)
+    upper = upper_side(points, chord, wall=wall)
     if wall is not None and len(wall) != len(points):
-        raise ValueError(f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil.")
+        raise ValueError(
+            f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil."
+        )
     if min(upper.sum(), (~upper).sum()) < order + 2:
         raise ValueError(
-            f"{upper.sum()} nodes above and {(~upper).sum()} below do not determine {order + 2} numbers a side."
+            f"{upper.sum()} nodes above and {(~upper).sum()} below do not determine {order + 2} "
+            "numbers a side."
         )
     shape = Together(*(Part(cst, side) for side in (upper, ~upper)))
     _, height = chord.coordinates(points)
-    return shape, fit(shape, points - height[:, None] * chord.up.astype(points.dtype)[None, :], points)
+    return shape, fit(
+        shape, points - height[:, None] * chord.up.astype(points.dtype)[None, :], points
+    )

@@ -19,7 +19,10 @@ Ids = Int[np.ndarray | Array, " _"]
 Planes = Plane | Sequence[Plane]
 Borders = tuple[tuple[Plane, Ids], ...]
 
-SAME, REACH = 1e-6, 0.25  # shares of the extent: distance of points that are on a plane; the farthest edge or corner
+SAME, REACH = (
+    1e-6,
+    0.25,
+)  # shares of the extent: distance of points that are on a plane; the farthest edge or corner
 
 
 class Rail(Module):
@@ -35,7 +38,9 @@ class Rail(Module):
 
     def places(self, x: Positions, facing: Positions, points: Array) -> Any:
         return (
-            points[self.ids] if self.curve is None else self.curve.at(points).closest(x[self.rows], facing[self.rows])
+            points[self.ids]
+            if self.curve is None
+            else self.curve.at(points).closest(x[self.rows], facing[self.rows])
         )
 
 
@@ -49,19 +54,27 @@ class Clip(Module):
     plane: Plane
 
     def __call__(self, points: Array) -> Positions:
-        a, b = points[self.pairs[:, 0]], points[self.pairs[:, 1]]
+        a = points[self.pairs[:, 0]]
+        b = points[self.pairs[:, 1]]
         first, second = (height_of(end, self.plane) for end in (a, b))
         apart = first - second
-        place = a + jnp.where(apart != 0, first / jnp.where(apart != 0, apart, 1), 0)[:, None] * (b - a)
-        place = place - height_of(place, self.plane)[:, None] * jnp.asarray(self.plane.normal, a.dtype)[None]
+        place = a + jnp.where(apart != 0, first / jnp.where(apart != 0, apart, 1), 0)[:, None] * (
+            b - a
+        )
+        place = (
+            place
+            - height_of(place, self.plane)[:, None] * jnp.asarray(self.plane.normal, a.dtype)[None]
+        )
         return jnp.where(self.on[:, None], place, a)
 
 
 def borders_of(wall: Facets, symmetry: Planes) -> Borders:
     """Finds the rows of a wall's border that stand in each plane."""
     planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
-    x, rim = np.asarray(wall.points, float), np.unique(wall.rim)
-    slack, d = SAME * np.ptp(x, axis=0).max(), x.shape[1]
+    x = np.asarray(wall.points, float)
+    rim = np.unique(wall.rim)
+    slack = SAME * np.ptp(x, axis=0).max()
+    d = x.shape[1]
     if others := {len(plane.normal) for plane in planes} - {d}:
         raise ValueError(f"the wall is in {d}-D, a plane in {max(others)}-D.")
     return tuple((plane, rim[np.abs(plane.height(x[rim])) <= slack]) for plane in planes)
@@ -76,21 +89,31 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
     """Cuts a target off at a plane, and keeps one side (1 or -1)."""
     # A face becomes the polygon of its corners on this side and of its edges that cross the plane,
     # in this order around it. A polygon of four is two triangles.
-    points, faces = np.asarray(target.points, float), np.asarray(target.faces)
-    height, width = side * plane.height(points), faces.shape[1]
+    points = np.asarray(target.points, float)
+    faces = np.asarray(target.faces)
+    height = side * plane.height(points)
+    width = faces.shape[1]
     height = np.where(np.abs(height) <= slack, 0, height)
     ends = height[faces]
-    cuts: list[Any] = [np.repeat(faces[(ends >= 0).all(axis=1) & (ends > 0).any(axis=1)], 2).reshape(-1, 2)]
+    cuts: list[Any] = [
+        np.repeat(faces[(ends >= 0).all(axis=1) & (ends > 0).any(axis=1)], 2).reshape(-1, 2)
+    ]
     for corners in faces[(ends.min(axis=1) < 0) & (ends.max(axis=1) > 0)].tolist():
         sides = zip(corners, corners[1:] + corners[:1], strict=True)
         around = [pair for a, b in sides for pair in ((a, a), (min(a, b), max(a, b)))]
-        ring = dict.fromkeys((a, b) for a, b in around if (height[a] >= 0 if a == b else height[a] * height[b] < 0))
+        ring = dict.fromkeys(
+            (a, b) for a, b in around if (height[a] >= 0 if a == b else height[a] * height[b] < 0)
+        )
         first, *others = ring
         cuts += [[first, *others[k : k + width - 1]] for k in range(len(others) - width + 2)]
     pairs, place = np.unique(np.concatenate(cuts), axis=0, return_inverse=True)
-    if not len(pairs) or not (on := (height[pairs[:, 0]] == 0) | (pairs[:, 0] != pairs[:, 1])).any():
+    if (
+        not len(pairs)
+        or not (on := (height[pairs[:, 0]] == 0) | (pairs[:, 0] != pairs[:, 1])).any()
+    ):
         raise ValueError(
-            f"the target ends {np.abs(height).min():.3g} before the symmetry plane through {shown_place(plane.origin)}. "
+            f"the target ends {np.abs(height).min():.3g} before the symmetry plane through "
+            f"{shown_place(plane.origin)}. "
             "Extend the target, or leave the plane out."
         )
     clip = Clip(pairs, on, plane)
@@ -112,16 +135,23 @@ class Curves:
     codes: np.ndarray
 
     @classmethod
-    def of(cls, facets: Facets, planes: Sequence[Plane], slack: float, ids: Sequence[Any]) -> "Curves":
-        points, normals = np.asarray(facets.points, float), np.asarray(facets.normals())
-        rim, faces = np.asarray(facets.rim), np.asarray(facets.faces)
+    def of(
+        cls, facets: Facets, planes: Sequence[Plane], slack: float, ids: Sequence[Any]
+    ) -> "Curves":
+        points = np.asarray(facets.points, float)
+        normals = np.asarray(facets.normals())
+        rim = np.asarray(facets.rim)
+        faces = np.asarray(facets.faces)
         found = [np.asarray(facets.sharp) if not len(ids) else rim[:0]]
         found += [rim[(np.abs(plane.height(points[rim])) <= slack).all(axis=1)] for plane in planes]
-        sides = np.sort(np.concatenate([faces[:, [k, k - 1]] for k in range(faces.shape[1])]), axis=1)
+        sides = np.sort(
+            np.concatenate([faces[:, [k, k - 1]] for k in range(faces.shape[1])]), axis=1
+        )
         for named in ids:
             edges = np.unique(sides[np.isin(sides, named).all(axis=1)], axis=0)
             found.append(np.reshape(named, (-1, 1)) if rim.shape[1] == 1 else edges)
-        edges, kinds = np.concatenate(found), np.repeat(np.arange(len(found)), [len(part) for part in found])
+        edges = np.concatenate(found)
+        kinds = np.repeat(np.arange(len(found)), [len(part) for part in found])
         return cls(points, normals, edges, kinds, *_corners(points, edges, kinds, rim, len(planes)))
 
     def chains(self, kind: int) -> list[np.ndarray]:
@@ -129,7 +159,9 @@ class Curves:
         edges = self.edges[self.kinds == kind]
         if edges.shape[1] == 1 or not len(edges):
             return []
-        own = len(self.points) + np.arange(edges.size).reshape(edges.shape)  # a corner joins no edges
+        own = len(self.points) + np.arange(edges.size).reshape(
+            edges.shape
+        )  # a corner joins no edges
         ends = np.where(np.isin(edges, self.corners), own, edges)
         links = coo_array((np.ones(len(ends)), tuple(ends.T)), (len(self.points) + edges.size,) * 2)
         part = connected_components(links, directed=False)[1][ends[:, 0]]
@@ -140,13 +172,15 @@ def _corners(
     points: np.ndarray, edges: np.ndarray, kinds: np.ndarray, rim: np.ndarray, planes: int
 ) -> tuple[np.ndarray, np.ndarray]:
     nodes, number = np.unique(edges, return_inverse=True)
-    number, is_corner = number.reshape(edges.shape), np.ones(len(nodes), bool)
+    number = number.reshape(edges.shape)
+    is_corner = np.ones(len(nodes), bool)
     met = np.zeros((len(nodes), max(kinds.max(initial=0), planes) + 1), bool)
     met[number, kinds[:, None]] = True
     if edges.shape[1] == 2:
         # Two directions away from a node cancel on a straight curve; at 60 degrees their sum has
         # length 1. An edge that ends at the border of the surface slides along itself.
-        along, total = points[edges[:, 1]] - points[edges[:, 0]], np.zeros((len(nodes), points.shape[1]))
+        along = points[edges[:, 1]] - points[edges[:, 0]]
+        total = np.zeros((len(nodes), points.shape[1]))
         along = along / np.linalg.norm(along, axis=1, keepdims=True)
         np.add.at(total, number, np.stack([along, -along], axis=1))
         count = np.bincount(number.ravel())
@@ -156,12 +190,22 @@ def _corners(
     return nodes[is_corner], met[is_corner] @ (1 << np.arange(met.shape[1]))
 
 
-def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]) -> tuple[Rail, ...]:
+def guides_of(
+    wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]
+) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
     slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
-    ids = _named(features, len(wall.points)), _named([pair[::-1] for pair in features], len(target.points))
-    own, other = (Curves.of(facets, planes, slack, named) for facets, named in zip((wall, target), ids, strict=True))
-    guides = [guide for code in np.unique(own.codes).tolist() for guide in _on_points(own, other, code)]
+    ids = (
+        _named(features, len(wall.points)),
+        _named([pair[::-1] for pair in features], len(target.points)),
+    )
+    own, other = (
+        Curves.of(facets, planes, slack, named)
+        for facets, named in zip((wall, target), ids, strict=True)
+    )
+    guides = [
+        guide for code in np.unique(own.codes).tolist() for guide in _on_points(own, other, code)
+    ]
     taken = np.concatenate([np.zeros(0, int), *(guide.rows for guide in guides)])
     kinds = range(own.kinds.max(initial=0) + 1)
     return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
@@ -169,7 +213,9 @@ def guides_of(wall: Facets, target: Facets, planes: Sequence[Plane], features: S
 
 def _named(features: Sequence[Any], count: int) -> list[Int[np.ndarray, " k"]]:
     if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
-        raise ValueError("`features` must be pairs: ids of nodes of the wall, and of points of the target.")
+        raise ValueError(
+            "`features` must be pairs: ids of nodes of the wall, and of points of the target."
+        )
     return [rows_of("features", ids, count) for ids, _ in features]
 
 
@@ -185,14 +231,18 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
     shared = np.flatnonzero(count[place.ravel()] > 1)
     if len(shared):
         raise MeshError(
-            f"{len(shared)} corners of the wall share one of the target, at {shown_place(places[shared[0]])}, one is "
-            "node {node}. Name pairs in `features`, or find fewer edges by the `angle` of `Facets`.",
+            f"{len(shared)} corners of the wall share one of the target, at "
+            f"{shown_place(places[shared[0]])}, one is "
+            "node {node}. Name pairs in `features`, or find fewer edges by the `angle` of "
+            "`Facets`.",
             rows[shared],
         )
     return [Rail(rows, np.stack([rows, rows], axis=1), ids)] if len(rows) else []
 
 
-def _best(own: Curves, rows: np.ndarray, places: np.ndarray, looks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _best(
+    own: Curves, rows: np.ndarray, places: np.ndarray, looks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Whether each node has a candidate (q, d) or (c, q, d) within reach, and the best one."""
     reach = REACH * np.ptp(own.points, axis=0).max()
     away = np.linalg.norm(own.points[rows][:, None] - places, axis=2)
@@ -203,17 +253,23 @@ def _best(own: Curves, rows: np.ndarray, places: np.ndarray, looks: np.ndarray) 
 
 def _on_curves(own: Curves, other: Curves, kind: int, taken: np.ndarray) -> list[Rail]:
     """A chain goes onto the chains of its kind that are closest to its nodes, and look alike."""
-    guides, chains = [], other.chains(kind)
+    guides = []
+    chains = other.chains(kind)
     curves = [Facets(other.points, edges, sides=np.zeros((len(edges), 3))) for edges in chains]
     for edges in own.chains(kind) if chains else []:
         rows = np.setdiff1d(edges, taken)
         places = np.stack([np.asarray(curve.closest(own.points[rows])) for curve in curves], axis=1)
-        near, best = _best(own, rows, places, np.stack([other.normals[ids].mean(axis=(0, 1)) for ids in chains]))
+        near, best = _best(
+            own, rows, places, np.stack([other.normals[ids].mean(axis=(0, 1)) for ids in chains])
+        )
         near |= kind > 0  # a plane or a name leaves no choice
         if near.any():
-            onto, rows = np.concatenate([chains[number] for number in np.unique(best[near])]), rows[near]
+            onto = np.concatenate([chains[number] for number in np.unique(best[near])])
+            rows = rows[near]
             sides = other.normals[onto].mean(axis=1) * (kind > 0)
-            guides.append(Rail(rows, _beside(rows, edges), None, Facets(other.points, onto, sides=sides)))
+            guides.append(
+                Rail(rows, _beside(rows, edges), None, Facets(other.points, onto, sides=sides))
+            )
     return guides
 
 
@@ -221,5 +277,6 @@ def _beside(rows: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Neighbours (c, 2) of nodes along edges; the node itself in place of a missing one."""
     both = np.concatenate([edges, edges[:, ::-1]])
     both = both[np.lexsort(both.T[::-1])]
-    first, last = np.searchsorted(both[:, 0], rows), np.searchsorted(both[:, 0], rows, side="right") - 1
+    first = np.searchsorted(both[:, 0], rows)
+    last = np.searchsorted(both[:, 0], rows, side="right") - 1
     return np.stack([np.where(first == last, rows, both[first, 1]), both[last, 1]], axis=1)

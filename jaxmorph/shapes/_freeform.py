@@ -50,11 +50,15 @@ def splines(t: Column, count: int, degree: int) -> Weights:
 
     breaks = np.linspace(0, 1, count - degree + 1)
     spline = BSpline(np.pad(breaks, degree, mode="edge"), np.eye(count), degree)
-    return piecewise(t, breaks, [spline(breaks[:-1], p) / math.factorial(p) for p in range(degree + 1)])
+    return piecewise(
+        t, breaks, [spline(breaks[:-1], p) / math.factorial(p) for p in range(degree + 1)]
+    )
 
 
 def bernstein(t: Column, degree: int) -> Weights:
-    return jnp.stack([math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)], axis=1)
+    return jnp.stack(
+        [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)], axis=1
+    )
 
 
 @jax.jit
@@ -93,26 +97,47 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def __init__(
-        self, origin: Numbers, axes: Numbers, counts: Counts, *, degree: Degree = None, continuity: int | None = None
+        self,
+        origin: Numbers,
+        axes: Numbers,
+        counts: Counts,
+        *,
+        degree: Degree = None,
+        continuity: int | None = None,
     ):
-        origin, axes = jnp.asarray(origin, float), jnp.asarray(axes, float)
+        origin = jnp.asarray(origin, float)
+        axes = jnp.asarray(axes, float)
         check_finite(origin=origin, axes=axes)
         d = origin.size
         if origin.shape not in ((2,), (3,)) or axes.shape != (d, d):
-            raise ValueError(f"`origin` has shape {origin.shape} and `axes` {axes.shape}; expected (d,) and (d, d).")
-        if is_known(axes) and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod():
-            raise ValueError("the box is flat: its `axes` lie in one plane or one of them has no length.")
+            raise ValueError(
+                f"`origin` has shape {origin.shape} and `axes` {axes.shape}; expected (d,) and "
+                "(d, d)."
+            )
+        if (
+            is_known(axes)
+            and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod()
+        ):
+            raise ValueError(
+                "the box is flat: its `axes` lie in one plane or one of them has no length."
+            )
         self.origin, self.axes, self.continuity = origin, axes, continuity
         self.counts, self.degrees = _lattice_of(counts, degree, d)
         if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
             raise ValueError(
-                f"continuity={continuity} holds {continuity + 1} layers: no control of {self.counts} is free."
+                f"continuity={continuity} holds {continuity + 1} layers: no control of "
+                f"{self.counts} is free."
             )
 
     @staticmethod
     @checked
     def around(
-        points: Numbers, counts: Counts, *, margin: float = 0.05, degree: Degree = None, continuity: int | None = None
+        points: Numbers,
+        counts: Counts,
+        *,
+        margin: float = 0.05,
+        degree: Degree = None,
+        continuity: int | None = None,
     ) -> "FreeForm":
         """Makes the box along the axes around points (m, d).
 
@@ -125,10 +150,17 @@ class FreeForm(AbstractLinearShape):
             known_positions(points, "points")
         if not len(points):
             raise ValueError("`points` has no rows: there is nothing to put a box around.")
-        low, high = points.min(axis=0), points.max(axis=0)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         between("margin", margin, 0, ends="[)")
         space = margin * (high - low).max()
-        return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
+        return FreeForm(
+            low - space,
+            jnp.diag(high - low + 2 * space),
+            counts,
+            degree=degree,
+            continuity=continuity,
+        )
 
     def neutral(self) -> Control:
         return jnp.zeros((*self.counts, len(self.counts)))
@@ -145,7 +177,9 @@ class FreeForm(AbstractLinearShape):
         inside = self.holds(t)[:, None]
         # what is outside has no weight, and a place where none of its powers is large
         within = jnp.where(inside, t, 0.5)
-        weights = [splines(*along) for along in zip(within.T, self.counts, self.degrees, strict=True)]
+        weights = [
+            splines(*along) for along in zip(within.T, self.counts, self.degrees, strict=True)
+        ]
         weights[0] = jnp.where(inside, weights[0], 0)
         free = self.free[..., None]
         return lambda control: sums(weights, jnp.where(free, self._numbers(control, x), 0))
@@ -170,7 +204,9 @@ class FreeForm(AbstractLinearShape):
         return points if control is None else points + jnp.asarray(control)
 
     @checked
-    def linked(self, *, free: np.ndarray | None = None, groups: Groups = (), mirror: int | None = None) -> Linked:
+    def linked(
+        self, *, free: np.ndarray | None = None, groups: Groups = (), mirror: int | None = None
+    ) -> Linked:
         """Makes a shape with fewer parameters (q,): frozen, linked and mirrored control points.
 
         **Arguments:**
@@ -186,11 +222,16 @@ class FreeForm(AbstractLinearShape):
         needed = *self.counts, len(self.counts)
         free = self.free if free is None else np.asarray(free)
         if free.shape not in (self.counts, needed) or free.dtype != bool:
-            raise ValueError(f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {needed}.")
+            raise ValueError(
+                f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or "
+                f"{needed}."
+            )
         lattice = set(np.ndindex(self.counts))
         bad = [control for group in groups for control in group if tuple(control) not in lattice]
         if bad:
-            raise ValueError(f"{len(bad)} entries of `groups` are no control of {self.counts}, first {bad[0]}.")
+            raise ValueError(
+                f"{len(bad)} entries of `groups` are no control of {self.counts}, first {bad[0]}."
+            )
         reflected = None if mirror is None else _reflection(np.asarray(self.axes), mirror)
         free = np.broadcast_to(free.reshape(*self.counts, -1) & self.free[..., None], needed)
         matrix = _link_matrix(free, groups, reflected)
@@ -205,7 +246,8 @@ class FreeForm(AbstractLinearShape):
         outside = np.flatnonzero(~np.asarray(self.holds(self.coordinates(jnp.asarray(known)))))
         if len(outside):
             raise ValueError(
-                f"{len(outside)} of {len(known)} positions are outside the box, first row {outside[0]} at "
+                f"{len(outside)} of {len(known)} positions are outside the box, first row "
+                f"{outside[0]} at "
                 f"{shown_place(known[outside[0]])}. Try a larger box."
             )
 
@@ -223,28 +265,39 @@ class FreeForm(AbstractLinearShape):
         if torn.any():
             worst = int(np.where(torn, moves, 0).argmax())
             raise ValueError(
-                f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at "
-                f"{shown_place(x[worst])} by {moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
+                f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes "
+                f"them, row {worst} at "
+                f"{shown_place(x[worst])} by {moves[worst]:.3g}. Try continuity=0 or more, or a "
+                "larger box."
             )
 
 
-def _lattice_of(counts: Sequence[Any], degree: Any, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _lattice_of(
+    counts: Sequence[Any], degree: Any, d: int
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
     counts = tuple(whole("counts", count, 2) for count in counts)
     if len(counts) != d:
         raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers.")
     given = [degree] * d if degree is None or isinstance(degree, int) else degree
     degrees = tuple(count - 1 if p is None else p for p, count in zip(given, counts, strict=False))
     if len(given) != d or any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
-        raise ValueError(f"degrees {tuple(given)} do not fit counts {counts}: each lies from 1 to count - 1.")
+        raise ValueError(
+            f"degrees {tuple(given)} do not fit counts {counts}: each lies from 1 to count - 1."
+        )
     return counts, degrees
 
 
-def _link_matrix(free: Mask, groups: Groups, mirror: tuple[int, np.ndarray] | None) -> Float[np.ndarray, "p q"]:
+def _link_matrix(
+    free: Mask, groups: Groups, mirror: tuple[int, np.ndarray] | None
+) -> Float[np.ndarray, "p q"]:
     """Builds the matrix from free parameters to the flattened displacements of all controls.
     `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
     """
-    ids, count = np.arange(free.size).reshape(free.shape), free.size
-    pairs: list[tuple[Any, Any, Any]] = [(ids[group[0]], ids[control], 1) for group in groups for control in group]
+    ids = np.arange(free.size).reshape(free.shape)
+    count = free.size
+    pairs: list[tuple[Any, Any, Any]] = [
+        (ids[group[0]], ids[control], 1) for group in groups for control in group
+    ]
     if mirror is not None:
         pairs.append((ids, np.flip(ids, axis=mirror[0]), mirror[1]))
     rows = [np.stack(np.broadcast_arrays(*pair)).reshape(3, -1) for pair in pairs]
@@ -252,7 +305,8 @@ def _link_matrix(free: Mask, groups: Groups, mirror: tuple[int, np.ndarray] | No
     # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its
     # own opposite is zero; the first of a part has the lower label
     opposite = np.where(sign < 0, count, 0)
-    rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])
+    rows = np.concatenate([a, a + count])
+    columns = np.concatenate([b + opposite, b + count - opposite])
     links = coo_array((np.ones(len(rows), bool), (rows, columns)), (2 * count, 2 * count))
     itself, other = connected_components(links, directed=False)[1].reshape(2, count)
     moves = (itself != other) & ~np.isin(itself, [itself[~free.ravel()], other[~free.ravel()]])
@@ -268,7 +322,9 @@ def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.nd
     edge = np.abs(axes[mirror])
     signs = np.where(edge > 1e-9 * edge.max(), -1, 1)
     if (signs < 0).sum() != 1:
-        raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
+        raise ValueError(
+            f"edge {mirror} of the box is along no axis: its controls cannot be mirrored."
+        )
     return mirror, signs
 
 
@@ -297,20 +353,31 @@ class Hexahedron(AbstractLinearShape):
     box: FreeForm
 
     @checked
-    def __init__(self, corners: Numbers, counts: Counts, *, degree: Degree = None, continuity: int | None = None):
+    def __init__(
+        self,
+        corners: Numbers,
+        counts: Counts,
+        *,
+        degree: Degree = None,
+        continuity: int | None = None,
+    ):
         listed = jnp.asarray(corners, float)
         check_finite(corners=listed)
         if listed.shape not in ((4, 2), (8, 3)):
-            raise ValueError(f"`corners` has shape {listed.shape}; expected (8, 3), or (4, 2) in 2-D.")
+            raise ValueError(
+                f"`corners` has shape {listed.shape}; expected (8, 3), or (4, 2) in 2-D."
+            )
         d = listed.shape[1]
         self.corners = jnp.zeros((*(2,) * d, d), listed.dtype).at[tuple(ORDER[d].T)].set(listed)
         self.box = FreeForm(np.zeros(d), np.eye(d), counts, degree=degree, continuity=continuity)
         if is_known(self.corners):
             slopes = jax.vmap(lambda t: _slopes(t, self.corners))(jnp.asarray(ORDER[d], float))
-            sizes, scale = np.asarray(jnp.linalg.det(slopes)), np.linalg.norm(np.ptp(np.asarray(listed), axis=0)) ** d
+            sizes = np.asarray(jnp.linalg.det(slopes))
+            scale = np.linalg.norm(np.ptp(np.asarray(listed), axis=0)) ** d
             if not ((sizes > 1e-12 * scale).all() or (sizes < -1e-12 * scale).all()):
                 raise ValueError(
-                    "the box is flat or turned inside out: list the corners around one face, then around the opposite face."
+                    "the box is flat or turned inside out: list the corners around one face, "
+                    "then around the opposite face."
                 )
 
     @property
@@ -348,7 +415,9 @@ class Hexahedron(AbstractLinearShape):
     def lattice(self, control: Numbers | None = None) -> Control:
         """Computes the positions (*counts, d) of the control points, displaced by `control`."""
         t = self.box.lattice()
-        points = jax.vmap(lambda place: _at(place, self.corners))(t.reshape(-1, t.shape[-1])).reshape(t.shape)
+        points = jax.vmap(lambda place: _at(place, self.corners))(
+            t.reshape(-1, t.shape[-1])
+        ).reshape(t.shape)
         return points if control is None else points + jnp.asarray(control)
 
 
@@ -386,7 +455,11 @@ def _places_jvp(primals, tangents):
 
     def one(t, x_dot):
         is_inside = jnp.all(t < OUTSIDE)
-        slopes = jnp.where(is_inside, _slopes(jnp.where(is_inside, t, 0.5), corners), jnp.eye(len(t), dtype=t.dtype))
+        slopes = jnp.where(
+            is_inside,
+            _slopes(jnp.where(is_inside, t, 0.5), corners),
+            jnp.eye(len(t), dtype=t.dtype),
+        )
         return jnp.where(is_inside, jnp.linalg.solve(slopes, x_dot - _at(t, corners_dot)), 0)
 
     return t, jax.vmap(one)(t, x_dot)

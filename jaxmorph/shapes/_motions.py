@@ -31,7 +31,9 @@ from ._shape import AbstractShape
 
 
 @checked
-def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None) -> Positions:
+def rotate(
+    x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None
+) -> Positions:
     """Rotates positions about a point in 2-D, about an axis through a point in 3-D.
 
     **Arguments:**
@@ -89,7 +91,8 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
     x = positions(x)
     if x.shape[1] == 2:
         raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
-    arm, along = arms(x, about), direction("axis", axis, x)
+    arm = arms(x, about)
+    along = direction("axis", axis, x)
     span = positive("length", length, x)
     share = clipped(arm @ along, 0, span) / span
     return x + _turn(arm, number("angle", angle, x) * share[:, None], along)
@@ -97,7 +100,12 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 
 @checked
 def bend(
-    x: Numbers, angle: Number, about: Numbers, along: Numbers, length: Number, axis: Numbers | None = None
+    x: Numbers,
+    angle: Number,
+    about: Numbers,
+    along: Numbers,
+    length: Number,
+    axis: Numbers | None = None,
 ) -> Positions:
     """Bends a straight line, with all that is around it, into an arc of equal length.
 
@@ -116,19 +124,30 @@ def bend(
     right angles to the line.
     """
     x = positions(x)
-    arm, along = arms(x, about), direction("along", along, x)
-    span, normal = positive("length", length, x), axis_for(axis, x)
+    arm = arms(x, about)
+    along = direction("along", along, x)
+    span = positive("length", length, x)
+    normal = axis_for(axis, x)
     if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
-        raise ValueError(f"`axis` and `along` must be at right angles; their cosine is {float(normal @ along):.3g}.")
+        raise ValueError(
+            "`axis` and `along` must be at right angles; their cosine is "
+            f"{float(normal @ along):.3g}."
+        )
     up = jnp.cross(normal, jnp.pad(along, (0, 3 - len(along))))[: len(along)]
     curvature = number("angle", angle, x) / span
-    reach, height = arm @ along, arm @ up
+    reach = arm @ along
+    height = arm @ up
     s = clipped(reach, 0, span)
-    turned, beyond = curvature * s, reach - s
+    turned = curvature * s
+    beyond = reach - s
     versine = 2 * jnp.sin(turned / 2) ** 2
     # the arc's chord: s sin(a) / a forward, s (1 - cos a) / a upward, exact at a = 0
     forward = s * (jnp.sinc(turned / jnp.pi) - 1) - height * jnp.sin(turned) - beyond * versine
-    upward = s * jnp.sin(turned / 2) * jnp.sinc(turned / 2 / jnp.pi) - height * versine + beyond * jnp.sin(turned)
+    upward = (
+        s * jnp.sin(turned / 2) * jnp.sinc(turned / 2 / jnp.pi)
+        - height * versine
+        + beyond * jnp.sin(turned)
+    )
     return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
 
 
@@ -168,7 +187,9 @@ class ReferenceAxis(AbstractShape):
     points: Float[Array, "k 3"]
     chordwise: Vector
     spanwise: Vector
-    coefficients: tuple[Float[Array, "j k"], ...]  # of the weights of stations, by power of the distance from one
+    coefficients: tuple[
+        Float[Array, "j k"], ...
+    ]  # of the weights of stations, by power of the distance from one
 
     @checked
     def __init__(
@@ -180,24 +201,37 @@ class ReferenceAxis(AbstractShape):
         cubic: bool = False,
     ):
         known = finite_array("points", points, (None, 3))
-        along, across = finite_array("chordwise", chordwise, (3,)), finite_array("spanwise", spanwise, (3,))
-        along, across = along / np.linalg.norm(along), across / np.linalg.norm(across)
+        along = finite_array("chordwise", chordwise, (3,))
+        across = finite_array("spanwise", spanwise, (3,))
+        along = along / np.linalg.norm(along)
+        across = across / np.linalg.norm(across)
         if not abs(along @ across) <= 1e-9:
             raise ValueError(
-                f"`chordwise` and `spanwise` must be directions at right angles; their cosine is {along @ across:.3g}."
+                "`chordwise` and `spanwise` must be directions at right angles; their cosine is "
+                f"{along @ across:.3g}."
             )
         if len(known) < 2:
             raise ValueError(f"`points` has shape {known.shape}; expected (k, 3), k >= 2.")
         steps = np.diff(known @ across)
         if not (steps > 0).all():
-            raise ValueError(f"station {int(np.argmin(steps)) + 1} is not farther along the span than the one before.")
-        self.points, self.chordwise, self.spanwise = jnp.asarray(known), jnp.asarray(along), jnp.asarray(across)
+            raise ValueError(
+                f"station {int(np.argmin(steps)) + 1} is not farther along the span than the one "
+                "before."
+            )
+        self.points, self.chordwise, self.spanwise = (
+            jnp.asarray(known),
+            jnp.asarray(along),
+            jnp.asarray(across),
+        )
         from scipy.interpolate import CubicSpline, make_interp_spline  # not before they are needed
 
-        stations, values = known @ across, np.eye(len(known))
+        stations = known @ across
+        values = np.eye(len(known))
         is_cubic = cubic and len(known) > 2
         spline = (
-            CubicSpline(stations, values, bc_type="natural") if is_cubic else make_interp_spline(stations, values, 1)
+            CubicSpline(stations, values, bc_type="natural")
+            if is_cubic
+            else make_interp_spline(stations, values, 1)
         )
         terms = [spline(stations[:-1], p) / math.factorial(p) for p in range(4 if is_cubic else 2)]
         self.coefficients = tuple(map(jnp.asarray, terms))
@@ -206,23 +240,35 @@ class ReferenceAxis(AbstractShape):
         return {name: jnp.full(len(self.points), value) for name, value in NEUTRAL.items()}
 
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Positions:
-        x, needed = positions(x), self.points.shape[:1]
-        shapes = {name: np.shape(values) for name, values in parameters.items() if np.shape(values) != needed}
+        x = positions(x)
+        needed = self.points.shape[:1]
+        shapes = {
+            name: np.shape(values)
+            for name, values in parameters.items()
+            if np.shape(values) != needed
+        }
         if x.shape[1] != 3 or shapes or not set(parameters) <= set(NEUTRAL):
             raise ValueError(
-                f"`x` has shape {x.shape}, parameters {', '.join(parameters)} of shapes {shapes or needed}: expected (m, 3), and "
+                f"`x` has shape {x.shape}, parameters {', '.join(parameters)} of shapes "
+                f"{shapes or needed}: expected (m, 3), and "
                 f"{needed} for any of {', '.join(NEUTRAL)}."
             )
-        own, weights, given = cast(self, x), self.weights(x), self.neutral() | dict(parameters)
+        own = cast(self, x)
+        weights = self.weights(x)
+        given = self.neutral() | dict(parameters)
         twist, chord, sweep, dihedral, span = (
-            (weights @ (jnp.asarray(given[name], x.dtype) - rest))[:, None] for name, rest in NEUTRAL.items()
+            (weights @ (jnp.asarray(given[name], x.dtype) - rest))[:, None]
+            for name, rest in NEUTRAL.items()
         )
-        chordwise, spanwise = own.chordwise[None, :], own.spanwise[None, :]
+        chordwise = own.chordwise[None, :]
+        spanwise = own.spanwise[None, :]
         arm = x - weights @ own.points
         arm = arm - (arm @ own.spanwise)[:, None] * spanwise
         added = chord * arm
         added = added + _turn(arm + added, twist, own.spanwise)
-        return x + (added + sweep * chordwise + dihedral * jnp.cross(chordwise, spanwise) + span * spanwise)
+        return x + (
+            added + sweep * chordwise + dihedral * jnp.cross(chordwise, spanwise) + span * spanwise
+        )
 
     def weights(self, x: Positions) -> Weights:
         """Computes the weight of each station at each position, by its place along the span."""

@@ -24,10 +24,15 @@ from ._smooth import stiffness_of
 Target = Facets | Callable
 Motion = tuple[np.ndarray, np.ndarray]
 
-FIRST, LAST = 0.5, 0.01  # first and last length over the wall's extent
-STEPS, SETTLED = 8, 4  # steps from one to the other, and at the last
+FIRST = 0.5
+LAST = 0.01  # first and last length over the wall's extent
+STEPS = 8
+SETTLED = 4  # steps from one to the other, and at the last
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
-HARD, STILL = 100.0, 1e-4  # weight of edges, corners and planes over the stiffness; of staying, against sliding away
+HARD, STILL = (
+    100.0,
+    1e-4,
+)  # weight of edges, corners and planes over the stiffness; of staying, against sliding away
 
 
 class Onto(Module):
@@ -69,14 +74,24 @@ class Onto(Module):
 
     @checked
     def __init__(
-        self, wall: Facets, target: Target, *, symmetry: Planes = (), features: Sequence[Any] = (), length: float = 0.0
+        self,
+        wall: Facets,
+        target: Target,
+        *,
+        symmetry: Planes = (),
+        features: Sequence[Any] = (),
+        length: float = 0.0,
     ):
         between("length", length, 0, ends="[)")
         self.borders = borders_of(wall, symmetry)
-        x, planes = np.asarray(wall.points, float), [plane for plane, _ in self.borders]
-        extent, last = np.ptp(x, axis=0).max(), length or LAST * np.ptp(x, axis=0).max()
+        x = np.asarray(wall.points, float)
+        planes = [plane for plane, _ in self.borders]
+        extent = np.ptp(x, axis=0).max()
+        last = length or LAST * np.ptp(x, axis=0).max()
         if isinstance(target, Facets) and target.points.shape[1] != x.shape[1]:
-            raise ValueError(f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D.")
+            raise ValueError(
+                f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
+            )
         self.wall, self.is_exact, self.function, self.target = wall, length == 0, None, None
         closest = target.closest if isinstance(target, Facets) else target
         self.turn, self.shift = _rigid(wall, target, closest, planes)
@@ -84,7 +99,9 @@ class Onto(Module):
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
             for plane in planes:
-                clip, target = clipped(target, plane, np.sign(np.median(plane.height(x))), SAME * extent)
+                clip, target = clipped(
+                    target, plane, np.sign(np.median(plane.height(x))), SAME * extent
+                )
                 self.clips += (clip,)
             self.target = _turned(target, wall.at(start))
             if self.is_exact or features:  # edges of noise are none
@@ -94,11 +111,14 @@ class Onto(Module):
             self.function = target
         far = np.linalg.norm(np.asarray(closest(start)) - start, axis=1).max()
         steps = STEPS * (1 + 2 * int(far > FAR * extent))
-        self.lengths = np.append(np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last))
+        self.lengths = np.append(
+            np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last)
+        )
 
     def __call__(self, x: Numbers, points: Numbers | None = None) -> Positions:
         """Takes nodes (m, d) to places; `points` (n, d) are the target's, by default as given."""
-        x, target = positions(x, like=self.wall.points.shape), self.target
+        x = positions(x, like=self.wall.points.shape)
+        target = self.target
         if target is not None and points is not None:
             points = positions(points, "points")
             for clip in self.clips:
@@ -120,7 +140,9 @@ class Onto(Module):
 
     def _in_planes(self, y: Positions) -> Positions:
         for plane, rows in self.borders:
-            y = y.at[rows].add(-height_of(y[rows], plane)[:, None] * jnp.asarray(plane.normal, y.dtype)[None])
+            y = y.at[rows].add(
+                -height_of(y[rows], plane)[:, None] * jnp.asarray(plane.normal, y.dtype)[None]
+            )
         return y
 
     def _weights(self, y: Positions, facing: Positions, mass: Column, hard: Column):
@@ -130,7 +152,11 @@ class Onto(Module):
         for guide in self.guides:
             along = y[guide.beside[:, 1]] - y[guide.beside[:, 0]]
             squared = jnp.sum(along**2, axis=1)
-            share = along[:, :, None] * along[:, None] / jnp.where(squared > 0, squared, 1)[:, None, None]
+            share = (
+                along[:, :, None]
+                * along[:, None]
+                / jnp.where(squared > 0, squared, 1)[:, None, None]
+            )
             weights = weights.at[guide.rows].set(hard[guide.rows, None, None] * (one[None] - share))
         for plane, rows in self.borders:
             normal = jnp.asarray(plane.normal, y.dtype)
@@ -152,7 +178,9 @@ class Onto(Module):
         off = _times(weights, self._places(y, facing, target) - y)
         shape = start[faces]
         if self.is_exact:
-            shape = jnp.where(is_last, _rotated(shape, area_vectors(shape), area_vectors(y[faces])), shape)
+            shape = jnp.where(
+                is_last, _rotated(shape, area_vectors(shape), area_vectors(y[faces])), shape
+            )
         off = off.at[faces].add(_times(local, shape - y[faces]))
         weights = weights + STILL * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
 
@@ -160,7 +188,9 @@ class Onto(Module):
             return _times(weights, v).at[faces].add(_times(local, v[faces]))
 
         def solve(_, right):
-            return host_call(_solved, jax.ShapeDtypeStruct((m, d), y.dtype), faces, local, weights, right)
+            return host_call(
+                _solved, jax.ShapeDtypeStruct((m, d), y.dtype), faces, local, weights, right
+            )
 
         return y + jax.lax.custom_linear_solve(product, off, solve, symmetric=True)
 
@@ -172,7 +202,9 @@ def _moved(onto: Onto, x: Positions, target: Facets | None) -> Positions:
     is_last = np.arange(len(onto.lengths)) >= STEPS
     nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
     y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
-    return onto._places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto._in_planes(y)
+    return (
+        onto._places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto._in_planes(y)
+    )
 
 
 def _times(matrices: Float[Array, "k i j"], vectors: Any) -> Any:
@@ -180,10 +212,14 @@ def _times(matrices: Float[Array, "k i j"], vectors: Any) -> Any:
     return jnp.einsum(form, matrices, vectors, precision="highest")
 
 
-def _rotated(corners: Float[Array, "k c d"], old: Float[Array, "k d"], new: Float[Array, "k d"]) -> Any:
+def _rotated(
+    corners: Float[Array, "k c d"], old: Float[Array, "k d"], new: Float[Array, "k d"]
+) -> Any:
     """Turns faces by the shortest way, as their area vectors turned."""
     d = corners.shape[2]
-    old, new, corners = (jnp.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, 3 - d)]) for rows in (old, new, corners))
+    old, new, corners = (
+        jnp.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, 3 - d)]) for rows in (old, new, corners)
+    )
     old, new = (rows / jnp.where(norm(rows) > 0, norm(rows), 1)[:, None] for rows in (old, new))
     cosine = jnp.sum(old * new, axis=1)[:, None, None]
     axis = jnp.broadcast_to(jnp.cross(old, new)[:, None], corners.shape)
@@ -191,9 +227,13 @@ def _rotated(corners: Float[Array, "k c d"], old: Float[Array, "k d"], new: Floa
     return (corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01))[..., :d]
 
 
-def _solved(faces: np.ndarray, local: np.ndarray, weights: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _solved(
+    faces: np.ndarray, local: np.ndarray, weights: np.ndarray, right: np.ndarray
+) -> np.ndarray:
     m, d = right.shape
-    places = [np.broadcast_to(ids, local.shape).ravel() for ids in (faces[:, :, None], faces[:, None])]
+    places = [
+        np.broadcast_to(ids, local.shape).ravel() for ids in (faces[:, :, None], faces[:, None])
+    ]
     bent = sparse.coo_matrix((local.ravel().astype(float), places), (m, m))
     own = sparse.bsr_matrix((weights.astype(float), np.arange(m), np.arange(m + 1)))
     matrix = (sparse.kron(bent, np.eye(d)) + own).tocsc()
@@ -203,15 +243,22 @@ def _solved(faces: np.ndarray, local: np.ndarray, weights: np.ndarray, right: np
 
 def _turned(target: Facets, start: Facets) -> Facets:
     """Turns parts of the target that look the other way than the wall's nodes that are closest."""
-    face, areas = np.asarray(target.face(start.points)), np.asarray(target.areas())
-    alike = np.sum(areas[face] / np.linalg.norm(areas[face], axis=1)[:, None] * np.asarray(start.normals()), axis=1)
+    face = np.asarray(target.face(start.points))
+    areas = np.asarray(target.areas())
+    alike = np.sum(
+        areas[face] / np.linalg.norm(areas[face], axis=1)[:, None] * np.asarray(start.normals()),
+        axis=1,
+    )
     votes = np.bincount(np.asarray(target.part)[face], alike, minlength=int(target.part.max()) + 1)
     is_other = (np.where(votes == 0, alike.sum(), votes) < 0)[target.part]
     faces = np.where(is_other[:, None], target.faces[:, ::-1], target.faces)
     return Facets(target.points, faces, smooth=target.smooth, angle=target.angle)
 
 
-FITS, SAMPLE, NEAR, WHOLE = 20, 300, 0.05, 0.1
+FITS = 20
+SAMPLE = 300
+NEAR = 0.05
+WHOLE = 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
 
@@ -221,18 +268,24 @@ def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Pla
     Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
     Chen and Medioni, Object modelling by registration, Image and Vision Computing 10, 1992.
     """
-    x, normals, d = np.asarray(wall.points, float), np.asarray(wall.normals(), float), wall.points.shape[1]
-    some, starts = np.random.default_rng(0).permutation(len(x))[:SAMPLE], _starts(x, target, planes)
+    x = np.asarray(wall.points, float)
+    normals = np.asarray(wall.normals(), float)
+    d = wall.points.shape[1]
+    some = np.random.default_rng(0).permutation(len(x))[:SAMPLE]
+    starts = _starts(x, target, planes)
     motions = _free_motions(planes, d)
 
     def off(turn, shift):
         y = x[some] @ turn.T + shift
         return y, np.asarray(closest(y), float) - y
 
-    best, least = starts[0], np.sqrt(np.mean(off(*starts[0])[1] ** 2))
+    best = starts[0]
+    least = np.sqrt(np.mean(off(*starts[0])[1] ** 2))
     for turn, shift in starts:
         for _ in range(FITS if least > NEAR * np.ptp(x, axis=0).max() else 0):
-            turn, shift, is_done = _fitted(*off(turn, shift), normals[some] @ turn.T, motions, turn, shift)
+            turn, shift, is_done = _fitted(
+                *off(turn, shift), normals[some] @ turn.T, motions, turn, shift
+            )
             if is_done:
                 break
         left = np.sqrt(np.mean(off(turn, shift)[1] ** 2))
@@ -247,15 +300,20 @@ def _starts(x: np.ndarray, target: Target, planes: Sequence[Plane]) -> list[Moti
     if planes or not isinstance(target, Facets):
         return starts
     other = np.asarray(target.points, float)[np.unique(target.faces)]
-    own, axes = (np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2] for points in (x, other))
+    own, axes = (
+        np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2] for points in (x, other)
+    )
     turns = [(axes.T * signs) @ own for signs in itertools.product((1, -1), repeat=d)]
-    turns = sorted((turn for turn in turns if np.linalg.det(turn) > 0), key=lambda turn: -np.trace(turn))
+    turns = sorted(
+        (turn for turn in turns if np.linalg.det(turn) > 0), key=lambda turn: -np.trace(turn)
+    )
     return starts + [(turn, other.mean(axis=0) - turn @ x.mean(axis=0)) for turn in turns]
 
 
 def _fitted(y, off, normals, motions, turn, shift):
     """One step: a small share of the whole distance keeps a cylinder from sliding along itself."""
-    d, middle = y.shape[1], y.mean(axis=0)
+    d = y.shape[1]
+    middle = y.mean(axis=0)
     arm, ahead, to = (np.pad(rows, ((0, 0), (0, 3 - d))) for rows in (y - middle, normals, off))
     axes = [ahead, *(np.broadcast_to(WHOLE * axis, arm.shape) for axis in np.eye(3))]
     matrix = np.concatenate([np.concatenate([np.cross(arm, axis), axis], axis=1) for axis in axes])
@@ -271,13 +329,21 @@ def _free_motions(planes: Sequence[Plane], d: int) -> np.ndarray:
     """A basis (6, k) of turns and shifts that keep planes, and in 2-D that of the drawing."""
     rows = [np.zeros((1, 6))]
     for normal in [np.pad(plane.normal, (0, 3 - d)) for plane in planes] + [np.eye(3)[2]] * (3 - d):
-        rows += [np.hstack([np.cross(np.eye(3), normal), np.zeros((3, 3))]), np.hstack([np.zeros(3), normal])[None]]
+        rows += [
+            np.hstack([np.cross(np.eye(3), normal), np.zeros((3, 3))]),
+            np.hstack([np.zeros(3), normal])[None],
+        ]
     return null_space(np.concatenate(rows))
 
 
 @checked
 def onto(
-    wall: Facets, target: Target, *, symmetry: Planes = (), features: Sequence[Any] = (), length: float = 0.0
+    wall: Facets,
+    target: Target,
+    *,
+    symmetry: Planes = (),
+    features: Sequence[Any] = (),
+    length: float = 0.0,
 ) -> Float[np.ndarray, "m d"]:
     """Computes the displacement (m, d) of a wall's nodes onto a target, on the host.
 
@@ -287,7 +353,8 @@ def onto(
     **Raises:** `MeshError` too, with the nodes, where the way is not one to one: faces fold or
     collapse, or inner nodes end on the border of the target.
     """
-    x, made = np.asarray(wall.points), Onto(wall, target, symmetry=symmetry, features=features, length=length)
+    x = np.asarray(wall.points)
+    made = Onto(wall, target, symmetry=symmetry, features=features, length=length)
     moved = np.asarray(made(x))
     _check_one_to_one(made, x, moved)
     return moved - x
@@ -297,24 +364,33 @@ COLLAPSED = 0.01  # share of a face's size that must be left, of the median of a
 
 
 def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
-    faces, before, after = np.asarray(made.wall.faces), made.wall.at(x), made.wall.at(moved)
+    faces = np.asarray(made.wall.faces)
+    before = made.wall.at(x)
+    after = made.wall.at(moved)
     first, last = (
         np.sum(np.asarray(wall.areas()) * np.asarray(wall.normals())[faces].mean(axis=1), axis=1)
         for wall in (before, after)
     )
     left = last / np.where(first > 0, first, np.inf)
-    bad, what = faces[(left < COLLAPSED * np.median(left)) & (first > 0)], "fold over or collapse"
+    bad = faces[(left < COLLAPSED * np.median(left)) & (first > 0)]
+    what = "fold over or collapse"
     inner = np.setdiff1d(faces, made.wall.rim)
     target = made.target
     if target is not None and made.is_exact and min(len(target.rim), len(inner)) and not len(bad):
         rim = np.asarray(target.rim)
-        ends, none = np.broadcast_to(rim, (len(rim), 2)), np.zeros((len(rim), x.shape[1]))
+        ends = np.broadcast_to(rim, (len(rim), 2))
+        none = np.zeros((len(rim), x.shape[1]))
         off = np.asarray(Facets(target.points, ends, sides=none).distance(moved[inner]))
-        bad, what = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None], "end on the border of the target"
+        bad = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None]
+        what = "end on the border of the target"
     if len(bad):
-        many = f"{len(bad)} of {len(faces)} faces" if bad.shape[1] > 1 else f"{len(bad)} inner nodes"
+        many = (
+            f"{len(bad)} of {len(faces)} faces" if bad.shape[1] > 1 else f"{len(bad)} inner nodes"
+        )
         raise MeshError(
-            f"{many} of the wall {what}, at node {{node}} near {shown_place(x[bad[0, 0]])}: the way onto the target is not one to "
-            "one there. Extend or repair the target, name pairs of curves in `features`, or give a `length` to stay near it.",
+            f"{many} of the wall {what}, at node {{node}} near {shown_place(x[bad[0, 0]])}: the "
+            "way onto the target is not one to "
+            "one there. Extend or repair the target, name pairs of curves in `features`, or give "
+            "a `length` to stay near it.",
             np.unique(bad),
         )

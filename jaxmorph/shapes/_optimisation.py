@@ -18,7 +18,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxmorph import DesignedMesh, Mesh, Plan
-from jaxmorph.extend import Module, between, checked, finite_array, input_path, output_path, real_array, whole
+from jaxmorph.extend import (
+    Module,
+    between,
+    checked,
+    finite_array,
+    input_path,
+    output_path,
+    real_array,
+    whole,
+)
 
 from ._arguments import Numbers, Scalar, Vector
 
@@ -113,7 +122,9 @@ class MeshGuard(Module):
 
         **Raises:** `ValueError` for more rows than the cells have Jacobians.
         """
-        values, chosen, matrix = eqx.filter_jit(self._rows)(_flat(design), self._checked_count(count))
+        values, chosen, matrix = eqx.filter_jit(self._rows)(
+            _flat(design), self._checked_count(count)
+        )
         cells = self.mesh.cells[np.asarray(chosen)]
         return QualityRows(np.asarray(values, float), np.asarray(matrix, float), cells)
 
@@ -122,7 +133,9 @@ class MeshGuard(Module):
             raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
         return count
 
-    def _rows(self, design: Vector, count: int) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
+    def _rows(
+        self, design: Vector, count: int
+    ) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
         ratios = self.mesh.ratios(design)
         chosen = jax.lax.top_k(-ratios, count)[1]
         slopes = jax.jacfwd if len(design) <= count else jax.jacrev
@@ -136,9 +149,15 @@ class MeshGuard(Module):
         if count is None:
             return {"type": "ineq", "fun": self.value, "jac": self.gradient}
         count = self._checked_count(count)
-        rows = functools.lru_cache(1)(lambda design: self.quality_rows(np.frombuffer(design), count))
+        rows = functools.lru_cache(1)(
+            lambda design: self.quality_rows(np.frombuffer(design), count)
+        )
         at = lambda design: rows(np.asarray(design, float).tobytes())  # noqa: E731
-        return {"type": "ineq", "fun": lambda design: at(design).values, "jac": lambda design: at(design).matrix}
+        return {
+            "type": "ineq",
+            "fun": lambda design: at(design).values,
+            "jac": lambda design: at(design).matrix,
+        }
 
     def guarded(self, objective: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Makes an objective that is infinite, without a flow, for an infeasible design: line
@@ -201,9 +220,16 @@ class History:
                 row: Any = json.loads(line)
             except (ValueError, RecursionError):
                 row = None
-            good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
+            good = (
+                isinstance(row, dict)
+                and set(row) == set(FIELDS)
+                and isinstance(row["design"], list)
+            )
             if not good or (self.rows and len(row["design"]) != len(self.rows[0]["design"])):
-                raise ValueError(f"{self.path}, line {number}: no iteration of one optimisation; found {line[:60]!r}.")
+                raise ValueError(
+                    f"{self.path}, line {number}: no iteration of one optimisation; found "
+                    f"{line[:60]!r}."
+                )
             self.rows.append(row)
 
     def __len__(self) -> int:
@@ -230,15 +256,23 @@ class History:
         if like is None:
             known = ", ".join(self.names) or "none"
             raise ValueError(f"no iteration has `name` {name!r}; there are: {known}.")
-        return np.array([np.full(np.shape(like), np.nan) if value is None else value for value in values], float)
+        return np.array(
+            [np.full(np.shape(like), np.nan) if value is None else value for value in values], float
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names of constraints and measures, in the order in which they came."""
-        return tuple(dict.fromkeys(name for row in self.rows for name in (*row["constraints"], *row["measures"])))
+        return tuple(
+            dict.fromkeys(
+                name for row in self.rows for name in (*row["constraints"], *row["measures"])
+            )
+        )
 
     @checked
-    def add(self, design: Any, value: Any, *, constraints: Named = None, measures: Named = None) -> None:
+    def add(
+        self, design: Any, value: Any, *, constraints: Named = None, measures: Named = None
+    ) -> None:
         """Adds an iteration, and writes it to the disk.
 
         It has design variables (p,), the objective, and numbers or lists of numbers by name; a
@@ -248,7 +282,10 @@ class History:
         """
         variables = finite_array("design", design, (None,))
         if self.rows and len(variables) != len(self.rows[0]["design"]):
-            raise ValueError(f"`design` has {len(variables)} variables; {self.path} has {len(self.rows[0]['design'])}.")
+            raise ValueError(
+                f"`design` has {len(variables)} variables; {self.path} has "
+                f"{len(self.rows[0]['design'])}."
+            )
         row = {"design": variables.astype(float).tolist(), "value": _numbers("value", value)}
         for kind, given in (("constraints", constraints), ("measures", measures)):
             row[kind] = {name: _numbers(name, numbers) for name, numbers in (given or {}).items()}
@@ -259,19 +296,31 @@ class History:
             file.flush()
             os.fsync(file.fileno())
             self._end = file.tell()
-        others = [f"{name} {_shown(numbers)}" for name, numbers in (row["constraints"] | row["measures"]).items()]
-        shown, seconds = ", ".join([_shown(row["value"]), *others]), f"{time.monotonic() - self._began:.3g}"
-        print(f"iteration {len(self)}: {shown} ({seconds} s{self._word})", file=sys.stderr, flush=True)
+        others = [
+            f"{name} {_shown(numbers)}"
+            for name, numbers in (row["constraints"] | row["measures"]).items()
+        ]
+        shown = ", ".join([_shown(row["value"]), *others])
+        seconds = f"{time.monotonic() - self._began:.3g}"
+        print(
+            f"iteration {len(self)}: {shown} ({seconds} s{self._word})", file=sys.stderr, flush=True
+        )
         self.rows.append(row)
         self._began, self._word = time.monotonic(), ""
 
 
 def _shown(value: Any) -> str:
     numbers = np.array(value, float).ravel()
-    ends = dict.fromkeys(f"{end:.6g}" for end in (numbers.min(), numbers.max())) if numbers.size else ["none"]
+    ends = (
+        dict.fromkeys(f"{end:.6g}" for end in (numbers.min(), numbers.max()))
+        if numbers.size
+        else ["none"]
+    )
     return " to ".join(ends)
 
 
 def _numbers(name: str, value: Any) -> Any:
-    array = real_array(name, value if isinstance(value, list | tuple) else np.asarray(value), (), (None,))
+    array = real_array(
+        name, value if isinstance(value, list | tuple) else np.asarray(value), (), (None,)
+    )
     return np.where(np.isfinite(array), array, np.array(None)).tolist()

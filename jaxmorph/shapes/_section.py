@@ -22,7 +22,9 @@ TIE = 1e-12  # difference in chords within which two tours are equally long
 AT = 1e-3  # share of an edge within which the nose or the tail is the node at its end
 BLUNT = 0.1  # largest length in chords of a blunt tail whose corner is given as the tail
 
-CORNER, SHARP = np.cos(np.deg2rad([45, 135]))  # cosines of turns at a corner of a blunt tail: upper, lower bound
+CORNER, SHARP = np.cos(
+    np.deg2rad([45, 135])
+)  # cosines of turns at a corner of a blunt tail: upper, lower bound
 
 
 class Chord(Module):
@@ -38,7 +40,9 @@ class Chord(Module):
     up: Vector
 
     @checked
-    def __init__(self, nose: Numbers = (0.0, 0.0), tail: Numbers = (1.0, 0.0), up: Numbers | None = None):
+    def __init__(
+        self, nose: Numbers = (0.0, 0.0), tail: Numbers = (1.0, 0.0), up: Numbers | None = None
+    ):
         nose = finite_array("nose", nose, (2,), (3,))
         tail = finite_array("tail", tail, nose.shape)
         if (nose == tail).all():
@@ -46,7 +50,9 @@ class Chord(Module):
         if up is None and len(nose) == 3:
             raise ValueError("`up` is missing: a chord in 3-D needs the direction across it.")
         along = (tail - nose) / np.linalg.norm(tail - nose)
-        across = np.array([-along[1], along[0]]) if up is None else finite_array("up", up, nose.shape)
+        across = (
+            np.array([-along[1], along[0]]) if up is None else finite_array("up", up, nose.shape)
+        )
         if not across.any():
             raise ValueError(f"`up` is {across}; expected a direction ({len(nose)},).")
         self.nose, self.tail = jnp.asarray(nose, float), jnp.asarray(tail, float)
@@ -109,7 +115,9 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
     else:
         upper[ids] = _by_tour(places) if wall is None else _by_loop(places[ids])
     if upper[rows].all() or not upper.any():
-        raise ValueError(f"{len(rows)} nodes do not show the two sides of an airfoil around its chord.")
+        raise ValueError(
+            f"{len(rows)} nodes do not show the two sides of an airfoil around its chord."
+        )
     return upper
 
 
@@ -117,7 +125,8 @@ def _ids_of(wall: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
     if shape[1] == 3:
         if wall is None:
             raise ValueError(
-                "`wall` is missing: in 3-D the faces tell the sides, as `jaxmorph.boundary_faces` finds them."
+                "`wall` is missing: in 3-D the faces tell the sides, as "
+                "`jaxmorph.boundary_faces` finds them."
             )
         return simplices_of(wall, shape)
     if wall is None:
@@ -125,7 +134,8 @@ def _ids_of(wall: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
     ids = rows_of("wall", wall, shape[0])
     if ids.ndim != 1 or not 3 <= len(ids) == len(np.unique(ids)):
         raise ValueError(
-            f"`wall` has shape {ids.shape}; a wall in 2-D is a loop (k,) of three different nodes or more."
+            f"`wall` has shape {ids.shape}; a wall in 2-D is a loop (k,) of three different nodes "
+            "or more."
         )
     return ids
 
@@ -135,7 +145,8 @@ def _by_faces(x: np.ndarray, triangles: Int[np.ndarray, "t 3"], up: np.ndarray) 
     Inward faces, as those of a mesh's cells around the body, enclose a negative volume.
     """
     corners = x[triangles] - x[np.unique(triangles)].mean(axis=0)
-    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    ahead = np.roll(corners, -1, axis=1) - corners
+    back = np.roll(corners, 1, axis=1) - corners
     area = np.cross(ahead[:, 0], back[:, 0])
     size = np.linalg.norm(area, axis=1)
     angles = np.arctan2(size[:, None], np.sum(ahead * back, axis=2))
@@ -157,7 +168,8 @@ def _by_loop(places: Places) -> Mask:
     if area < 0:
         return _by_loop(places[::-1])[::-1]
     # neighbours at one place are one corner of the loop; it begins at the end of its longest edge
-    lengths, count = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1), len(places)
+    lengths = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1)
+    count = len(places)
     start = int(lengths.argmax())
     first = np.flatnonzero(np.roll(lengths, -start) > SAME)
     corners = np.roll(places, -start, axis=0)[first]
@@ -166,7 +178,8 @@ def _by_loop(places: Places) -> Mask:
         return int(first[corner % len(first)]) + count * (corner // len(first))
 
     # counter-clockwise, the upper side runs from the middle of the tail to the middle of the nose
-    tail, nose = _blunt(corners, *_cut(corners, 1.0)), _cut(corners, 0.0)
+    tail = _blunt(corners, *_cut(corners, 1.0))
+    nose = _cut(corners, 0.0)
     begin = (node(tail[0]) + node(tail[1])) // 2
     end = (node(nose[0]) + node(nose[1]) - 1) // 2
     return np.roll((np.arange(count) - begin) % count <= (end - begin) % count, start)
@@ -186,7 +199,8 @@ def _by_tour(places: Places) -> Mask:
 
 def _cut(corners: Places, place: float) -> tuple[int, int]:
     """Finds the corners, first to before last, nearest to a place on the chord; none in an edge."""
-    edges, arms = np.roll(corners, -1, axis=0) - corners, np.array([[place, 0.0]]) - corners
+    edges = np.roll(corners, -1, axis=0) - corners
+    arms = np.array([[place, 0.0]]) - corners
     share = np.clip(np.sum(arms * edges, axis=1) / np.sum(edges**2, axis=1), 0, 1)
     nearest = int(np.linalg.norm(arms - share[:, None] * edges, axis=1).argmin())
     if AT < share[nearest] < 1 - AT:
@@ -196,14 +210,17 @@ def _cut(corners: Places, place: float) -> tuple[int, int]:
 
 
 def _blunt(corners: Places, first: int, last: int) -> tuple[int, int]:
-    edges, count = np.roll(corners, -1, axis=0) - corners, len(corners)
-    lengths, before = np.linalg.norm(edges, axis=1), np.roll(edges, 1, axis=0)
+    edges = np.roll(corners, -1, axis=0) - corners
+    count = len(corners)
+    lengths = np.linalg.norm(edges, axis=1)
+    before = np.roll(edges, 1, axis=0)
     turn = np.sum(edges * before, axis=1) / (lengths * np.linalg.norm(before, axis=1))
     if first == last or not SHARP < turn[first % count] < CORNER:
         return first, last
     ways = []
     for step in (1, -1):
-        corner, length = first, 0.0
+        corner = first
+        length = 0.0
         while length <= BLUNT:
             length += lengths[(corner if step > 0 else corner - 1) % count]
             corner += step
@@ -218,10 +235,12 @@ def _tour(places: Places) -> Int[np.ndarray, " m"]:
     along = np.argsort(places[:, 0], kind="stable")
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)
     order = along[np.lexsort((places[along, 1], column))]
-    ahead, count = places[order], len(order)
+    ahead = places[order]
+    count = len(order)
     # two chains reach the nodes up to k: one ends at k, the other at j < k, and `cost[j]` is the
     # length of both
-    cost, before = np.zeros(count), np.zeros(count, int)
+    cost = np.zeros(count)
+    before = np.zeros(count, int)
     cost[0] = np.linalg.norm(ahead[1] - ahead[0])
     for k in range(1, count):
         following = ahead[min(k + 1, count - 1)]

@@ -48,9 +48,12 @@ class AbstractLinearShape(AbstractShape):
         return x + self.at(x)(parameters)
 
     def _numbers(self, parameters: Any, like: Array) -> Float[Array, "..."]:
-        needed, parameters = self.neutral().shape, jnp.asarray(parameters, like.dtype)
+        needed = self.neutral().shape
+        parameters = jnp.asarray(parameters, like.dtype)
         if parameters.shape != needed:
-            raise ValueError(f"parameters have shape {parameters.shape}; this shape needs {needed}.")
+            raise ValueError(
+                f"parameters have shape {parameters.shape}; this shape needs {needed}."
+            )
         return parameters
 
 
@@ -98,9 +101,12 @@ class Chain(AbstractShape):
         return {name: shape.neutral() for name, shape in zip(self.names, self.shapes, strict=True)}
 
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Positions:
-        x, unknown = positions(x), [name for name in parameters if name not in self.names]
+        x = positions(x)
+        unknown = [name for name in parameters if name not in self.names]
         if unknown:
-            raise ValueError(f"no shape is called {', '.join(unknown)}; this chain has {', '.join(self.names)}.")
+            raise ValueError(
+                f"no shape is called {', '.join(unknown)}; this chain has {', '.join(self.names)}."
+            )
         for name, shape in zip(self.names, self.shapes, strict=True):
             if name in parameters:
                 x = shape(x, parameters[name])
@@ -121,7 +127,9 @@ class OnRows(AbstractShape):
     def __init__(self, shape: AbstractShape, rows: Any):
         rows = rows_of("rows", rows, 2**31)
         if rows.ndim != 1 or len(np.unique(rows)) != len(rows):
-            raise ValueError(f"`rows` is an array {rows.shape}; expected (k,) different row numbers.")
+            raise ValueError(
+                f"`rows` is an array {rows.shape}; expected (k,) different row numbers."
+            )
         self.shape, self.rows = shape, jnp.asarray(rows)
 
     def neutral(self) -> PyTree:
@@ -130,7 +138,9 @@ class OnRows(AbstractShape):
     def __call__(self, x: Numbers, parameters: PyTree) -> Positions:
         x = positions(x)
         if is_known(self.rows) and (np.asarray(self.rows) >= len(x)).any():
-            raise ValueError(f"`rows` has {len(self.rows)} rows up to {self.rows.max()}; `x` has {len(x)}.")
+            raise ValueError(
+                f"`rows` has {len(self.rows)} rows up to {self.rows.max()}; `x` has {len(x)}."
+            )
         return x.at[self.rows].set(self.shape(x[self.rows], parameters))
 
 
@@ -153,7 +163,8 @@ class Linked(AbstractLinearShape):
         count = sum(leaf.size for leaf in jax.tree.leaves(shape.neutral()))
         if self.matrix.ndim != 2 or len(self.matrix) != count:
             raise ValueError(
-                f"`matrix` has shape {self.matrix.shape}; a shape with {count} parameters needs ({count}, q)."
+                f"`matrix` has shape {self.matrix.shape}; a shape with {count} parameters needs "
+                f"({count}, q)."
             )
 
     def neutral(self) -> Vector:
@@ -161,8 +172,11 @@ class Linked(AbstractLinearShape):
 
     def at(self, x: Numbers) -> Move:
         x = positions(x)
-        move, unravel = self.shape.at(x), ravel_pytree(self.shape.neutral())[1]
-        return lambda parameters: move(unravel(self.matrix.astype(x.dtype) @ self._numbers(parameters, x)))
+        move = self.shape.at(x)
+        unravel = ravel_pytree(self.shape.neutral())[1]
+        return lambda parameters: move(
+            unravel(self.matrix.astype(x.dtype) @ self._numbers(parameters, x))
+        )
 
 
 class Together(AbstractLinearShape):
@@ -188,7 +202,9 @@ class Together(AbstractLinearShape):
         def added(parameters: Sequence[Any]) -> Positions:
             if len(parameters) != len(moves):
                 raise ValueError(f"{len(parameters)} sets of parameters for {len(moves)} shapes.")
-            return functools.reduce(jnp.add, [move(own) for move, own in zip(moves, parameters, strict=True)])
+            return functools.reduce(
+                jnp.add, [move(own) for move, own in zip(moves, parameters, strict=True)]
+            )
 
         return added
 
@@ -206,7 +222,9 @@ class Part(AbstractLinearShape):
     def __init__(self, shape: AbstractLinearShape, kept: Bool[ArrayLike, " m"] | Sequence[Any]):
         self.shape, self.kept = shape, jnp.asarray(kept)
         if self.kept.ndim != 1:
-            raise ValueError(f"`kept` has shape {self.kept.shape}; expected (m,) of True and False.")
+            raise ValueError(
+                f"`kept` has shape {self.kept.shape}; expected (m,) of True and False."
+            )
 
     def neutral(self) -> PyTree:
         return self.shape.neutral()

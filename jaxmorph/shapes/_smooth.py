@@ -22,7 +22,10 @@ from ._features import Borders, Planes, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._walls import faces_of, wall_faces
 
-ROUNDS, FAR = 40, 1e30  # most balls that are tried at a node, the last ones hardly differ; radius without a ball
+ROUNDS, FAR = (
+    40,
+    1e30,
+)  # most balls that are tried at a node, the last ones hardly differ; radius without a ball
 
 
 class Smoother(AbstractLinearShape):
@@ -60,15 +63,21 @@ class Smoother(AbstractLinearShape):
         held = rows_of("held", held, len(known))
         masses, stiffness = _elements(known, kinds)
         if (masses <= 0).any():
-            raise ValueError(f"{(masses <= 0).sum()} nodes are in no face, first row {int(np.argmin(masses))}.")
+            raise ValueError(
+                f"{(masses <= 0).sum()} nodes are in no face, first row {int(np.argmin(masses))}."
+            )
         free = np.ones(len(known))
         free[held] = 0
         mask = sparse.diags(free)
         matrix = (mask @ (length**2 * stiffness) @ mask + sparse.diags(masses)).tocoo()
-        factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factors = splu(
+            matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
         self.solve, self.dimension = factors.solve, known.shape[1]
         self.masses, self.free = jnp.asarray(masses), jnp.asarray(free)
-        self.rows, self.columns, self.values = (jnp.asarray(part) for part in (matrix.row, matrix.col, matrix.data))
+        self.rows, self.columns, self.values = (
+            jnp.asarray(part) for part in (matrix.row, matrix.col, matrix.data)
+        )
 
     @staticmethod
     @checked
@@ -102,7 +111,11 @@ class Smoother(AbstractLinearShape):
 
     def _solved(self, right: Positions) -> Positions:
         def product(v):
-            return jnp.zeros_like(v).at[self.rows].add(self.values.astype(v.dtype)[:, None] * v[self.columns])
+            return (
+                jnp.zeros_like(v)
+                .at[self.rows]
+                .add(self.values.astype(v.dtype)[:, None] * v[self.columns])
+            )
 
         def solve(_, b):
             in_double = lambda right: self.solve(np.asarray(right, float))  # noqa: E731
@@ -114,19 +127,25 @@ class Smoother(AbstractLinearShape):
 def _elements(points: np.ndarray, kinds: list[np.ndarray]) -> tuple[np.ndarray, Any]:
     """Assembles lumped masses (m,) and the stiffness matrix (m, m) of linear elements."""
     m = len(points)
-    masses, stiffness = np.zeros(m), sparse.csr_matrix((m, m))
+    masses = np.zeros(m)
+    stiffness = sparse.csr_matrix((m, m))
     for ids in kinds:
         weight = 1.0
         if ids.shape[1] == 4:  # a quad as four triangles of half weight
-            corners, weight = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)], 0.5
+            corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
+            weight = 0.5
             ids = np.concatenate([ids[:, three] for three in corners])
         size, local = stiffness_of(points[ids])
         if (size <= 0).any():
             raise ValueError(
-                f"{(size <= 0).sum()} faces have no size, first with nodes {ids[int(np.argmin(size))].tolist()}."
+                f"{(size <= 0).sum()} faces have no size, first with nodes "
+                f"{ids[int(np.argmin(size))].tolist()}."
             )
         np.add.at(masses, ids, weight * np.broadcast_to(size[:, None] / ids.shape[1], ids.shape))
-        places = [np.broadcast_to(rows, local.shape).ravel() for rows in (ids[:, :, None], ids[:, None, :])]
+        places = [
+            np.broadcast_to(rows, local.shape).ravel()
+            for rows in (ids[:, :, None], ids[:, None, :])
+        ]
         stiffness = stiffness + sparse.coo_matrix((weight * local.ravel(), places), (m, m)).tocsr()
     return masses, stiffness
 
@@ -136,11 +155,13 @@ def stiffness_of(corners: Any) -> tuple[Any, Any]:
     xp = np if isinstance(corners, np.ndarray) else jnp
     if corners.shape[1] == 2:
         size = norm(corners[:, 1] - corners[:, 0])
-        local, scale = np.array([[1, -1], [-1, 1]])[None], xp.where(size > 0, size, 1)
+        local = np.array([[1, -1], [-1, 1]])[None]
+        scale = xp.where(size > 0, size, 1)
     else:
         sides = xp.roll(corners, -1, axis=1) - xp.roll(corners, -2, axis=1)  # opposite each corner
         size = 0.5 * norm(xp.cross(sides[:, 0], sides[:, 1]))
-        local, scale = xp.einsum("kia,kja->kij", sides, sides), 4 * xp.where(size > 0, size, 1)
+        local = xp.einsum("kia,kja->kij", sides, sides)
+        scale = 4 * xp.where(size > 0, size, 1)
     return size, local / scale[:, None, None]
 
 
@@ -187,17 +208,24 @@ class Offset(AbstractShape):
         between("length", length, 0, ends="[)")
         x = np.asarray(wall.points, float)
         self.wall, self.share, self.borders = wall, share, borders_of(wall, symmetry)
-        self.field = None if field is None else jnp.asarray(finite_array("field", field, (len(x),)), wall.points.dtype)
+        self.field = (
+            None
+            if field is None
+            else jnp.asarray(finite_array("field", field, (len(x),)), wall.points.dtype)
+        )
         self.smoother = Smoother(x, np.asarray(wall.faces), length) if length else None
         normals = np.asarray(self._normals(jnp.asarray(x)), float)
         self.touching = np.stack([_touching(x, sign * normals) for sign in (1, -1)])
 
     def neutral(self) -> Float[Array, "..."]:
-        return jnp.zeros(len(self.wall.points) if self.field is None else (), self.wall.points.dtype)
+        return jnp.zeros(
+            len(self.wall.points) if self.field is None else (), self.wall.points.dtype
+        )
 
     def __call__(self, x: Numbers, parameters: PyTree) -> Positions:
         x = positions(x, like=self.wall.points.shape)
-        heights, needed = jnp.asarray(parameters, x.dtype), self.neutral().shape
+        heights = jnp.asarray(parameters, x.dtype)
+        needed = self.neutral().shape
         if heights.shape != needed:
             raise ValueError(f"`parameters` have shape {heights.shape}; this shape needs {needed}.")
         heights = heights if self.field is None else heights * self.field.astype(x.dtype)
@@ -208,13 +236,16 @@ class Offset(AbstractShape):
         room = self.share * jnp.where(heights > 0, ahead, back)
         ratio = jnp.abs(heights) / room
         # equal in value, slope and curvature at one half
-        limited = jnp.where(ratio > 0.5, room * (0.5 + 0.5 * jnp.tanh(2 * ratio - 1)), jnp.abs(heights))
+        limited = jnp.where(
+            ratio > 0.5, room * (0.5 + 0.5 * jnp.tanh(2 * ratio - 1)), jnp.abs(heights)
+        )
         return x + (jnp.where(heights < 0, -1, 1) * limited)[:, None] * normals
 
     def _normals(self, x: Positions) -> Positions:
         normals = self.wall.at(x).normals()
         for plane, rows in self.borders:
-            normal, own = jnp.asarray(plane.normal, x.dtype), normals[rows]
+            normal = jnp.asarray(plane.normal, x.dtype)
+            own = normals[rows]
             own = own - jnp.matmul(own, normal, precision="highest")[:, None] * normal[None]
             normals = normals.at[rows].set(own / jnp.linalg.norm(own, axis=1)[:, None])
         return normals
@@ -222,13 +253,17 @@ class Offset(AbstractShape):
     def _radius(self, x: Positions, ahead: Positions, side: int) -> Column:
         arm = x[self.touching[side]] - x
         above = jnp.sum(arm * ahead, axis=1)
-        return jnp.where(above > 0, jnp.sum(arm**2, axis=1) / jnp.where(above > 0, 2 * above, 1), FAR)
+        return jnp.where(
+            above > 0, jnp.sum(arm**2, axis=1) / jnp.where(above > 0, 2 * above, 1), FAR
+        )
 
 
 def _touching(x: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     """Finds the node that the largest ball at each node touches; the node itself without one."""
     # A ball shrinks onto the node that is nearest to its centre, until none is inside.
-    tree, found, radius = KDTree(x), np.arange(len(x)), np.full(len(x), 10 * np.ptp(x, axis=0).max())
+    tree = KDTree(x)
+    found = np.arange(len(x))
+    radius = np.full(len(x), 10 * np.ptp(x, axis=0).max())
     for _ in range(ROUNDS):
         distance, other = map(np.asarray, tree.query(x + radius[:, None] * ahead))
         arm = x[other] - x
@@ -236,6 +271,8 @@ def _touching(x: np.ndarray, ahead: np.ndarray) -> np.ndarray:
         is_inside = (distance < radius * (1 - 1e-9)) & (above > 0)
         if not is_inside.any():
             break
-        radius = np.where(is_inside, np.sum(arm**2, axis=1) / np.where(is_inside, 2 * above, 1), radius)
+        radius = np.where(
+            is_inside, np.sum(arm**2, axis=1) / np.where(is_inside, 2 * above, 1), radius
+        )
         found = np.where(is_inside, other, found)
     return found

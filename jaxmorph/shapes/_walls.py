@@ -16,7 +16,18 @@ from scipy.sparse.csgraph import depth_first_order
 from jaxmorph import Mesh, boundary_faces
 from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known, norm
 
-from ._arguments import Numbers, Positions, Scalar, Vector, cast, known_positions, positions, rows_of, slack, vector
+from ._arguments import (
+    Numbers,
+    Positions,
+    Scalar,
+    Vector,
+    cast,
+    known_positions,
+    positions,
+    rows_of,
+    slack,
+    vector,
+)
 
 
 @checked
@@ -29,11 +40,16 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
     ends, number, degree = np.unique(segments, return_inverse=True, return_counts=True)
     bad = ends[degree != 2]
     if len(bad) or not len(ends):
-        raise ValueError(f"patch {patch!r} is no closed loop: {len(bad)} ends or branches, first nodes {bad[:1]}.")
+        raise ValueError(
+            f"patch {patch!r} is no closed loop: {len(bad)} ends or branches, first nodes "
+            f"{bad[:1]}."
+        )
     links = coo_array((np.ones(len(segments)), number.reshape(-1, 2).T), (len(ends), len(ends)))
     loop = depth_first_order(links, 0, directed=False, return_predecessors=False)
     if len(loop) != len(ends):
-        raise ValueError(f"patch {patch!r} is several loops: {len(loop)} of its {len(ends)} nodes hang together.")
+        raise ValueError(
+            f"patch {patch!r} is several loops: {len(loop)} of its {len(ends)} nodes hang together."
+        )
     ids = ends[loop]
     x, y = np.asarray(mesh.points)[ids].T
     return ids if x @ np.roll(y, -1) > y @ np.roll(x, -1) else ids[::-1].copy()
@@ -49,7 +65,8 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     **Returns:** vectors (m, d), in the order of `mesh.patch(*patches)`; 0 for a node of no face.
     **Raises:** `ValueError` for patches without faces on the boundary of the mesh's cells.
     """
-    nodes, points = mesh.patch(*patches), np.asarray(mesh.points, float)
+    nodes = mesh.patch(*patches)
+    points = np.asarray(mesh.points, float)
     normals = np.zeros_like(points)
     for ids in wall_faces(mesh, *patches).values():
         np.add.at(normals, ids, -_areas(points[ids])[:, None] / ids.shape[1])
@@ -59,7 +76,9 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
 def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     faces = {kind: ids for kind, ids in boundary_faces(mesh, *patches).items() if len(ids)}
     if not faces:
-        raise ValueError(f"patch {', '.join(patches)} has no faces on the boundary of the mesh's cells.")
+        raise ValueError(
+            f"patch {', '.join(patches)} has no faces on the boundary of the mesh's cells."
+        )
     return faces
 
 
@@ -75,17 +94,24 @@ WIDTHS = {2: (2,), 3: (3, 4)}  # corners of a wall's faces, by the dimension of 
 
 def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
-    arrays, widths = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])], WIDTHS[shape[1]]
+    arrays = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])]
+    widths = WIDTHS[shape[1]]
     for ids in arrays:
         if ids.ndim != 2 or ids.shape[1] not in widths or not ids.size:
             expected = " or ".join(f"(k, {width})" for width in widths)
-            raise ValueError(f"`faces` has shape {ids.shape}; walls in {shape[1]}-D have {expected}.")
+            raise ValueError(
+                f"`faces` has shape {ids.shape}; walls in {shape[1]}-D have {expected}."
+            )
     return arrays
 
 
 def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
     d = shape[1]
-    cuts = [(ids, [0, *range(k, k + d - 1)]) for ids in faces_of(faces, shape) for k in range(1, ids.shape[1] - d + 2)]
+    cuts = [
+        (ids, [0, *range(k, k + d - 1)])
+        for ids in faces_of(faces, shape)
+        for k in range(1, ids.shape[1] - d + 2)
+    ]
     return np.concatenate([ids[:, corners] for ids, corners in cuts])
 
 
@@ -107,7 +133,8 @@ def centroid(x: Numbers, loop: Any) -> Vector:
     x = positions(x)
     a, b = _segments(x, loop)
     origin = a[0]
-    a, b = a - origin[None, :], b - origin[None, :]
+    a = a - origin[None, :]
+    b = b - origin[None, :]
     twice = _cross(a, b)
     return origin + jnp.sum((a + b) * twice[:, None], axis=0) / (3 * jnp.sum(twice))
 
@@ -143,7 +170,9 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
     **Raises:** `ValueError` for nodes that are no rows of `x`.
     """
     x = positions(x)
-    nose, tail = (np.atleast_1d(rows_of(name, ids, len(x))) for name, ids in (("nose", nose), ("tail", tail)))
+    nose, tail = (
+        np.atleast_1d(rows_of(name, ids, len(x))) for name, ids in (("nose", nose), ("tail", tail))
+    )
     return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
 
 
@@ -155,7 +184,9 @@ def curvature(x: Numbers, loop: Any) -> Vector:
     x = positions(x)
     here, after = _segments(x, loop)
     before = jnp.roll(here, 1, axis=0)
-    a, b, c = here - before, after - here, after - before
+    a = here - before
+    b = after - here
+    c = after - before
     return 2 * _cross(a, b) / (norm(a) * norm(b) * norm(c))
 
 
@@ -172,10 +203,13 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Sc
     x, loop = _loop_in(x, loop)
     if tail not in loop or not 1 <= around < len(loop) // 2:
         raise ValueError(
-            f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in {len(loop)}."
+            f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in "
+            f"{len(loop)}."
         )
     away = jnp.sum((x[loop] - x[tail][None, :]) ** 2, axis=1)
-    farthest = jnp.argmax(away >= (1 - slack(x.dtype)) * away.max())  # of nodes as far the first in the loop
+    farthest = jnp.argmax(
+        away >= (1 - slack(x.dtype)) * away.max()
+    )  # of nodes as far the first in the loop
     order = (farthest + jnp.arange(-around, around + 1)) % len(loop)
     near = x[jnp.asarray(loop)[order]]
     arms = near - near[around][None, :]
@@ -196,10 +230,15 @@ def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Scalar:
     **Raises:** `ValueError` for anything but two nodes.
     """
     x = positions(x)
-    upper, lower = (rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower)))
+    upper, lower = (
+        rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower))
+    )
     if upper.shape != (2,) or lower.shape != (2,):
-        raise ValueError(f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge).")
-    a, b = x[upper[1]] - x[upper[0]], x[lower[1]] - x[lower[0]]
+        raise ValueError(
+            f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge)."
+        )
+    a = x[upper[1]] - x[upper[0]]
+    b = x[lower[1]] - x[lower[0]]
     return jnp.abs(jnp.arctan2(_cross(a, b), a @ b))
 
 
@@ -228,13 +267,17 @@ def _check_closed(x: Positions, triangles: Int[np.ndarray, "k 3"], plane: Vector
     border = unique[count == 1]
     if len(border) and plane is None:
         raise ValueError(
-            f"the wall is open: {len(border)} edges have one face, first {border[0].tolist()}. Give `plane`."
+            f"the wall is open: {len(border)} edges have one face, first {border[0].tolist()}. "
+            "Give `plane`."
         )
     if len(border) and is_known(x, plane):
-        sizes = np.linalg.svd(np.asarray(x)[np.unique(border)] - np.asarray(plane), compute_uv=False)
+        sizes = np.linalg.svd(
+            np.asarray(x)[np.unique(border)] - np.asarray(plane), compute_uv=False
+        )
         if len(sizes) == 3 and sizes[-1] > 1e-6 * sizes[0]:
             raise ValueError(
-                f"the wall's border of {len(border)} edges does not lie in a plane through {np.asarray(plane)}."
+                f"the wall's border of {len(border)} edges does not lie in a plane through "
+                f"{np.asarray(plane)}."
             )
 
 
@@ -262,22 +305,31 @@ class Stations(Module):
 
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """
-        x, points = known_positions(x).astype(float), known_positions(points, "points").astype(float)
+        x = known_positions(x).astype(float)
+        points = known_positions(points, "points").astype(float)
         if x.shape[1] != points.shape[1]:
-            raise ValueError(f"`x` has shape {x.shape}, `points` {points.shape}; expected (n, d) and (s, d).")
+            raise ValueError(
+                f"`x` has shape {x.shape}, `points` {points.shape}; expected (n, d) and (s, d)."
+            )
         known = finite_array("direction", direction, points.shape, points.shape[1:])
         lengths = np.linalg.norm(known, axis=-1, keepdims=True)
         if not lengths.all():
             raise ValueError("`direction` has length 0; it must be a direction.")
         lines = np.broadcast_to(known / lengths, points.shape)
-        ids, same = simplices_of(faces, x.shape), 1e-9 * np.ptp(x, axis=0).max()
+        ids = simplices_of(faces, x.shape)
+        same = 1e-9 * np.ptp(x, axis=0).max()
         found = [_first_and_last(x, ids, *line, same) for line in zip(points, lines, strict=True)]
         missed = [s for s, ends in enumerate(found) if not ends]
         if missed:
             raise ValueError(
-                f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at {points[missed[0]]}."
+                f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at "
+                f"{points[missed[0]]}."
             )
-        return Stations(jnp.asarray(points), jnp.asarray(lines), jnp.asarray(ids[np.array(found, int).reshape(-1, 2)]))
+        return Stations(
+            jnp.asarray(points),
+            jnp.asarray(lines),
+            jnp.asarray(ids[np.array(found, int).reshape(-1, 2)]),
+        )
 
 
 @checked
@@ -289,25 +341,36 @@ def thickness(x: Numbers, stations: Stations) -> Vector:
     """
     x = positions(x)
     if x.shape[1] != stations.points.shape[1]:
-        raise ValueError(f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D.")
+        raise ValueError(
+            f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D."
+        )
     if is_known(stations.faces):
         rows_of("stations.faces", stations.faces, len(x))
-    own, corners = cast(stations, x), x[stations.faces]
+    own = cast(stations, x)
+    corners = x[stations.faces]
     first = corners[:, :, 0]
     normal = area_vectors(corners.reshape(-1, *corners.shape[2:])).reshape(first.shape)
-    line, arm = jnp.broadcast_to(own.directions[:, None], first.shape), first - own.points[:, None, :]
+    line = jnp.broadcast_to(own.directions[:, None], first.shape)
+    arm = first - own.points[:, None, :]
     place = jnp.sum(normal * arm, axis=-1) / jnp.sum(normal * line, axis=-1)
     return place[:, 1] - place[:, 0]
 
 
-def _first_and_last(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray, same: float) -> list[int]:
+def _first_and_last(
+    x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray, same: float
+) -> list[int]:
     # point + s line = first corner + weights times edges
     first = x[ids[:, 0]]
-    system = np.stack([np.broadcast_to(line, first.shape), *(first - x[other] for other in ids.T[1:])], axis=2)
+    system = np.stack(
+        [np.broadcast_to(line, first.shape), *(first - x[other] for other in ids.T[1:])], axis=2
+    )
     regular = np.flatnonzero(np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14)
-    place, *weights = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[:, :, 0].T
+    place, *weights = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[
+        :, :, 0
+    ].T
     is_hit = (np.min(weights, axis=0) >= -1e-9) & (np.sum(weights, axis=0) <= 1 + 1e-9)
-    place, hits = place[is_hit], regular[is_hit]
+    place = place[is_hit]
+    hits = regular[is_hit]
     if len(hits) < 2 or np.ptp(place) <= same:
         return []
     # of faces that are met at one place, such as around a node, the first counts

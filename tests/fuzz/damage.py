@@ -54,7 +54,13 @@ def mutated(rng: np.random.Generator, data: bytes) -> tuple[str, bytes, int]:
     lines = data.splitlines(keepends=True)
     row = int(rng.integers(len(lines)))
     at = sum(map(len, lines[:row]))
-    return kind, b"".join([*lines[:row], *([lines[row]] * 2 if kind == "line twice" else []), *lines[row + 1 :]]), at
+    return (
+        kind,
+        b"".join(
+            [*lines[:row], *([lines[row]] * 2 if kind == "line twice" else []), *lines[row + 1 :]]
+        ),
+        at,
+    )
 
 
 def parts(result) -> dict[str, np.ndarray]:
@@ -110,7 +116,10 @@ def is_whole(place: pathlib.Path, kind: str, text: bytes, damaged: bytes, at: in
     return (
         place.suffix in (".patches", ".toml")
         or (kind == "cut" and len(text[len(damaged) :].split()) < 2)
-        or (kind == "cut" and text[at:].lstrip().startswith((b"POINT_DATA", b"METADATA", b"(39", b"(45")))
+        or (
+            kind == "cut"
+            and text[at:].lstrip().startswith((b"POINT_DATA", b"METADATA", b"(39", b"(45"))
+        )
         or (kind == "cut" and b"METADATA" in damaged.rstrip()[-400:])
         or (kind != "cut" and any(damaged.count(word) < text.count(word) for word in lost))
     )
@@ -120,7 +129,12 @@ def sets_of(mesh: dict[str, np.ndarray]) -> tuple[set, set, set]:
     """The places of nodes of cells, the cells and the patches by them: nodes of blocks that meet may be one or two."""
     places = list(map(tuple, mesh["points"].tolist()))
     ids = {name: rows.tolist() for name, rows in mesh.items() if name != "points"}
-    cells = {tuple(sorted(places[k] for k in row)) for name in ids if name.startswith("cells") for row in ids[name]}
+    cells = {
+        tuple(sorted(places[k] for k in row))
+        for name in ids
+        if name.startswith("cells")
+        for row in ids[name]
+    }
     patches = {frozenset(places[k] for k in ids[name]) for name in ids if name.startswith("patch")}
     return {place for cell in cells for place in cell}, cells, patches
 
@@ -134,12 +148,24 @@ def compared(good: dict[str, np.ndarray], found: dict[str, np.ndarray]) -> str:
     pairs = list(zip(sets_of(good), sets_of(found), strict=True))
     moved, cells, patches = (max(len(a - b), len(b - a)) for a, b in pairs)
     changed = [set(cell) for cell in pairs[1][0] ^ pairs[1][1]]
-    at_one_node = cells == 1 or (cells > 1 and bool(set.intersection(*changed)))  # PLOT3D blanks nodes
+    at_one_node = cells == 1 or (
+        cells > 1 and bool(set.intersection(*changed))
+    )  # PLOT3D blanks nodes
     is_right = moved == 1 or (not moved and (at_one_node or (not cells and patches <= 2)))
     return "" if is_right else f"{moved} nodes moved, {cells} cells and {patches} patches differ"
 
 
-def judged(place: pathlib.Path, kind: str, text: bytes, damaged: bytes, at: int, good, found, *, sealed: bool) -> str:
+def judged(
+    place: pathlib.Path,
+    kind: str,
+    text: bytes,
+    damaged: bytes,
+    at: int,
+    good,
+    found,
+    *,
+    sealed: bool,
+) -> str:
     """What is wrong with what a reader makes of a damaged file, `good` being that of the good one; nothing if it is right."""
     if alike(good, found):
         return ""
@@ -194,14 +220,24 @@ def main(name: str, seed: int, first: int, last: int, folder: pathlib.Path) -> N
         place.write_bytes(gzip.compress(damaged) if packed else damaged)
         signal.setitimer(signal.ITIMER_PROF, 3 * SECONDS)  # ends the process
         sealed = place.suffix == ".gz" and not packed
-        judge = functools.partial(judged, place, kind, text, damaged, at, good[which], sealed=sealed)
+        judge = functools.partial(
+            judged, place, kind, text, damaged, at, good[which], sealed=sealed
+        )
         fault = verdict(reader, path, len(data), judge)
         signal.setitimer(signal.ITIMER_PROF, 0)
         if fault:
-            told = {"mutation": k, "file": str(place.relative_to(folder)), "kind": kind, "at": at, "fault": fault}
+            told = {
+                "mutation": k,
+                "file": str(place.relative_to(folder)),
+                "kind": kind,
+                "at": at,
+                "fault": fault,
+            }
             print(json.dumps(told), flush=True)
         place.write_bytes(data)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), pathlib.Path(sys.argv[5]))
+    main(
+        sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), pathlib.Path(sys.argv[5])
+    )

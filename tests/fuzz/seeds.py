@@ -84,7 +84,11 @@ def gmsh(folder: pathlib.Path) -> list[Seed]:
             gmsh.option.setNumber(f"Mesh.{key}", 1)
         gmsh.model.mesh.generate(3)
         for version, binary, parametric in FORMS_OF_GMSH:
-            for key, value in (("MshFileVersion", version), ("Binary", binary), ("SaveParametric", parametric)):
+            for key, value in (
+                ("MshFileVersion", version),
+                ("Binary", binary),
+                ("SaveParametric", parametric),
+            ):
                 gmsh.option.setNumber(f"Mesh.{key}", value)
             files.append(folder / f"{len(files)}.msh")
             gmsh.write(str(files[-1]))
@@ -100,7 +104,9 @@ def cgns_files(folder: pathlib.Path) -> list[Seed]:
 def adf_files(folder: pathlib.Path) -> list[Seed]:
     cgns_files(folder)
     seeds = []
-    for k, (version, order, pieces) in enumerate((("A", "<", 1), ("A", ">", 3), ("B", "<", 2), ("B", ">", 1))):
+    for k, (version, order, pieces) in enumerate(
+        (("A", "<", 1), ("A", ">", 3), ("B", "<", 2), ("B", ">", 1))
+    ):
         for name in "ab":
             adf.twin(folder / f"{name}.cgns", folder / f"{name}{k}.cgns", version, order, pieces)
             seeds.append(single(folder / f"{name}{k}.cgns"))
@@ -115,7 +121,12 @@ def exodus_files(folder: pathlib.Path) -> list[Seed]:
 
 def fluent_files(folder: pathlib.Path) -> list[Seed]:
     mesh, seeds = mesh_3d(), []
-    for name, form in (("a.msh", "text"), ("b.msh", "double"), ("c.cas", "float"), ("d.cas.h5", "h5")):
+    for name, form in (
+        ("a.msh", "text"),
+        ("b.msh", "double"),
+        ("c.cas", "float"),
+        ("d.cas.h5", "h5"),
+    ):
         cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
         fluent.write(folder / name, np.asarray(mesh.points), cells, {"floor": np.arange(4)}, form)
         seeds.append(single(folder / name))
@@ -150,7 +161,10 @@ def openfoam(folder: pathlib.Path) -> list[Seed]:
             foam.write_case(folder / f"{name}-{make.__name__}", *make(), PATCHES, form)
     points, cells, patches = strip(2, around=5)
     foam.write_case(folder / "plane", points, cells, patches)
-    return [(io.read, case, sorted((case / "constant" / "polyMesh").iterdir())) for case in sorted(folder.iterdir())]
+    return [
+        (io.read, case, sorted((case / "constant" / "polyMesh").iterdir()))
+        for case in sorted(folder.iterdir())
+    ]
 
 
 def tables(folder: pathlib.Path) -> list[Seed]:
@@ -166,7 +180,10 @@ def tables(folder: pathlib.Path) -> list[Seed]:
 
     np.savez(folder / "a.npz", displacement=values, ids=nodes)
     np.savez_compressed(folder / "b.npz", position=values)
-    rows = "".join(f"{node} {x!r} {y!r} {z!r}\n" for node, (x, y, z) in zip(nodes, values.tolist(), strict=True))
+    rows = "".join(
+        f"{node} {x!r} {y!r} {z!r}\n"
+        for node, (x, y, z) in zip(nodes, values.tolist(), strict=True)
+    )
     (folder / "a.dat").write_text(rows)
     (folder / "a.csv").write_text("id,x,y,z\n" + rows.replace(" ", ","))
     every = rng.normal(size=np.shape(mesh.points))
@@ -214,7 +231,9 @@ def fields(folder: pathlib.Path) -> list[Seed]:
         foam.write_case(folder / name, *mixed(), PATCHES, foam.FORMS[name])
         mesh = io.read(folder / name)
         path = folder / name / "1" / "pointSensVec"
-        foam.write_point_vectors(path, np.random.default_rng(0).normal(size=(12, 3)), foam.FORMS[name])
+        foam.write_point_vectors(
+            path, np.random.default_rng(0).normal(size=(12, 3)), foam.FORMS[name]
+        )
         path = path if path.is_file() else path.with_name("pointSensVec.gz")
         seeds.append(single(path, lambda path, mesh=mesh: io.read_sensitivity(path, mesh)))
     return seeds

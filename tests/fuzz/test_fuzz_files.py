@@ -22,7 +22,19 @@ import pytest
 HERE = pathlib.Path(__file__).parent
 FUZZ, SEED = int(os.environ.get("JAXMORPH_FUZZ", "0")), os.environ.get("JAXMORPH_FUZZ_SEED", "0")
 COUNT, KILLS = FUZZ or 100, max(50, FUZZ // 40)
-FORMATS = ("SU2", "VTK", "gmsh", "Fluent", "CGNS", "ADF", "Exodus", "MFEM", "MED", "PLOT3D", "OpenFOAM")
+FORMATS = (
+    "SU2",
+    "VTK",
+    "gmsh",
+    "Fluent",
+    "CGNS",
+    "ADF",
+    "Exodus",
+    "MFEM",
+    "MED",
+    "PLOT3D",
+    "OpenFOAM",
+)
 FORMATS += ("tables", "surfaces", "plans", "boxes", "fields")
 
 
@@ -63,7 +75,9 @@ def test_damaged_files_are_read_right_or_refused(tmp_path, name):
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are forked, /dev/full is written to")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="processes are forked, /dev/full is written to"
+)
 def test_no_attack_breaks_what_is_written():
     done, told = run("writers.py", KILLS, SEED), collections.defaultdict(list)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -75,5 +89,7 @@ def test_no_attack_breaks_what_is_written():
         faults = [f"{row['attack']}: {row['fault']}" for row in rows if "fault" in row]
         assert not faults, f"{name}: {len(faults)} faults\n" + "\n".join(faults[:20])
         (row,) = (row for row in rows if "kills" in row)
-        assert row["kills"] == KILLS, f"{name}: {row['kills']} of {row['tries']} kills fell inside the writing"
+        assert row["kills"] == KILLS, (
+            f"{name}: {row['kills']} of {row['tries']} kills fell inside the writing"
+        )
         assert row["halves"], f"{name}: no kill left a file behind that was half written"

@@ -18,7 +18,10 @@ from meshes import lattice
 
 import jaxmorph as jm
 
-COUNT, SEED = int(os.environ.get("JAXMORPH_FUZZ", "200")) // 100, int(os.environ.get("JAXMORPH_FUZZ_SEED", "0"))
+COUNT, SEED = (
+    int(os.environ.get("JAXMORPH_FUZZ", "200")) // 100,
+    int(os.environ.get("JAXMORPH_FUZZ_SEED", "0")),
+)
 SIZES = (1, 2, 3, 4, 6, 17, 60)
 """Numbers of points: few, since each compiles anew."""
 
@@ -38,7 +41,9 @@ class Cloud:
     @property
     def round_off(self) -> float:
         """What rounding makes of coordinates: a length."""
-        return 1e-16 * max(np.abs(self.points).max(), np.abs(self.points[self.moving] + self.u).max())
+        return 1e-16 * max(
+            np.abs(self.points).max(), np.abs(self.points[self.moving] + self.u).max()
+        )
 
 
 SHAPES = {
@@ -48,7 +53,9 @@ SHAPES = {
     "cospherical": lambda x: x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-3),
     "lattice": lambda x: np.round(2 * x) / 2,
     "duplicate": lambda x: np.concatenate([x[: (len(x) + 1) // 2]] * 2)[: len(x)],
-    "almost duplicate": lambda x: np.concatenate([x[: (len(x) + 1) // 2], x[: len(x) // 2] * (1 + 1e-15)]),
+    "almost duplicate": lambda x: np.concatenate(
+        [x[: (len(x) + 1) // 2], x[: len(x) // 2] * (1 + 1e-15)]
+    ),
     "stretched": lambda x: x * 1e-7 ** np.arange(x.shape[1]),
     "one place": lambda x: 0 * x,
 }
@@ -63,7 +70,9 @@ def clouds(draw, sizes=SIZES):
     shape = SHAPES[draw(strategies.sampled_from(sorted(SHAPES)))]
     points = scale * (shape(rng.uniform(-1, 1, (n, d))) + offset)
     order = rng.permutation(n)
-    count = {"one": 1, "half": (n + 1) // 2, "all": n}[draw(strategies.sampled_from(("one", "half", "all")))]
+    count = {"one": 1, "half": (n + 1) // 2, "all": n}[
+        draw(strategies.sampled_from(("one", "half", "all")))
+    ]
     rest = {"none": 0, "some": (n - count) // 2, "all": n - count}[
         draw(strategies.sampled_from(("none", "some", "all")))
     ]
@@ -104,7 +113,11 @@ def answered(verb):
 
 def check_laws(cloud: Cloud, name: str) -> bool:
     """Checks that the laws hold; False where `prepare` refused the points."""
-    plan = answered(lambda: jm.prepare(cloud.points, cloud.moving, cloud.fixed, method=METHODS[name](cloud.size)))
+    plan = answered(
+        lambda: jm.prepare(
+            cloud.points, cloud.moving, cloud.fixed, method=METHODS[name](cloud.size)
+        )
+    )
     if plan is None:
         return False
     moved, still = (np.asarray(jm.deform(plan, u)) for u in (cloud.u, 0 * cloud.u))
@@ -209,7 +222,9 @@ def test_cells_of_any_points(cloud, flipped):
     corners = np.arange(d + 1)[None] if n > d else None
     if corners is None:
         return
-    mesh = jm.Mesh(cloud.points, {"triangle" if d == 2 else "tetra": swapped(corners) if flipped else corners})
+    mesh = jm.Mesh(
+        cloud.points, {"triangle" if d == 2 else "tetra": swapped(corners) if flipped else corners}
+    )
     for report in (jm.quality(mesh), jm.quality(mesh, cloud.points)):
         assert int(report.inverted) == 0
         for name in (
@@ -234,7 +249,10 @@ GRIDS += ((55, 55), (14, 14, 14)) if COUNT >= 100 else ()
 @strategies.composite
 def grids(draw):
     """A grid cut into triangles or tetrahedra, whole sides of which move or stay: graded, shaken, flat, folded."""
-    counts, rng = draw(strategies.sampled_from(GRIDS)), np.random.default_rng(draw(strategies.integers(0, 2**16)))
+    counts, rng = (
+        draw(strategies.sampled_from(GRIDS)),
+        np.random.default_rng(draw(strategies.integers(0, 2**16))),
+    )
     d, ids = len(counts), np.arange(np.prod(counts)).reshape(counts)
     x = lattice(*(np.linspace(0, 1, count) for count in counts))
     shapes = SHAPES | {
@@ -243,11 +261,16 @@ def grids(draw):
         "folded": lambda x: np.where(np.arange(d) > 0, x, np.abs(x[:, :1] - 0.4)),
         "layers of no height": lambda x: np.where(np.arange(d) > 0, x, np.round(2 * x[:, :1]) / 2),
     }
-    points = shapes[draw(strategies.sampled_from(sorted(shapes)))](x) + draw(strategies.sampled_from((0.0, 1e4)))
+    points = shapes[draw(strategies.sampled_from(sorted(shapes)))](x) + draw(
+        strategies.sampled_from((0.0, 1e4))
+    )
     scale = draw(strategies.sampled_from((1.0, 1e-9, 1e6)))
     corners = lattice(*(np.arange(count - 1) for count in counts))
     paths = np.array(
-        [[np.isin(range(d), order[:k]) for k in range(d + 1)] for order in itertools.permutations(range(d))]
+        [
+            [np.isin(range(d), order[:k]) for k in range(d + 1)]
+            for order in itertools.permutations(range(d))
+        ]
     )
     cells = ids[tuple(np.moveaxis(corners[:, None, None] + paths, -1, 0))].reshape(-1, d + 1)
     turned = np.linalg.det(x[cells[:, 1:]] - x[cells[:, :1]]) < 0
@@ -256,7 +279,9 @@ def grids(draw):
     rim = np.flatnonzero(((x == 0) | (x == 1)).any(axis=1))
     moving = {"node": ids.ravel()[:1], "side": side, "rim": rim, "all": ids.ravel()}
     moving = moving[draw(strategies.sampled_from(("side", "rim", "side", "node", "all")))]
-    fixed = {"none": rim[:0], "end": end, "rim": rim}[draw(strategies.sampled_from(("end", "rim", "end", "none")))]
+    fixed = {"none": rim[:0], "end": end, "rim": rim}[
+        draw(strategies.sampled_from(("end", "rim", "end", "none")))
+    ]
     u = scale * draw(strategies.sampled_from((1e-3, 0.1, 10.0))) * rng.normal(size=(len(moving), d))
     u = u[:1] + 0 * u if draw(strategies.booleans()) else u
     cells = swapped(cells) if draw(strategies.booleans()) else cells
@@ -269,7 +294,9 @@ def tangles(draw):
     """Points, and cells that triangulate others: many are flat, inverted or cross; all may be numbered the other way round."""
     cloud = draw(clouds(sizes=(6, 17)))
     d = cloud.points.shape[1]
-    unit = np.random.default_rng(draw(strategies.integers(0, 2**16))).normal(size=cloud.points.shape)
+    unit = np.random.default_rng(draw(strategies.integers(0, 2**16))).normal(
+        size=cloud.points.shape
+    )
     cells = scipy.spatial.Delaunay(unit).simplices.astype(np.int64)
     turned = swapped(cells) if draw(strategies.booleans()) else cells
     return cloud, jm.Mesh(cloud.points, {"triangle" if d == 2 else "tetra": turned})
@@ -287,10 +314,14 @@ def check_mesh_laws(cloud: Cloud, mesh: jm.Mesh) -> bool:
         np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
         assert not np.isnan(jm.quality(mesh, moved).skewness).any()
         answered(lambda: str(jm.inspect(plan, cloud.u, mesh=mesh)))
-    found = answered(lambda: jm.improve(jm.Boundary(mesh, (), fixed=cloud.moving), cloud.points, max_steps=3))
+    found = answered(
+        lambda: jm.improve(jm.Boundary(mesh, (), fixed=cloud.moving), cloud.points, max_steps=3)
+    )
     if found is not None:
         assert np.isfinite(found.points).all()
-        np.testing.assert_array_equal(np.asarray(found.points)[cloud.moving], cloud.points[cloud.moving])
+        np.testing.assert_array_equal(
+            np.asarray(found.points)[cloud.moving], cloud.points[cloud.moving]
+        )
         assert int(found.before) == 0
     return plan is not None and found is not None
 
@@ -316,12 +347,16 @@ def test_advice_on_any_cells(case):
     """What `compare` and `fewest_steps` give is finite and keeps the wall, or a sentence says what to change."""
     cloud, mesh = case
     rivals = {"graph": jm.DelaunayGraph(), "inverse distances": jm.InverseDistance()}
-    found = answered(lambda: jm.compare(jm.Boundary(mesh, cloud.moving, cloud.fixed), cloud.u[None], rivals))
+    found = answered(
+        lambda: jm.compare(jm.Boundary(mesh, cloud.moving, cloud.fixed), cloud.u[None], rivals)
+    )
     if found is not None:
         moved = np.asarray(jm.deform(found.plans[0], cloud.u))
         assert np.isfinite(moved).all()
         np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
     plan = answered(lambda: jm.prepare(mesh, cloud.moving, cloud.fixed))
     if plan is not None:
-        steps = answered(lambda: jm.fewest_steps(plan, mesh, lambda share: share * cloud.u, max_steps=2))
+        steps = answered(
+            lambda: jm.fewest_steps(plan, mesh, lambda share: share * cloud.u, max_steps=2)
+        )
         assert steps is None or np.isfinite(steps.points).all()

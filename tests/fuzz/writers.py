@@ -81,7 +81,9 @@ def again(name: str, write: Callable[[pathlib.Path], None]) -> Callable[[pathlib
     return output
 
 
-def of_rows(name: str, write: Callable[[pathlib.Path, np.ndarray], None]) -> Callable[[pathlib.Path], Output]:
+def of_rows(
+    name: str, write: Callable[[pathlib.Path, np.ndarray], None]
+) -> Callable[[pathlib.Path], Output]:
     """Something that is written from 2,197 rows of three numbers."""
     rows = np.asarray(bricks(12).points)
     return lambda folder: Output(name, lambda path, k: write(path, rows + k))
@@ -89,7 +91,9 @@ def of_rows(name: str, write: Callable[[pathlib.Path, np.ndarray], None]) -> Cal
 
 def plain(version: str, binary: bool) -> Callable[[pathlib.Path], None]:
     mesh = bricks(12)
-    rows = meshio.Mesh(np.asarray(mesh.points), [("hexahedron", np.asarray(mesh.cells["hexahedron"]))])
+    rows = meshio.Mesh(
+        np.asarray(mesh.points), [("hexahedron", np.asarray(mesh.cells["hexahedron"]))]
+    )
     return lambda path: meshio.gmsh.write(str(path), rows, fmt_version=version, binary=binary)
 
 
@@ -126,7 +130,9 @@ def parts(folder: pathlib.Path) -> Output:
 def plans(folder: pathlib.Path) -> Output:
     mesh = bricks(12)
     floor, method = mesh.patch("floor"), jm.InverseDistance()
-    prepared = [jm.prepare(np.asarray(mesh.points) * (k + 1), floor, method=method) for k in range(4)]
+    prepared = [
+        jm.prepare(np.asarray(mesh.points) * (k + 1), floor, method=method) for k in range(4)
+    ]
     return Output("a.npz", lambda path, k: jm.save(path, prepared[k]))
 
 
@@ -160,7 +166,9 @@ FORMATS: dict[str, Callable[[pathlib.Path], Output]] = {
     "VTK": new("a.vtk"),
     "CGNS": again("a.cgns", lambda path: cgns.write(path, bricks(24))),
     "MFEM": again("a.mesh", lambda path: path.write_text(straight(bricks(12), "floor"))),
-    "PLOT3D": again("a.xyz", lambda path: write_plot3d(path, [x + 0.123 for x in box(12, 13, 14)], "text", "<")),
+    "PLOT3D": again(
+        "a.xyz", lambda path: write_plot3d(path, [x + 0.123 for x in box(12, 13, 14)], "text", "<")
+    ),
     "OpenFOAM": foam_case("ascii", "new"),
     "OpenFOAM, time": foam_case("ascii", "case/0.5"),
     "OpenFOAM, packed": foam_case("ascii-gz", "case/0.5"),
@@ -169,10 +177,18 @@ FORMATS: dict[str, Callable[[pathlib.Path], Output]] = {
     "plans": plans,
     "PVD": collection,
     "sensitivities": of_rows("s.csv", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
-    "sensitivities, packed": of_rows("s.npz", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
-    "gradient": of_rows("g.csv", lambda path, rows: io.write_gradient(path, {"a": rows}, {"a": rows})),
-    "gradient, JSON": of_rows("g.json", lambda path, rows: io.write_gradient(path, {"a": rows}, {"a": rows})),
-    "lattice": of_rows("a.vts", lambda path, rows: io.write_lattice(path, rows.reshape(13, 13, 13, 3))),
+    "sensitivities, packed": of_rows(
+        "s.npz", lambda path, rows: io.write_sensitivity(path, TABLE, rows)
+    ),
+    "gradient": of_rows(
+        "g.csv", lambda path, rows: io.write_gradient(path, {"a": rows}, {"a": rows})
+    ),
+    "gradient, JSON": of_rows(
+        "g.json", lambda path, rows: io.write_gradient(path, {"a": rows}, {"a": rows})
+    ),
+    "lattice": of_rows(
+        "a.vts", lambda path, rows: io.write_lattice(path, rows.reshape(13, 13, 13, 3))
+    ),
     "PNG": png,
 }
 """How each format is written, by its name: with files that take some milliseconds."""
@@ -183,7 +199,10 @@ def tree(path: pathlib.Path) -> dict[str, bytes]:
     if not path.is_dir():
         return {"": path.read_bytes()} if path.exists() else {}
     below = sorted(path.rglob("*"))
-    return {str(each.relative_to(path)): b"folder" if each.is_dir() else each.read_bytes() for each in below}
+    return {
+        str(each.relative_to(path)): b"folder" if each.is_dir() else each.read_bytes()
+        for each in below
+    }
 
 
 def leftovers(folder: pathlib.Path) -> list[str]:
@@ -203,7 +222,9 @@ def forked(work: Callable[[], object]) -> tuple[int | None, str, str]:
         try:
             work()
         except BaseException as error:
-            kind = next(each.__name__ for each in type(error).__mro__ if each.__module__ == "builtins")
+            kind = next(
+                each.__name__ for each in type(error).__mro__ if each.__module__ == "builtins"
+            )
             kind, words = "OSError" if isinstance(error, OSError) else kind, str(error)
         there.send((kind, words))
 
@@ -266,7 +287,9 @@ class Attack:
 
     def found(self) -> dict[str, bytes]:
         """What stands at the target, but for temporary files."""
-        return {name: content for name, content in tree(self.target).items() if ".partial" not in name}
+        return {
+            name: content for name, content in tree(self.target).items() if ".partial" not in name
+        }
 
     def old(self, k: int) -> dict[str, bytes]:
         """Brings the target into the state `k`; a new folder is none."""
@@ -279,11 +302,17 @@ class Attack:
         """Ends writers at random moments: the target stays whole, and the next good write leaves nothing more."""
         inside, tries, halves = 0, 0, 0
         while inside < count and tries < 20 * count:
-            old, k, moment = self.old(tries % 2), (tries + 1) % 2, self.rng.uniform(0, self.duration)
+            old, k, moment = (
+                self.old(tries % 2),
+                (tries + 1) % 2,
+                self.rng.uniform(0, self.duration),
+            )
             tries += 1
 
             def work(k: int = k, moment: float = moment) -> None:
-                with hooked(lambda _: signal.setitimer(signal.ITIMER_REAL, moment)):  # its signal ends the process
+                with hooked(
+                    lambda _: signal.setitimer(signal.ITIMER_REAL, moment)
+                ):  # its signal ends the process
                     self.output.write(self.target, k)
 
             inside += (forked(work)[0] or 0) < 0
@@ -292,13 +321,24 @@ class Attack:
             for each in left:
                 shutil.rmtree(each) if each.is_dir() else each.unlink(missing_ok=True)
             when = f"kill {tries} after {moment:.4f} of {self.duration:.4f} s"
-            self.expect(self.found() in (old, self.states[k]), "kill", f"{when}: neither old nor new")
+            self.expect(
+                self.found() in (old, self.states[k]), "kill", f"{when}: neither old nor new"
+            )
             self.good(k)
-            self.expect(not leftovers(self.folder), "kill", f"{when}: left {leftovers(self.folder)}")
-            self.expect(self.found() == self.states[k], "kill", f"{when}: the next write is not whole")
-        print(json.dumps({"format": self.name, "kills": inside, "halves": halves, "tries": tries}), flush=True)
+            self.expect(
+                not leftovers(self.folder), "kill", f"{when}: left {leftovers(self.folder)}"
+            )
+            self.expect(
+                self.found() == self.states[k], "kill", f"{when}: the next write is not whole"
+            )
+        print(
+            json.dumps({"format": self.name, "kills": inside, "halves": halves, "tries": tries}),
+            flush=True,
+        )
 
-    def refused(self, how: str, work: Callable[[], object], *kinds: str, target: pathlib.Path | None = None) -> None:
+    def refused(
+        self, how: str, work: Callable[[], object], *kinds: str, target: pathlib.Path | None = None
+    ) -> None:
         """Expects an error that names the target, what was there before, and nothing else."""
         before = tree(self.folder)
         _, kind, words = forked(work)
@@ -306,7 +346,9 @@ class Attack:
         name = str(target or self.target)
         self.expect(name in words and ".partial" not in words, how, f"target not named: {words}")
         after = tree(self.folder)
-        changed = sorted(name for name in {*before} | {*after} if before.get(name) != after.get(name))
+        changed = sorted(
+            name for name in {*before} | {*after} if before.get(name) != after.get(name)
+        )
         self.expect(not changed, how, f"changed: {changed}")
 
     def full(self) -> None:
@@ -325,7 +367,10 @@ class Attack:
         """A folder that this user may not write to."""
         self.old(0)
         inside = self.target if self.output.is_folder and not self.output.is_new else self.folder
-        places = [inside, *(each for each in inside.rglob("*") if each.is_dir() and not self.output.is_new)]
+        places = [
+            inside,
+            *(each for each in inside.rglob("*") if each.is_dir() and not self.output.is_new),
+        ]
         for place in places:
             place.chmod(0o555)
         self.refused("read-only folder", self._as_nobody)

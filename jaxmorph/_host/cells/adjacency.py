@@ -21,23 +21,32 @@ def neighbours(cells: ByType) -> Pair:
     # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
     # sorts all rows: equal faces are neighbours. Two cells of one handedness run round their common
     # face in opposite senses.
-    columns, turns, owners, slots, first, slot = [], [], [], [], 0, 0
+    columns = []
+    turns = []
+    owners = []
+    slots = []
+    first = 0
+    slot = 0
     width = max((len(face) for kind in cells for face in FACES[kind]), default=2)
     for kind, corners in cells.items():
-        nodes, faces = columns_of(corners), FACES[kind]
+        nodes = columns_of(corners)
+        faces = FACES[kind]
         for number, face in enumerate(faces):
             side = [nodes[corner] for corner in face]
             columns.append(sorted_columns(side, width))
             turns.append(_turns(side, columns[-1]))
             owners.append(np.arange(first, first + len(corners), dtype=np.int32))
             slots.append(np.arange(slot + number, slot + len(faces) * len(corners), len(faces)))
-        first, slot = first + len(corners), slot + len(faces) * len(corners)
-    neighbour, flipped = np.empty(slot, dtype=np.int32), np.empty(slot, dtype=bool)
+        first = first + len(corners)
+        slot = slot + len(faces) * len(corners)
+    neighbour = np.empty(slot, dtype=np.int32)
+    flipped = np.empty(slot, dtype=bool)
     if slot:
         turn, owner, place = (np.concatenate(parts) for parts in (turns, owners, slots))
         rows = [np.concatenate(parts) for parts in zip(*columns, strict=True)]
         twin = np.where(_has_extent(rows), twins(rows), -1)
-        neighbour[place], flipped[place] = np.where(twin < 0, -1, owner[twin]), (twin >= 0) & (turn == turn[twin])
+        neighbour[place] = np.where(twin < 0, -1, owner[twin])
+        flipped[place] = (twin >= 0) & (turn == turn[twin])
     return neighbour, flipped
 
 
@@ -53,7 +62,11 @@ def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.nda
 def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
     """Marks faces of three different nodes or more, edges of two: their sorted nodes by column."""
     steps = [(a != b) & (b >= 0) for a, b in itertools.pairwise(rows)]
-    return np.sum(steps, axis=0, dtype=np.int8) >= np.where(rows[2] < 0, 1, 2) if len(rows) > 2 else steps[0]
+    return (
+        np.sum(steps, axis=0, dtype=np.int8) >= np.where(rows[2] < 0, 1, 2)
+        if len(rows) > 2
+        else steps[0]
+    )
 
 
 def handedness(cells: ByType, neighbour: np.ndarray, flipped: np.ndarray) -> Pair:
@@ -61,11 +74,16 @@ def handedness(cells: ByType, neighbour: np.ndarray, flipped: np.ndarray) -> Pai
     `neighbour` and `flipped` of `neighbours`: ids alone decide, no coordinates. A part that cannot
     be oriented (a Moebius strip) has sign 1 throughout.
     """
-    sizes = np.array([(len(FACES[kind]), len(corners)) for kind, corners in cells.items()], int).reshape(-1, 2)
-    count, faces = int(sizes[:, 1].sum()), np.repeat(sizes[:, 0], sizes[:, 1])
+    sizes = np.array(
+        [(len(FACES[kind]), len(corners)) for kind, corners in cells.items()], int
+    ).reshape(-1, 2)
+    count = int(sizes[:, 1].sum())
+    faces = np.repeat(sizes[:, 0], sizes[:, 1])
     owner = np.repeat(np.arange(count), faces)
     inner = (neighbour >= 0) & (owner < neighbour)
-    a, b, other = owner[inner], neighbour[inner], flipped[inner] * count
+    a = owner[inner]
+    b = neighbour[inner]
+    other = flipped[inner] * count
     if not other.any():
         return np.ones(count, dtype=int), parts_of(a, b, count)
     # A cell stands on two sheets, one for each sign. A face between cells of opposite handedness
@@ -94,7 +112,8 @@ def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
         parts = [column[rows] for column in nodes]
         for sweep in range(len(parts)):
             for low in range(sweep % 2, len(parts) - 1, 2):
-                a, b = parts[low], parts[low + 1]
+                a = parts[low]
+                b = parts[low + 1]
                 parts[low], parts[low + 1] = np.minimum(a, b), np.maximum(a, b)
         for column, part in zip(columns, parts, strict=True):
             column[rows] = part
@@ -112,7 +131,8 @@ def columns_of(corners: np.ndarray) -> list[np.ndarray]:
 def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
     """The row of the other face with equal nodes (f,); -1 for none or several."""
     order, first, size = _groups(columns)
-    one, other = order[first[size == 2]], order[first[size == 2] + 1]
+    one = order[first[size == 2]]
+    other = order[first[size == 2] + 1]
     partner = np.full(len(order), -1)
     partner[one], partner[other] = other, one
     return partner
@@ -130,7 +150,9 @@ def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
     """Brings equal faces side by side: their order, where each group begins, and its size."""
     keys = list(columns)
     if columns[0].dtype == np.int32:  # two nodes make one key; -1 stays the least
-        both = itertools.zip_longest(columns[::2], columns[1::2], fillvalue=np.zeros_like(columns[0]))
+        both = itertools.zip_longest(
+            columns[::2], columns[1::2], fillvalue=np.zeros_like(columns[0])
+        )
         keys = [(first.astype(np.int64) << 32) + second for first, second in both]
     order = np.lexsort(keys[::-1])
     begins = np.ones(len(order), dtype=bool)
@@ -145,7 +167,8 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
     # cancel each other in an "exclusive or" over all faces of their first node. Few faces of a mesh
     # are left for exact work.
     random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
-    left, firsts = np.zeros(n, np.uint64), []
+    left = np.zeros(n, np.uint64)
+    firsts = []
 
     def numbered(columns: Sequence[np.ndarray]) -> Pair:
         number = functools.reduce(np.add, (random[column] for column in columns))

@@ -14,13 +14,19 @@ class WallSides(NamedTuple):
     """Sides of cells of one type on the wall."""
 
     ids: np.ndarray  # (f, s) nodes of each side
-    rows: np.ndarray  # (f, s) their rows among the wall nodes; a node without a line has the row after them
-    sign: np.ndarray  # (f,) 1 or -1, of triangles the half, so that area vectors point into the mesh
+    rows: (
+        np.ndarray
+    )  # (f, s) their rows among the wall nodes; a node without a line has the row after them
+    sign: (
+        np.ndarray
+    )  # (f,) 1 or -1, of triangles the half, so that area vectors point into the mesh
     slopes: np.ndarray  # (s, s, d - 1) derivatives of the shape functions at the nodes of a side
 
     def areas(self, x: Any) -> Any:
         """Area vectors (f, s, d) at the nodes of the sides, by NumPy or JAX."""
-        return _node_areas(x[self.ids], self.slopes.astype(x.dtype)) * self.sign[:, None, None].astype(x.dtype)
+        return _node_areas(x[self.ids], self.slopes.astype(x.dtype)) * self.sign[
+            :, None, None
+        ].astype(x.dtype)
 
 
 class Lines(NamedTuple):
@@ -45,7 +51,9 @@ class Lines(NamedTuple):
 def _node_areas(x: Any, slopes: Any) -> Any:
     """Area vectors (f, s, d) of sides x (f, s, d) at their own nodes."""
     nodes, axes = (range(size) for size in slopes.shape[1:])
-    along: list[Any] = [sum(slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes) for axis in axes]
+    along: list[Any] = [
+        sum(slopes[None, :, k, axis, None] * x[:, k, None] for k in nodes) for axis in axes
+    ]
     a, *others = along
     if not others:
         return a[..., ::-1] * np.array([[[-1.0, 1.0]]], dtype=x.dtype)
@@ -60,13 +68,17 @@ def first_lines(cells: ByType, points: np.ndarray, wall: np.ndarray) -> Lines:
     """
     on_wall = np.zeros(len(points), dtype=bool)
     on_wall[wall] = True
-    cells = {kind: np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
+    cells = {
+        kind: np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]
+    }
     sides = _sides(cells, points, wall)
     if not any(len(side.ids) for side in sides.values()):
         raise ValueError(
-            f"no cell has a boundary side whose nodes are all among the {len(wall)} wall nodes: name the nodes of a patch."
+            f"no cell has a boundary side whose nodes are all among the {len(wall)} wall nodes: "
+            "name the nodes of a patch."
         )
-    normal, beside = np.zeros(points.shape), np.full(len(points), -1)
+    normal = np.zeros(points.shape)
+    beside = np.full(len(points), -1)
     for kind, side in sides.items():
         np.add.at(normal, side.ids, side.areas(points))
         beside[side.ids.T] = side.ids.T[_neighbours(kind)]
@@ -95,14 +107,17 @@ def _neighbours(kind: str) -> np.ndarray:
 def _sides(cells: ByType, points: np.ndarray, wall: np.ndarray) -> dict[str, WallSides]:
     """Sides of single cells with all nodes on the wall, by type; rows are ids here."""
     corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
-    centre, result = np.concatenate(corners or [points[:0]]), {}
+    centre = np.concatenate(corners or [points[:0]])
+    result = {}
     for side, (ids, owner) in owned_sides(cells, len(points), wall).items():
         slopes = derivatives_at_nodes(side)
         if SHAPES[side] == side:  # of a linear side their mean, the whole face's
             slopes = np.broadcast_to(slopes.mean(axis=0), slopes.shape)
         area = _node_areas(points[ids], slopes).mean(axis=1)
         inward = centre[owner] - points[ids[:, : CORNERS[SHAPES[side]]]].mean(axis=1)
-        sign = np.where(np.sum(area * inward, axis=1) < 0, -1, 1) * (0.5 if SHAPES[side] == "triangle" else 1)
+        sign = np.where(np.sum(area * inward, axis=1) < 0, -1, 1) * (
+            0.5 if SHAPES[side] == "triangle" else 1
+        )
         result[side] = WallSides(ids, ids, sign, slopes)
     return result
 
@@ -125,17 +140,23 @@ def _candidates(cells: ByType, starts: np.ndarray, on_wall: np.ndarray) -> tuple
 @functools.cache
 def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
     """Lines of a type that may leave a wall: start, end, and weights of some nodes."""
-    cell, lines = lagrange_types()[kind], []
+    cell = lagrange_types()[kind]
+    lines = []
     ends = derivatives_at_nodes("line" if cell.order == 1 else f"line{cell.order + 1}")[:2, :, 0]
     for edge in cell.edges:
         first, last = edge[:2].tolist()
         lines += [(first, last, edge, ends[0]), (last, first, edge, -ends[1])]
-    slopes, corners = derivatives_at_nodes(kind), np.array(PLACES[cell.shape])
+    slopes = derivatives_at_nodes(kind)
+    corners = np.array(PLACES[cell.shape])
     for face, (side, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
         beyond = corners[[_beyond(cell.shape, face, corner) for corner in face]]
-        ends = np.rint(cell.order * values(SHAPES[side], lagrange_types()[side].reference) @ beyond).astype(int)
+        ends = np.rint(
+            cell.order * values(SHAPES[side], lagrange_types()[side].reference) @ beyond
+        ).astype(int)
         inner = nodes >= cell.corners
-        for node, last in zip(nodes[inner].tolist(), cell.nodes_at(ends[inner]).tolist(), strict=True):
+        for node, last in zip(
+            nodes[inner].tolist(), cell.nodes_at(ends[inner]).tolist(), strict=True
+        ):
             weights = slopes[node] @ (cell.reference[last] - cell.reference[node])
             near = np.flatnonzero(np.abs(weights) > 1e-12 * np.abs(weights).max())
             lines.append((node, last, near, weights[near]))

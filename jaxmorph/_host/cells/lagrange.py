@@ -79,13 +79,16 @@ class Lagrange:
     def edges(self) -> np.ndarray:
         """Nodes (edges, order + 1) of each edge of `EDGES`: first, second, inner nodes."""
         ends = np.array(EDGES[self.shape])
-        inner = self.corners + np.arange(len(ends) * (self.order - 1)).reshape(len(ends), self.order - 1)
+        inner = self.corners + np.arange(len(ends) * (self.order - 1)).reshape(
+            len(ends), self.order - 1
+        )
         return np.concatenate([ends, inner], axis=1)
 
     @property
     def sides(self) -> list[tuple[str, np.ndarray]]:
         """Type of each face of `FACES` (2-D: edge), and its nodes in that type's own order."""
-        corners, sides = np.array(PLACES[self.shape]), []
+        corners = np.array(PLACES[self.shape])
+        sides = []
         for face in FACES[self.shape]:
             side = of_order(SIDE_TYPES[len(face)], self.order, self.is_complete)
             along = corners[[face[1], face[-1]][: side.dimension]] - corners[face[0]]
@@ -101,8 +104,12 @@ class Lagrange:
         matrix = np.zeros((len(complete.lattice), len(self.lattice)))
         matrix[complete.nodes_at(self.lattice), np.arange(len(self.lattice))] = 1
         middles = iter(np.flatnonzero(~matrix.any(axis=1)))
-        for side, nodes in self.sides if self.dimension == 3 else [(self.name, np.arange(len(self.lattice)))]:
-            if side == "quad8":  # in its middle functions of corners are -1/4, functions of edges 1/2
+        for side, nodes in (
+            self.sides if self.dimension == 3 else [(self.name, np.arange(len(self.lattice)))]
+        ):
+            if (
+                side == "quad8"
+            ):  # in its middle functions of corners are -1/4, functions of edges 1/2
                 matrix[next(middles), nodes] = np.repeat([-0.25, 0.5], 4)
         for row in middles:  # of a hexahedron
             matrix[row] = np.repeat([-0.25, 0.25], [8, 12])
@@ -127,9 +134,12 @@ def inner_places(shape: str, order: int) -> np.ndarray:
     return grid[depth(shape, order, grid) > 0]
 
 
-def lattice(shape: str, order: int, is_complete: bool, edges=EDGES, faces=FACES, inner=inner_places) -> np.ndarray:
+def lattice(
+    shape: str, order: int, is_complete: bool, edges=EDGES, faces=FACES, inner=inner_places
+) -> np.ndarray:
     """The places (k, d) of nodes: corners, then the inner ones of edges, faces, cell."""
-    corners, t = np.array(PLACES[shape]), np.arange(1, order)[:, None]
+    corners = np.array(PLACES[shape])
+    t = np.arange(1, order)[:, None]
     nodes = [order * corners]
     for first, second in edges.get(shape, EDGES[shape]):
         nodes.append((order - t) * corners[first] + t * corners[second])
@@ -166,7 +176,8 @@ def jacobian_samples(kind: str) -> Pair:
     are a lattice of half the step, of weight 0, and Gauss points of the exact volume.
     """
     cell = lagrange_types()[kind]
-    d, fine = cell.dimension, 2 * cell.order
+    d = cell.dimension
+    fine = 2 * cell.order
     grid = np.indices((fine + 1,) * d).reshape(d, -1).T
     if cell.shape != "pyramid":  # a pyramid has a lattice in its own coordinates
         grid = grid[depth(cell.shape, fine, grid) >= 0]
@@ -180,7 +191,9 @@ def jacobian_samples(kind: str) -> Pair:
         weight *= (1 - places[:, axis]) ** axis
     if cell.shape == "pyramid":
         weight *= (1 - places[:, 2]) ** 2
-    return derivatives(kind, np.concatenate([grid / fine, places])), np.concatenate([np.zeros(len(grid)), weight])
+    return derivatives(kind, np.concatenate([grid / fine, places])), np.concatenate(
+        [np.zeros(len(grid)), weight]
+    )
 
 
 def derivatives(kind: str, places: np.ndarray) -> np.ndarray:
@@ -204,15 +217,22 @@ def _expanded(kind: str, places: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarr
 def _basis(cell: Lagrange, places: np.ndarray) -> Pair:
     """The basis (s, k) at places, and its derivatives (s, k, d)."""
     # Products of polynomials. An imaginary step of a coordinate has the derivative by it, exactly.
-    d, powers = cell.dimension, cell.lattice
-    one = legendre.legvander(2 * (places + 1j * STEP * np.eye(d)[:, None]) - 1, cell.order)  # (d, s, d, p + 1)
+    d = cell.dimension
+    powers = cell.lattice
+    one = legendre.legvander(
+        2 * (places + 1j * STEP * np.eye(d)[:, None]) - 1, cell.order
+    )  # (d, s, d, p + 1)
     is_pyramid = cell.shape == "pyramid"
-    product = np.prod([one[:, :, axis, powers[:, axis]] for axis in range(2 if is_pyramid else d)], axis=0)
-    basis, slopes = product[0].real, np.moveaxis(product.imag / STEP, 0, 2)
+    product = np.prod(
+        [one[:, :, axis, powers[:, axis]] for axis in range(2 if is_pyramid else d)], axis=0
+    )
+    basis = product[0].real
+    slopes = np.moveaxis(product.imag / STEP, 0, 2)
     if not is_pyramid:
         return basis, slopes
     # f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n at least their degrees
-    n, c = powers[:, :2].max(axis=1) + powers[:, 2], 1 - places[:, 2:]
+    n = powers[:, :2].max(axis=1) + powers[:, 2]
+    c = 1 - places[:, 2:]
     slopes[:, :, 2] = (slopes[:, :, :2] * places[:, None, :2]).sum(axis=2) - n * basis
     return basis * c**n, slopes * (c ** np.maximum(n - 1, 0))[:, :, None]
 
@@ -222,16 +242,22 @@ def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
     if lagrange_types()[kind].shape != "pyramid":
         return places
     c = 1 - places[:, 2:]
-    return np.concatenate([np.where(c > 0, places[:, :2] / np.where(c > 0, c, 1), 0.5), places[:, 2:]], axis=1)
+    return np.concatenate(
+        [np.where(c > 0, places[:, :2] / np.where(c > 0, c, 1), 0.5), places[:, 2:]], axis=1
+    )
 
 
 def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
     """Ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
     places = collapsed(cell.shape, cell.reference[cell.corners :])
     weights = np.rint(12**3 * values(cell.shape, places)).astype(np.int64)  # of corners, linear
-    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
+    weights = (
+        weights // np.gcd.reduce(weights, axis=1)[:, None]
+    )  # alike in cells of all types that share a face
     corners = np.where(weights > 0, ids[:, None], -1)
     order = np.argsort(corners, axis=2, kind="stable")
     both = np.stack([np.maximum(corners, 0), np.broadcast_to(weights, corners.shape)], axis=3)
-    pairs = np.take_along_axis(both, order[:, :, :, None], axis=2).reshape(*corners.shape[:2], 2 * ids.shape[1])
+    pairs = np.take_along_axis(both, order[:, :, :, None], axis=2).reshape(
+        *corners.shape[:2], 2 * ids.shape[1]
+    )
     return np.pad(pairs, ((0, 0), (0, 0), (16 - pairs.shape[2], 0)))

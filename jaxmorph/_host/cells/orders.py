@@ -45,13 +45,18 @@ def _as_gmsh(shape: str, order: int) -> np.ndarray:
     if shape == "line":
         return inner_places(shape, order)
     if shape == "wedge":  # at each place in the triangle the ends of the line first
-        triangle, line = _as_gmsh("triangle", order), inner_places("line", order)
+        triangle = _as_gmsh("triangle", order)
+        line = inner_places("line", order)
         line = np.concatenate([line[:1], line[1:][::-1]])
-        return np.column_stack([np.repeat(triangle, len(line), axis=0), np.tile(line, (len(triangle), 1))])
+        return np.column_stack(
+            [np.repeat(triangle, len(line), axis=0), np.tile(line, (len(triangle), 1))]
+        )
     left = order - {"triangle": 3, "quad": 2, "tetra": 4, "hexahedron": 2, "pyramid": 3}[shape]
     if left < 0:
         return np.zeros((0, len(PLACES[shape][0])), np.int64)
-    return 1 + (GMSH.lattice(shape, left) if left else np.zeros((1, len(PLACES[shape][0])), np.int64))
+    return 1 + (
+        GMSH.lattice(shape, left) if left else np.zeros((1, len(PLACES[shape][0])), np.int64)
+    )
 
 
 GMSH = NodeOrder(
@@ -96,16 +101,23 @@ def _spirals(shape: str, order: int) -> np.ndarray:
 
 def _spiral(square: np.ndarray) -> np.ndarray:
     """Orders a square's places in rings inwards, each from its least corner along axis 0."""
-    low, high = 1, square[:, :2].max(initial=0)
-    x, y = square[:, 0], square[:, 1]
+    low = 1
+    high = square[:, :2].max(initial=0)
+    x = square[:, 0]
+    y = square[:, 1]
     ring = np.minimum.reduce([x - low, high - x, y - low, high - y])
-    size, x, y = high - low - 2 * ring, x - low - ring, y - low - ring
+    size = high - low - 2 * ring
+    x = x - low - ring
+    y = y - low - ring
     along = np.select([y == 0, x == size, y == size], [x, size + y, 3 * size - x], 4 * size - y)
     return square[np.lexsort((along, ring))]
 
 
 CGNS_ORDER = NodeOrder(
-    {"wedge": numbers("01 12 20 03 14 25 34 45 53"), "hexahedron": numbers("01 12 23 30 04 15 26 37 45 56 67 74")},
+    {
+        "wedge": numbers("01 12 20 03 14 25 34 45 53"),
+        "hexahedron": numbers("01 12 23 30 04 15 26 37 45 56 67 74"),
+    },
     {
         "tetra": numbers("012 013 123 203"),
         "pyramid": numbers("0123 014 124 234 304"),

@@ -20,13 +20,16 @@ def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[s
     result: dict[str, list[Any]] = {}
     for kind, ids in cells.items():
         for shape, rows in pieces_of(kind).items():
-            result.setdefault(shape, []).append(ids if kind == shape else ids[:, rows].reshape(-1, rows.shape[1]))
+            result.setdefault(shape, []).append(
+                ids if kind == shape else ids[:, rows].reshape(-1, rows.shape[1])
+            )
     return {shape: parts[0] if len(parts) == 1 else join(parts) for shape, parts in result.items()}
 
 
 def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
-    nodes, first = {}, 0
+    nodes = {}
+    first = 0
     for kind, ids in cells.items():
         nodes[kind] = np.repeat(np.arange(first, first + len(ids))[:, None], NODES[kind], axis=1)
         first += len(ids)
@@ -52,13 +55,18 @@ def owned_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[
     found: dict[str, list[tuple[list[np.ndarray], np.ndarray]]] = {}
     first = 0
     for kind, ids in cells.items():
-        nodes, every = columns_of(ids), np.arange(first, first + len(ids))
+        nodes = columns_of(ids)
+        every = np.arange(first, first + len(ids))
         for side, rows in lagrange_types()[kind].sides:
-            columns, owner = [nodes[row] for row in rows], every
+            columns = [nodes[row] for row in rows]
+            owner = every
             if among is not None:
                 # both copies of an inner face pass or fail together
-                here = np.flatnonzero(np.logical_and.reduce([is_candidate[column] for column in columns]))
-                columns, owner = [column[here] for column in columns], every[here]
+                here = np.flatnonzero(
+                    np.logical_and.reduce([is_candidate[column] for column in columns])
+                )
+                columns = [column[here] for column in columns]
+                owner = every[here]
             found.setdefault(side, []).append((columns, owner))
         first += len(ids)
     sides = sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
@@ -68,7 +76,9 @@ def owned_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[
 def _single(parts: list[tuple[list[np.ndarray], np.ndarray]], n: int) -> Pair:
     """Finds unique faces and their cells, from faces by column, and their cells."""
     rows = unpaired([columns for columns, _ in parts], n)
-    columns = [[column[left] for column in part] for (part, _), left in zip(parts, rows, strict=True)]
+    columns = [
+        [column[left] for column in part] for (part, _), left in zip(parts, rows, strict=True)
+    ]
     owner = np.concatenate([cells[left] for (_, cells), left in zip(parts, rows, strict=True)])
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     single = is_single(sorted_columns(joined, len(joined)))
@@ -92,14 +102,19 @@ def places_of(kind: str, m: int) -> np.ndarray:
 @functools.cache
 def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
     """The linear pieces of a lattice of m steps, as rows of it, by type."""
-    cell, pieces = of_order(shape, m), {}
+    cell = of_order(shape, m)
+    pieces = {}
     starts = np.indices((m + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
     if shape in ("triangle", "tetra"):  # by sums of the last coordinates
         starts = starts[:, ::-1].copy()
         starts[:, :-1] -= starts[:, 1:]
     for piece, units in UNITS[shape].items():
         every = np.concatenate([starts[:, None] + numbers(unit) for unit in units])
-        is_inside = (depth(shape, m, every.reshape(-1, cell.dimension)) >= 0).reshape(every.shape[:2]).all(axis=1)
+        is_inside = (
+            (depth(shape, m, every.reshape(-1, cell.dimension)) >= 0)
+            .reshape(every.shape[:2])
+            .all(axis=1)
+        )
         if is_inside.any():
             pieces[piece] = cell.nodes_at(every[is_inside])
     return pieces
@@ -107,7 +122,10 @@ def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
 
 ON_EDGES = {
     "quad8": {"triangle": numbers("047 154 265 376"), "quad": numbers("4567")},
-    "pyramid13": {"tetra": numbers("0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9"), "pyramid": numbers("9abc4 56789")},
+    "pyramid13": {
+        "tetra": numbers("0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9"),
+        "pyramid": numbers("9abc4 56789"),
+    },
     "wedge15": {
         "tetra": numbers("068c 176d 287e 3b9c 49ad 5abe 678a 68ca 76da 87ea b9ca"),
         "pyramid": numbers("c9d6a ebc8a"),

@@ -8,26 +8,72 @@ import numpy as np
 Pair = tuple[np.ndarray, np.ndarray]
 ByType = Mapping[str, np.ndarray]  # cells or faces (k, nodes) by their type
 
-CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
+CORNERS = {
+    "line": 2,
+    "triangle": 3,
+    "quad": 4,
+    "tetra": 4,
+    "pyramid": 5,
+    "wedge": 6,
+    "hexahedron": 8,
+}
 """Number of corners by type; names are meshio's."""
 
 HIGH_ORDER = (
-    *("line3", "line4", "line5", "triangle6", "triangle10", "triangle15", "quad8", "quad9", "quad16", "quad25"),
+    *(
+        "line3",
+        "line4",
+        "line5",
+        "triangle6",
+        "triangle10",
+        "triangle15",
+        "quad8",
+        "quad9",
+        "quad16",
+        "quad25",
+    ),
     *("tetra10", "tetra20", "tetra35", "pyramid13", "pyramid14", "pyramid30", "pyramid55"),
-    *("wedge15", "wedge18", "wedge40", "wedge75", "hexahedron20", "hexahedron27", "hexahedron64", "hexahedron125"),
+    *(
+        "wedge15",
+        "wedge18",
+        "wedge40",
+        "wedge75",
+        "hexahedron20",
+        "hexahedron27",
+        "hexahedron64",
+        "hexahedron125",
+    ),
 )
 """Cell types of order 2 to 4, by meshio's names: the linear type, and the number of nodes."""
 
 SHAPES = {kind: kind for kind in CORNERS} | {kind: kind.rstrip("0123456789") for kind in HIGH_ORDER}
 """The type of the linear cell with the corners of each type."""
 
-NODES = CORNERS | {kind: int(kind.removeprefix(SHAPES[kind])) for kind in HIGH_ORDER}  # number of nodes
+NODES = CORNERS | {
+    kind: int(kind.removeprefix(SHAPES[kind])) for kind in HIGH_ORDER
+}  # number of nodes
 
-VTK = {"line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14}
+VTK = {
+    "line": 3,
+    "triangle": 5,
+    "quad": 9,
+    "tetra": 10,
+    "hexahedron": 12,
+    "wedge": 13,
+    "pyramid": 14,
+}
 """Numbers of the types in VTK and SU2."""
 
 VTK_QUADRATIC = {
-    **{"line3": 21, "line4": 35, "triangle6": 22, "quad8": 23, "quad9": 28, "tetra10": 24, "pyramid13": 27},
+    **{
+        "line3": 21,
+        "line4": 35,
+        "triangle6": 22,
+        "quad8": 23,
+        "quad9": 28,
+        "tetra10": 24,
+        "pyramid13": 27,
+    },
     **{"wedge15": 26, "wedge18": 32, "hexahedron20": 25, "hexahedron27": 29},
 }
 """VTK's number of each type of order 2, and of lines of order 3. VTK lacks larger pyramids."""
@@ -35,12 +81,26 @@ VTK_QUADRATIC = {
 VTK_LAGRANGE = {"line": 68, "triangle": 69, "quad": 70, "tetra": 71, "hexahedron": 72, "wedge": 73}
 """VTK's number of cells of any order, which their number of nodes tells."""
 
-DIMENSION = {"line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
+DIMENSION = {
+    "line": 1,
+    "triangle": 2,
+    "quad": 2,
+    "tetra": 3,
+    "pyramid": 3,
+    "wedge": 3,
+    "hexahedron": 3,
+}
 DIMENSION |= {kind: DIMENSION[SHAPES[kind]] for kind in HIGH_ORDER}
 
 KNOWN = f"known are {', '.join(CORNERS)}, and of order 2 to 4 {', '.join(HIGH_ORDER)}"
 
-_ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": "wedge", "hex": "hexahedron"}
+_ALIASES = {
+    "tri": "triangle",
+    "tet": "tetra",
+    "tetrahedron": "tetra",
+    "prism": "wedge",
+    "hex": "hexahedron",
+}
 
 
 def canonical_type(name: str) -> str:

@@ -8,7 +8,12 @@ from scipy import sparse
 
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
-DAMPING = (1e-2, 1e-1, 1.0, 10.0)  # damping terms of the diagonal, tried in turn until a matrix is positive
+DAMPING = (
+    1e-2,
+    1e-1,
+    1.0,
+    10.0,
+)  # damping terms of the diagonal, tried in turn until a matrix is positive
 ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 
 
@@ -27,7 +32,9 @@ def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
     """
     starts, columns, block = _rows(cells, n)
     order = np.arange(n)
-    if is_factored(n * dimension, dimension):  # ordering nodes takes half the time of ordering components
+    if is_factored(
+        n * dimension, dimension
+    ):  # ordering nodes takes half the time of ordering components
         graph = sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(n, n))
         order = Factors(graph + sparse.diags(np.diff(starts) + 1.0)).order
         rank = np.argsort(order)
@@ -45,7 +52,9 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
     return np.searchsorted(unique // n, np.arange(n + 1)), unique % n, block
 
 
-def _solved(accuracy: float | None, starts, columns, block, order, blocks, shift, right) -> np.ndarray:
+def _solved(
+    accuracy: float | None, starts, columns, block, order, blocks, shift, right
+) -> np.ndarray:
     # The entries (a, b) of all blocks that fall on one place of the matrix are summed, then lie as
     # (d, d) blocks in CSR order; rows of nodes stand in `order`, and the solution is put back.
     n, d = right.shape
@@ -55,7 +64,9 @@ def _solved(accuracy: float | None, starts, columns, block, order, blocks, shift
         return np.zeros_like(right)
     if not np.isfinite(data).all():
         return np.full_like(right, 0 if accuracy is None else np.nan)
-    matrix = sparse.bsr_matrix((data, columns, starts), shape=(n * d, n * d)) + sparse.diags(np.repeat(shift[order], d))
+    matrix = sparse.bsr_matrix((data, columns, starts), shape=(n * d, n * d)) + sparse.diags(
+        np.repeat(shift[order], d)
+    )
     wanted = right[order].astype(float).ravel()
     if is_factored(n * d, d):
         solved = _factored(matrix, wanted, (0.0,) if accuracy else (0.0, *DAMPING))
@@ -102,4 +113,6 @@ def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
     def is_enough(_, residual, __):
         return inner_product(residual, residual) <= enough
 
-    return conjugate_gradients(matrix.tocsr(), right, inverse, is_enough, 500 if accuracy == ROUGH else 20_000)[0]
+    return conjugate_gradients(
+        matrix.tocsr(), right, inverse, is_enough, 500 if accuracy == ROUGH else 20_000
+    )[0]

@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 
-Components = Any  # a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
+# a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
+Components = Any
 
-FLAT = 1e-4  # Jacobian over the product of a corner's edges up to which it is flat; in 2-D the sine of its angle
+# Jacobian over the product of a corner's edges up to which it is flat; in 2-D the sine of its angle
+FLAT = 1e-4
 
 
 def dot(a: Components, b: Components) -> Any:
@@ -39,7 +41,9 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
 def smallest_height(corners: np.ndarray) -> np.ndarray:
     """Least heights (k,) of simplices (k, d + 1, d)."""
     edges = list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
-    rows = cofactor_rows(edges)  # area vectors of all sides but the first, whose area vector is minus their sum
+    rows = cofactor_rows(
+        edges
+    )  # area vectors of all sides but the first, whose area vector is minus their sum
     largest = np.max([np.linalg.norm(side, axis=1) for side in (*rows, sum(rows))], axis=0)
     return np.abs(np.einsum("kd,kd->k", rows[0], edges[0])) / np.where(largest > 0, largest, 1)
 
@@ -47,7 +51,9 @@ def smallest_height(corners: np.ndarray) -> np.ndarray:
 def normals(corners: np.ndarray) -> np.ndarray:
     """Normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
     edges = corners[:, 1:] - corners[:, :1]
-    return edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross_rows(edges[:, 0], edges[:, 1])
+    return (
+        edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross_rows(edges[:, 0], edges[:, 1])
+    )
 
 
 def cofactor_rows(edges: list[np.ndarray]) -> list[np.ndarray]:

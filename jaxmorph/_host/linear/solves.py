@@ -14,7 +14,8 @@ from scipy.sparse import linalg
 
 Operator = Callable[[np.ndarray], np.ndarray]
 
-DIRECT = 12_000  # unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse
+# unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse
+DIRECT = 12_000
 
 
 def is_factored(unknowns: int, dimension: int) -> bool:
@@ -27,13 +28,19 @@ class Factors:
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
         order = "NATURAL" if is_ordered else "MMD_AT_PLUS_A"
         try:
-            self._factors = linalg.splu(matrix.tocsc(), order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            self._factors = linalg.splu(
+                matrix.tocsc(), order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
         except RuntimeError:  # singular
             self._factors = None
 
     def __call__(self, right: np.ndarray) -> np.ndarray:
         """Solves for right sides (k,) or (k, c); NaN if the matrix is singular."""
-        return np.full_like(right, np.nan) if self._factors is None else self._factors.solve(np.asarray(right, float))
+        return (
+            np.full_like(right, np.nan)
+            if self._factors is None
+            else self._factors.solve(np.asarray(right, float))
+        )
 
     @property
     def is_positive(self) -> bool:
@@ -53,7 +60,10 @@ def conjugate_gradients(
     residual's image under `inverse`. Returns x (k,), and whether it `is_enough` within `limit`
     steps. If the first direction has negative curvature, x is the direction.
     """
-    x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
+    x = np.zeros_like(right)
+    residual = right.copy()
+    along = np.zeros_like(right)
+    before = 1.0
     for _ in range(limit):
         steep = inverse(residual)
         if is_enough(x, residual, steep):
@@ -82,7 +92,8 @@ hexahedra the neighbour across has -16/36, nodes beside it -4/36, others a posit
 lines across the layer are joined.
 """
 
-COARSEST = 90  # most unknowns of the last level, solved by a dense inverse: few enough for unthreaded BLAS
+# most unknowns of the last level, solved by a dense inverse: few enough for unthreaded BLAS
+COARSEST = 90
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,11 +104,14 @@ class Level:
     prolongation: Any  # (k, coarse) from the next level
     restriction: Any  # its transpose
     inverse: np.ndarray  # (k,) one over the diagonal
-    top: float  # a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles
+    top: (
+        float  # a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles
+    )
 
     def smoothed(self, right: np.ndarray) -> np.ndarray:
         """Solves roughly for (k,), by Chebyshev's second polynomial for upper eigenvalues."""
-        middle, half = (1 + 1 / SPREAD) * self.top / 2, (1 - 1 / SPREAD) * self.top / 2
+        middle = (1 + 1 / SPREAD) * self.top / 2
+        half = (1 - 1 / SPREAD) * self.top / 2
         first = self.inverse * right / middle
         rate = 1 / (2 * middle / half - half / middle)
         rest = self.inverse * (right - self.matrix @ first)
@@ -125,7 +139,10 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Multigrid:
     import pyamg  # pyright: ignore[reportMissingImports]
 
     # Local weights are bounds; other weights come from random vectors.
-    options: dict[str, Any] = {"strength": ("classical", {"theta": STRONG, "norm": "min"}), "max_coarse": COARSEST}
+    options: dict[str, Any] = {
+        "strength": ("classical", {"theta": STRONG, "norm": "min"}),
+        "max_coarse": COARSEST,
+    }
     options["smooth"] = ("jacobi", {"omega": 4 / 3, "weighting": "local", "filter_entries": True})
     options |= dict.fromkeys(("improve_candidates", "presmoother", "postsmoother"))
     levels = pyamg.smoothed_aggregation_solver(matrix, B=mode[:, None], **options).levels

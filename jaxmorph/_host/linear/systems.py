@@ -13,9 +13,11 @@ from ..cells.adjacency import parts_of
 from ..package.rounding import distinct
 from .solves import Factors, Operator, conjugate_gradients, hierarchy, inner_product, is_factored
 
-ACCURACY = 1e-9  # residual relative to the right side, and error relative to the solution, that end CG
+# residual relative to the right side, and error relative to the solution, that end CG
+ACCURACY = 1e-9
 LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
-RESORT = 60_000  # unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
+# unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
+RESORT = 60_000
 LATEST = 2  # number of the latest systems whose factors are cached
 
 
@@ -34,42 +36,58 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
     Returns x (n, d), in the precision of `right`; NaN if a system is not finite, not positive, or
     not solved.
     """
-    system = tuple((array.shape, array.dtype.str, array.tobytes()) for array in (pairs, values, diagonal, masses, free))
+    system = tuple(
+        (array.shape, array.dtype.str, array.tobytes())
+        for array in (pairs, values, diagonal, masses, free)
+    )
     return inverse_of(system, multigrid)(right.astype(float)).astype(right.dtype)
 
 
 @functools.lru_cache(LATEST)
 def inverse_of(system: tuple[tuple[tuple[int, ...], str, bytes], ...], multigrid: bool) -> Callable:
     """The solver of a system, whose arrays are given by their bytes."""
-    pairs, values, diagonal, masses, free = (np.ndarray(shape, dtype, data) for shape, dtype, data in system)
+    pairs, values, diagonal, masses, free = (
+        np.ndarray(shape, dtype, data) for shape, dtype, data in system
+    )
     if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
         return lambda right: np.full_like(right, np.nan)
-    values, diagonal, masses = (array.astype(float, copy=False) for array in (values, diagonal, masses))
+    values, diagonal, masses = (
+        array.astype(float, copy=False) for array in (values, diagonal, masses)
+    )
     return _inverse(pairs, values, diagonal, masses, free, multigrid)
 
 
 def check_solver(unknowns: int, dimension: int) -> None:
     if not is_factored(unknowns, dimension) and find_spec("pyamg") is None:
         raise ImportError(
-            f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
+            f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install "
+            "'jaxmorph[solvers]'."
         )
 
 
 def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator:
     # Of blocks there is one system; of numbers one for all columns with the same free unknowns.
     n, d = free.shape
-    kinds, kind = free.any(axis=1)[:, None], np.zeros(d, dtype=int)
+    kinds = free.any(axis=1)[:, None]
+    kind = np.zeros(d, dtype=int)
     if values.ndim == 1:
         kinds, kind = np.unique(free, axis=1, return_inverse=True)
     parts = []
     for number, is_free in enumerate(kinds.T):
-        rows, columns = np.flatnonzero(is_free), np.flatnonzero(np.ravel(kind) == number)
+        rows = np.flatnonzero(is_free)
+        columns = np.flatnonzero(np.ravel(kind) == number)
         if masses.size:
             root = sparse.diags(masses**-0.5) @ _matrix(pairs, values, diagonal, np.arange(n))
             parts.append((rows, columns, _of_square(root[:, rows])))
         elif len(rows):
             used = free[rows].ravel() if values.ndim == 3 else np.ones(len(rows), dtype=bool)
-            parts.append((rows, columns, _of_matrix(_matrix(pairs, values, diagonal, rows), used, d, multigrid)))
+            parts.append(
+                (
+                    rows,
+                    columns,
+                    _of_matrix(_matrix(pairs, values, diagonal, rows), used, d, multigrid),
+                )
+            )
 
     def apply(right):
         x = np.zeros((n, d))
@@ -108,7 +126,9 @@ def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operat
         columns = right.reshape(len(scale), -1) * scale[:, None]
         x = np.full_like(columns, np.nan)
         if not (is_direct or factors.cache_info().currsize):
-            x = np.apply_along_axis(lambda column: iterated(matrix, column, cycle, scale), 0, columns)
+            x = np.apply_along_axis(
+                lambda column: iterated(matrix, column, cycle, scale), 0, columns
+            )
         if may_factor and np.isfinite(right).all() and not np.isfinite(x).all():
             x = factors()(columns)
         return (x * scale[:, None]).reshape(right.shape)
@@ -126,7 +146,9 @@ def _scale(matrix: Any, scale: np.ndarray) -> None:
     data[owner == matrix.indices] += (factor == 0)[:, :, None] * np.eye(factor.shape[1])
 
 
-def iterated(matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.ndarray) -> np.ndarray:
+def iterated(
+    matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.ndarray
+) -> np.ndarray:
     """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
     wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
     error: a residual that is small beside stiff cells moves soft cells far.
@@ -136,7 +158,8 @@ def iterated(matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.n
     def is_enough(x, residual, steep):
         is_small = inner_product(residual, residual) <= enough
         return is_small and (
-            cycle is None or np.abs(scale * steep).max(initial=0) <= ACCURACY * np.abs(scale * x).max(initial=0)
+            cycle is None
+            or np.abs(scale * steep).max(initial=0) <= ACCURACY * np.abs(scale * x).max(initial=0)
         )
 
     # Without a cycle, twice as many steps are allowed.
@@ -147,7 +170,8 @@ def iterated(matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.n
 
 def _cycle(matrix: Any, mode: np.ndarray) -> Operator:
     """A matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
-    d, cycles = len(mode) // (len(matrix.indptr) - 1), []
+    d = len(mode) // (len(matrix.indptr) - 1)
+    cycles = []
     for k, data in enumerate(matrix.data.reshape(-1, d, d).diagonal(axis1=1, axis2=2).T):
         part = sparse.csr_matrix((data, matrix.indices, matrix.indptr), copy=True)
         part.eliminate_zeros()
@@ -155,7 +179,9 @@ def _cycle(matrix: Any, mode: np.ndarray) -> Operator:
 
     def cycle(right):
         columns = np.ascontiguousarray(right.reshape(-1, d).T)
-        return np.stack([one(column) for one, column in zip(cycles, columns, strict=True)], axis=1).ravel()
+        return np.stack(
+            [one(column) for one, column in zip(cycles, columns, strict=True)], axis=1
+        ).ravel()
 
     return cycle
 

@@ -27,7 +27,9 @@ def checked(function: Function) -> Function:
     another machine's byte order are turned: JAX reads them as they lie.
     """
     parameters = inspect.signature(function).parameters
-    rest = [name for name, parameter in parameters.items() if parameter.kind is parameter.VAR_POSITIONAL]
+    rest = [
+        name for name, parameter in parameters.items() if parameter.kind is parameter.VAR_POSITIONAL
+    ]
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
@@ -59,7 +61,11 @@ def check(name: str, value: Any, annotation: Any, callee: Callable) -> None:
     rule = _rule(annotation)
     if not rule.fits(value):
         parameters = inspect.signature(callee).parameters.values()
-        places = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY and each.name != "self"]
+        places = [
+            each.name
+            for each in parameters
+            if each.kind is not each.KEYWORD_ONLY and each.name != "self"
+        ]
         example = f"{callee.__qualname__.removesuffix('.__init__')}({', '.join(places)})"
         raise ValueError(f"`{name}` must be {rule.words}, not {shown(value)}. Call {example}.")
 
@@ -70,24 +76,38 @@ def shown(value: Any) -> str:
     if np.ma.is_masked(value):
         return f"an array {value.shape} of which {np.ma.count_masked(value)} are masked"
     if has_type(value):
-        return f"an array {tuple(value.shape)} of {value.dtype}" if value.shape else f"{value} ({value.dtype})"
-    is_plain = value is None or isinstance(value, str | numbers.Number | list | tuple | dict | os.PathLike)
+        return (
+            f"an array {tuple(value.shape)} of {value.dtype}"
+            if value.shape
+            else f"{value} ({value.dtype})"
+        )
+    is_plain = value is None or isinstance(
+        value, str | numbers.Number | list | tuple | dict | os.PathLike
+    )
     return reprlib.repr(value) if is_plain else f"a {type(value).__name__}"
 
 
 def whole(name: str, value: Any, least: int = 1) -> int:
     """Returns a whole number; raises `ValueError` for another value, or one below `least`."""
     if not _is_whole(value) or value < least:
-        raise ValueError(f"`{name}` must be a whole number of at least {least}, not {shown(value)}.")
+        raise ValueError(
+            f"`{name}` must be a whole number of at least {least}, not {shown(value)}."
+        )
     return int(value)
 
 
-def between(name: str, value: Any, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> None:
+def between(
+    name: str, value: Any, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()"
+) -> None:
     """Raises `ValueError` unless a value is a real number in an interval, `ends` such as `"[)"`."""
     allowed = [end for end, sign in zip((low, high), ends, strict=True) if sign in "[]"]
     if _is_real(value) and (low < value < high or value in allowed):
         return
-    least = {"[": f"of {low:g} or more and", "(": f"above {low:g} and"}[ends[0]] if low > -np.inf else "that is"
+    least = (
+        {"[": f"of {low:g} or more and", "(": f"above {low:g} and"}[ends[0]]
+        if low > -np.inf
+        else "that is"
+    )
     most = {"]": f"up to {high:g}", ")": f"below {high:g}"}[ends[1]] if high < np.inf else "finite"
     raise ValueError(f"`{name}` must be a real number {least} {most}, not {shown(value)}.")
 
@@ -96,7 +116,9 @@ def as_array(name: str, values: Any) -> np.ndarray:
     try:
         return np.asarray(values)
     except ValueError:
-        raise ValueError(f"`{name}` has rows of several lengths; expected an array, not {shown(values)}.") from None
+        raise ValueError(
+            f"`{name}` has rows of several lengths; expected an array, not {shown(values)}."
+        ) from None
 
 
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
@@ -111,7 +133,9 @@ def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
         raise ValueError(f"`{name}` must be a list of ids, not {shown(ids)}{hint}.")
     wrong = (array < 0) | (array >= count)
     if wrong.any():
-        raise ValueError(f"{wrong.sum()} ids in `{name}` are not in 0 to {count - 1}, first {array[wrong][0]}.")
+        raise ValueError(
+            f"{wrong.sum()} ids in `{name}` are not in 0 to {count - 1}, first {array[wrong][0]}."
+        )
     return array.astype(np.int64)
 
 
@@ -130,7 +154,9 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")
     fitting = [shape for shape in shapes if len(shape) == array.ndim]
-    if not any(all(n in (None, m) for n, m in zip(shape, array.shape, strict=True)) for shape in fitting):
+    if not any(
+        all(n in (None, m) for n, m in zip(shape, array.shape, strict=True)) for shape in fitting
+    ):
         raise ValueError(f"`{name}` has shape {array.shape}; expected {words}.")
     return array if array.dtype.kind == "f" else array.astype(float)
 
@@ -138,7 +164,9 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
 def _array(values: Any) -> np.ndarray:
     """An array or a list as an array; `NOTHING` for other values, masks, rows of many lengths."""
     with contextlib.suppress(ValueError):
-        if (isinstance(values, list | tuple | range) or has_type(values)) and not np.ma.is_masked(values):
+        if (isinstance(values, list | tuple | range) or has_type(values)) and not np.ma.is_masked(
+            values
+        ):
             return np.asarray(values)
     return NOTHING
 
@@ -147,7 +175,9 @@ def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.
     """Returns what `real_array` does; raises `ValueError` also for numbers that are not finite."""
     array = real_array(name, values, *shapes)
     if not np.isfinite(array).all():
-        raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `{name}` are not finite.")
+        raise ValueError(
+            f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `{name}` are not finite."
+        )
     return array
 
 
@@ -175,15 +205,30 @@ def _is_whole(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
-REAL, WHOLE = Rule("a real number", _is_real), Rule("a whole number", _is_whole)
+REAL = Rule("a real number", _is_real)
+WHOLE = Rule("a whole number", _is_whole)
 FUNCTION = Rule("a function", lambda value: callable(value) and not isinstance(value, type))
 TRUTH = Rule("True or False", lambda value: isinstance(value, bool | np.bool_))
-SIMPLE = {bool: TRUTH, int: WHOLE, np.integer: WHOLE, float: REAL, np.number: REAL, Callable: FUNCTION}
+SIMPLE = {
+    bool: TRUTH,
+    int: WHOLE,
+    np.integer: WHOLE,
+    float: REAL,
+    np.number: REAL,
+    Callable: FUNCTION,
+}
 
 WORDS = {str: "a word", os.PathLike: "a path", types.NoneType: "None", type: "a class"}
 """What a value of a class is called, if not after the class."""
 
-KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
+KINDS = {
+    "Float": "fiuV",
+    "Real": "fiuV",
+    "Int": "iu",
+    "Integer": "iu",
+    "Bool": "b",
+    "Shaped": "fiubcV",
+}
 """NumPy's letters for the numbers of an annotated array. V is bfloat16 and similar types."""
 
 MANY = {
@@ -195,13 +240,23 @@ MANY = {
     Mapping: ("a dict, each value", lambda value: isinstance(value, Mapping)),
 }
 
-SILENT = ("Any", "PyTree", "_empty", "object")  # restrict nothing, like names of classes that are defined later
-LISTS_OF_NUMBERS = ((Any,), (int,), (list[float],))  # members of lists that are arrays where an array may stand
+SILENT = (
+    "Any",
+    "PyTree",
+    "_empty",
+    "object",
+)  # restrict nothing, like names of classes that are defined later
+LISTS_OF_NUMBERS = (
+    (Any,),
+    (int,),
+    (list[float],),
+)  # members of lists that are arrays where an array may stand
 
 
 @functools.cache
 def _rule(annotation: Any) -> Rule:
-    members, cls = typing.get_args(annotation), typing.get_origin(annotation) or annotation
+    members = typing.get_args(annotation)
+    cls = typing.get_origin(annotation) or annotation
     if cls in (typing.Union, types.UnionType):
         return _of_union(members)
     if hasattr(annotation, "dim_str"):
@@ -219,7 +274,11 @@ def _rule(annotation: Any) -> Rule:
 def _of_union(members: tuple[Any, ...]) -> Rule:
     arrays = [member for member in members if hasattr(member, "dim_str")]
     lists = LISTS_OF_NUMBERS if arrays else ()
-    others = [member for member in members if member not in arrays and typing.get_args(member) not in lists]
+    others = [
+        member
+        for member in members
+        if member not in arrays and typing.get_args(member) not in lists
+    ]
     rules = list(map(_rule, (*arrays[:1], *others)))
     words, _ = zip(*rules, strict=True)
 
@@ -227,14 +286,21 @@ def _of_union(members: tuple[Any, ...]) -> Rule:
         possible = rules[:1] if arrays and has_type(value) else rules
         return any(rule.fits(value) for rule in possible)
 
-    return Rule(" or ".join(dict.fromkeys(words)).replace(f"{REAL.words} or {WHOLE.words}", REAL.words), fits)
+    return Rule(
+        " or ".join(dict.fromkeys(words)).replace(f"{REAL.words} or {WHOLE.words}", REAL.words),
+        fits,
+    )
 
 
 def _of_array(annotation: Any) -> Rule:
     kinds = KINDS.get(annotation.__name__.partition("[")[0], "f")
     what = {"i": "whole numbers", "b": "True and False"}.get(kinds[0], "real numbers")
     dims = annotation.dim_str.split()
-    shape = f" ({', '.join(dims)}{',' * (len(dims) == 1)})" if dims and "..." not in annotation.dim_str else ""
+    shape = (
+        f" ({', '.join(dims)}{',' * (len(dims) == 1)})"
+        if dims and "..." not in annotation.dim_str
+        else ""
+    )
 
     def fits(value):
         if has_type(value):
@@ -251,7 +317,11 @@ def _of_array(annotation: Any) -> Rule:
 
 
 def _holds_traced(value: Any) -> bool:
-    return any(map(_holds_traced, value)) if isinstance(value, list | tuple) else hasattr(value, "aval")
+    return (
+        any(map(_holds_traced, value))
+        if isinstance(value, list | tuple)
+        else hasattr(value, "aval")
+    )
 
 
 def _of_members(kind: type, members: tuple[Any, ...]) -> Rule:
@@ -271,4 +341,6 @@ def _of_members(kind: type, members: tuple[Any, ...]) -> Rule:
 
 
 def _fit(rules: list[Rule], entries: list[Any]) -> bool:
-    return len(rules) == len(entries) and all(rule.fits(entry) for rule, entry in zip(rules, entries, strict=True))
+    return len(rules) == len(entries) and all(
+        rule.fits(entry) for rule, entry in zip(rules, entries, strict=True)
+    )

@@ -75,5 +75,7 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
 
 def by_blocks(function: Callable[[slice], Any], count: int) -> None:
     """Calls `function` with slices of `count` rows, whatever the number of cores, on all cores."""
-    for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
+    for _ in in_order(
+        function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
+    ):
         pass

@@ -31,9 +31,11 @@ INNER = {"jaxmorph", "jax", "equinox", "jaxtyping", "beartype", "contextlib", "f
 
 def warn(message: str) -> None:
     """Warns with the line of the user's own code, outside of this package and of JAX."""
-    level, frame = 1, sys._getframe()
+    level = 1
+    frame = sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in INNER:
-        level, frame = level + 1, frame.f_back
+        level = level + 1
+        frame = frame.f_back
     warnings.warn(message, stacklevel=level)
 
 
@@ -49,7 +51,9 @@ def check_none(wrong: np.ndarray, message: str, points: np.ndarray | None = None
     """
     if len(wrong):
         place = "" if points is None else place_of(points[wrong[0]])
-        raise MeshError(message.replace("{count}", str(len(wrong))).replace("{place}", place), wrong)
+        raise MeshError(
+            message.replace("{count}", str(len(wrong))).replace("{place}", place), wrong
+        )
 
 
 def place_of(point: np.ndarray) -> str:

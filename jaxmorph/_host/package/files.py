@@ -21,7 +21,8 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ValueError(
-            f"{path}: is a device or a pipe, but a file is read more than once: write its content to a file."
+            f"{path}: is a device or a pipe, but a file is read more than once: write its content "
+            "to a file."
         )
     return path
 
@@ -39,7 +40,10 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
     """
     name = os.fspath(path)
     if not folder and name.endswith((os.sep, os.altsep or os.sep)):
-        raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
+        raise ValueError(
+            f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the "
+            "end."
+        )
     path = _without_null(path)
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
@@ -65,22 +69,31 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
                 for name in archive.namelist():
                     # To the end, where `zipfile` compares the checksum: a damaged type hides a part
                     with archive.open(name) as member:
-                        arrays[name.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
+                        arrays[name.removesuffix(".npy")] = np.lib.format.read_array(
+                            member, allow_pickle=False
+                        )
                         if member.read(1):
                             raise ValueError(f"{name} holds more than its array")
                 return arrays
         except Exception as error:  # zipfile, zlib and NumPy raise a dozen classes for damage
             detail = " ".join(str(error).split())[:120]
-            raise ValueError(f"{path}: not {what}, or a damaged one ({type(error).__name__}: {detail}).") from error
+            raise ValueError(
+                f"{path}: not {what}, or a damaged one ({type(error).__name__}: {detail})."
+            ) from error
 
 
 def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
     if arrays[name].dtype.kind not in "fiu":
-        raise ValueError(f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected.")
+        raise ValueError(
+            f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected."
+        )
     return arrays[name].astype(float)
 
 
-UNPACKED = 2 * 10**8, 100  # bytes that a packed file may become in any case, and that a byte of it may become
+UNPACKED = (
+    2 * 10**8,
+    100,
+)  # bytes that a packed file may become in any case, and that a byte of it may become
 
 
 @contextlib.contextmanager
@@ -97,7 +110,10 @@ def unpacked(path: pathlib.Path) -> Iterator[pathlib.Path]:
                 while block := packed.read(1 << 20):
                     left -= file.write(block)
                     if left < 0:
-                        raise ValueError(f"{path}: {file.tell() / 1e6:.0f} MB are in it, and more: unpack it first.")
+                        raise ValueError(
+                            f"{path}: {file.tell() / 1e6:.0f} MB are in it, and more: unpack it "
+                            "first."
+                        )
         except (EOFError, gzip.BadGzipFile, zlib.error) as error:
             raise ValueError(f"{path}: not a .gz file, or a damaged one ({error}).") from error
         yield copy
@@ -112,12 +128,18 @@ def packed(path: pathlib.Path, name: str) -> Iterator[pathlib.Path]:
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
         plain = pathlib.Path(folder, name)
         yield plain
-        with plain.open("rb") as file, path.open("wb") as out, gzip.GzipFile("", "wb", mtime=0, fileobj=out) as target:
+        with (
+            plain.open("rb") as file,
+            path.open("wb") as out,
+            gzip.GzipFile("", "wb", mtime=0, fileobj=out) as target,
+        ):
             shutil.copyfileobj(file, target)
 
 
 @contextlib.contextmanager
-def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
+def complete(
+    path: pathlib.Path, *, folder: bool = False, name_errors: bool = True
+) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
 
     If `path` is a symbolic link, its target is replaced. The new file has the permissions of the
@@ -160,21 +182,31 @@ def named(path: pathlib.Path) -> Iterator[None]:
     except (OSError, RuntimeError) as error:
         # `shutil` lists the errors of a tree: the first one counts.
         text = str(error.args[0][0][-1] if isinstance(error, shutil.Error) else error)
-        number = getattr(error, "errno", None) or int((re.search(r"\b[Ee]rrno (?:= )?(\d+)", text) or [0, 0])[1])
+        number = getattr(error, "errno", None) or int(
+            (re.search(r"\b[Ee]rrno (?:= )?(\d+)", text) or [0, 0])[1]
+        )
         if _is_of_another(error) or not (number or isinstance(error, OSError)):
             raise
         if not number:  # NumPy, for example, counts the bytes that were not written
             raise OSError(f"{path}: not written ({text})") from error
-        raise OSError(number, os.strerror(number), str(path)) from error  # HDF5's RuntimeError for a full device too
+        raise OSError(
+            number, os.strerror(number), str(path)
+        ) from error  # HDF5's RuntimeError for a full device too
 
 
 def _is_of_another(error: Exception) -> bool:
-    names = [os.fsdecode(name) for key in ("filename", "filename2") if (name := getattr(error, key, None))]
+    names = [
+        os.fsdecode(name)
+        for key in ("filename", "filename2")
+        if (name := getattr(error, key, None))
+    ]
     return bool(names) and not any(".partial" in name for name in names)
 
 
 def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
-    room = 255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")  # of a file system's 255 bytes
+    room = (
+        255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")
+    )  # of a file system's 255 bytes
     stem = os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
     while True:
         partial = target.with_name(f".{stem}.{secrets.token_hex(4)}.partial{target.suffix}")
@@ -184,7 +216,11 @@ def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
                 return partial
             mode = stat.S_IMODE(target.stat().st_mode) if target.is_file() else None
             # O_EXCL: a link planted under this name is not followed
-            os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666 if mode is None else mode))
+            os.close(
+                os.open(
+                    partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666 if mode is None else mode
+                )
+            )
             if mode is not None:
                 partial.chmod(mode)
             return partial

@@ -30,7 +30,8 @@ class Ranks(Protocol):
 class Alone:
     """The communicator of one process, for code that also runs under MPI."""
 
-    rank, size = 0, 1
+    rank = 0
+    size = 1
 
     def allgather(self, value: Any) -> list[Any]:
         return [value]
@@ -51,7 +52,8 @@ def together(ranks: Ranks, function: Callable[[], T]) -> T:
     An error of one process is raised in all, so that none waits: its own where it occurred, and a
     `ValueError` that names the process in the others.
     """
-    result, error = None, None
+    result = None
+    error = None
     try:
         result = function()
     except Exception as raised:
@@ -80,10 +82,14 @@ class Agreement:
         # their keepers, which add new ids and answer with their values.
         rows = [np.flatnonzero(ids % self.ranks.size == rank) for rank in range(self.ranks.size)]
         received = self.ranks.alltoall([(ids[row], values[row]) for row in rows])
-        ids_sent, values_sent = zip((self.ids, self.values.reshape(-1, values.shape[1])), *received, strict=True)
+        ids_sent, values_sent = zip(
+            (self.ids, self.values.reshape(-1, values.shape[1])), *received, strict=True
+        )
         self.ids, first = np.unique(np.concatenate(ids_sent), return_index=True)
         self.values = np.concatenate(values_sent)[first]
-        answers = self.ranks.alltoall([self.values[np.searchsorted(self.ids, names)] for names, _ in received])
+        answers = self.ranks.alltoall(
+            [self.values[np.searchsorted(self.ids, names)] for names, _ in received]
+        )
         common = values.copy()
         for row, answer in zip(rows, answers, strict=True):
             common[row] = answer

@@ -18,7 +18,9 @@ class Tree(KDTree):
     """A k-d tree that is searched with all cores. The answers do not depend on their number."""
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return super().query(x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords)
+        return super().query(
+            x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords
+        )
 
     def within(self, x: np.ndarray, radius: np.ndarray) -> Pair:
         """Pairs of a row of `x` (k, d) and a point within its radius (k,), by row, then point."""
@@ -71,7 +73,8 @@ def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarra
 def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarray:
     """`nearest_few` in a tree of the places; equal distances differ by a `slack` at most."""
     # If all distances from the last wanted one on are equal, more places are searched.
-    nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
+    nearest = np.zeros((len(points), count), dtype=np.int64)
+    left = np.arange(len(points))
     looked = min(count - 1 + TIES, tree.n)
     while left.size:
         distance, places = tree.query(points[left], k=range(1, looked + 1))
@@ -91,7 +94,8 @@ def lowest_of_equals(places: np.ndarray, is_more: np.ndarray) -> np.ndarray:
     return np.take_along_axis(places, np.argsort((rank << 32) + places, axis=1), axis=1)
 
 
-BETWEEN = 0.618  # place of the borders of Morton's cells, relative to their size: off structured grids
+# place of the borders of Morton's cells, relative to their size: off structured grids
+BETWEEN = 0.618
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
@@ -114,10 +118,13 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     dimension = points.shape[1]
     table = np.array([int(f"{i:b}", 2**dimension) for i in range(1024)], dtype=np.uint64)
     words = 6 // dimension  # of ten bits, for each axis
-    low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
+    low = points.min(axis=0)
+    extent = np.ptp(points, axis=0).max() or 1.0
     key = np.zeros(len(points), dtype=np.uint64)
     for axis in range(dimension):
-        grid = ((points[:, axis] - low[axis]) / extent * (1024**words - 2) + BETWEEN).astype(np.int64)
+        grid = ((points[:, axis] - low[axis]) / extent * (1024**words - 2) + BETWEEN).astype(
+            np.int64
+        )
         for word in range(words):
             key |= table[grid >> 10 * word & 1023] << np.uint64(10 * dimension * word + axis)
     return np.argsort(key, kind="stable")

@@ -18,7 +18,19 @@ MESHES = {
     "MFEM": (".mesh",),
     "MED": (".med",),
     "Exodus": (".e", ".exo", ".ex2", ".exoii", ".g"),
-    "PLOT3D": (".xyz", ".p3d", ".p3dfmt", ".x", ".g", ".grd", ".fmt", ".ufmt", ".bin", ".p2d", ".p2dfmt"),
+    "PLOT3D": (
+        ".xyz",
+        ".p3d",
+        ".p3dfmt",
+        ".x",
+        ".g",
+        ".grd",
+        ".fmt",
+        ".ufmt",
+        ".bin",
+        ".p2d",
+        ".p2dfmt",
+    ),
     "Medit": (".mesh", ".meshb"),
     "Abaqus": (".inp", ".msh"),
     "I-deas": (".unv",),
@@ -30,27 +42,40 @@ MESHES = {
 }
 """Endings of meshes by the name of their format; a case of OpenFOAM is a folder."""
 
-SENSITIVITIES, GRADIENTS, LATTICES = (".csv", ".npz"), (".csv", ".json"), (".vts",)
+SENSITIVITIES = (".csv", ".npz")
+GRADIENTS = (".csv", ".json")
+LATTICES = (".vts",)
 
 UNREAD = {
     ".neu": "a Gambit neutral file; OpenFOAM's gambitToFoam keeps its patches",
     ".ccm": "a mesh of STAR-CCM+; its export to CGNS, or OpenFOAM's ccmToFoam, keeps its patches",
-    **dict.fromkeys((".vrt", ".cel", ".bnd"), "a mesh of STAR-CD; OpenFOAM's star4ToFoam keeps its patches"),
-    **dict.fromkeys((".node", ".ele"), "a mesh of TetGen; OpenFOAM's tetgenToFoam keeps its patches"),
+    **dict.fromkeys(
+        (".vrt", ".cel", ".bnd"), "a mesh of STAR-CD; OpenFOAM's star4ToFoam keeps its patches"
+    ),
+    **dict.fromkeys(
+        (".node", ".ele"), "a mesh of TetGen; OpenFOAM's tetgenToFoam keeps its patches"
+    ),
     ".cdb": "an archive of Ansys; its export to Fluent's .msh or to CGNS keeps its patches",
     ".re2": "a mesh of Nek5000; the .msh or .exo that it was made of is read",
-    **dict.fromkeys((".plt", ".tec", ".szplt"), "a file of Tecplot; ParaView opens it, and saves .vtm with its zones"),
+    **dict.fromkeys(
+        (".plt", ".tec", ".szplt"),
+        "a file of Tecplot; ParaView opens it, and saves .vtm with its zones",
+    ),
     ".case": "EnSight's; ParaView opens it, and saves .vtm with its parts",
     ".foam": "ParaView's mark of an OpenFOAM case: give the folder of the case",
     ".pvd": "ParaView's list of files: give one of them",
     **dict.fromkeys(
-        (".stl", ".obj", ".ply", ".off"), "a surface, without cells; gmsh or snappyHexMesh make a mesh of it"
+        (".stl", ".obj", ".ply", ".off"),
+        "a surface, without cells; gmsh or snappyHexMesh make a mesh of it",
     ),
-    **dict.fromkeys((".step", ".stp", ".iges", ".igs", ".brep", ".geo"), "a geometry; gmsh makes a mesh of it"),
+    **dict.fromkeys(
+        (".step", ".stp", ".iges", ".igs", ".brep", ".geo"), "a geometry; gmsh makes a mesh of it"
+    ),
 }
 """What files with other known endings are, and what makes a mesh of them that is read."""
 
-PLUGINS = "jaxmorph.formats"  # entry points by which other packages bring formats, named by their endings
+# entry points by which other packages bring formats, named by their endings
+PLUGINS = "jaxmorph.formats"
 
 
 def ending(path: pathlib.Path) -> str:
@@ -76,10 +101,14 @@ def is_folder(path: pathlib.Path) -> bool:
         return False
     if ending(path) in UNREAD:
         raise ValueError(f"{path}: by its ending this is {UNREAD[ending(path)]}.")
-    known = ", ".join(f"{name} ({', '.join(endings) or 'folders'})" for name, endings in MESHES.items())
+    known = ", ".join(
+        f"{name} ({', '.join(endings) or 'folders'})" for name, endings in MESHES.items()
+    )
     raise ValueError(
-        f"{path}: unknown file ending {ending(path)!r}; known are {known}. Write one of them where the file was made. Or let "
-        "meshio, which knows more formats, make one: `meshio convert FILE FILE.vtu`, in Python jaxmorph.Mesh.from_meshio."
+        f"{path}: unknown file ending {ending(path)!r}; known are {known}. Write one of them "
+        "where the file was made. Or let "
+        "meshio, which knows more formats, make one: `meshio convert FILE FILE.vtu`, in Python "
+        "jaxmorph.Mesh.from_meshio."
     )
 
 
@@ -87,13 +116,20 @@ def read(name: str, content: bytes) -> dict[str, Any]:
     try:
         text = content.decode()
         return tomllib.loads(text.replace("\r\n", "\n"))
-    except ValueError as error:  # also for letters that are not UTF-8, and for numbers of thousands of digits
+    except (
+        ValueError
+    ) as error:  # also for letters that are not UTF-8, and for numbers of thousands of digits
         raise ValueError(f"{name}: not TOML ({error}).") from None
     except RecursionError:
         keys = re.split(r"(?m)^[ \t]*([\w-]+)[ \t]*=", content.decode())[1:]
-        values = {key: value.count("[") + value.count("{") for key, value in zip(keys[::2], keys[1::2], strict=True)}
+        values = {
+            key: value.count("[") + value.count("{")
+            for key, value in zip(keys[::2], keys[1::2], strict=True)
+        }
         deepest = max(values, key=values.__getitem__, default="the file")
-        raise ValueError(f"{name}: {deepest} is nested too deep: thousands of brackets in each other.") from None
+        raise ValueError(
+            f"{name}: {deepest} is nested too deep: thousands of brackets in each other."
+        ) from None
 
 
 def similar(word: str, known: Iterable[str]) -> str | None:
@@ -106,7 +142,9 @@ def similar(word: str, known: Iterable[str]) -> str | None:
 SHOWN = 12  # names that an error lists
 
 
-def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+def patch_names(
+    names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]
+) -> tuple[str, ...]:
     """Lists patches of names: a patch, a group, or the matches of a whole regular expression.
 
     `groups` has lists of patches by name. **Raises:** `ValueError` for a name without any, with the
@@ -122,14 +160,20 @@ def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[
                 found = [patch for patch in patches if re.fullmatch(name, patch)]
             if not found:
                 known = _known(patches, groups)
-                raise ValueError(f"no patch is called {name!r}{_hint(name, [*patches, *groups])}; {known}.")
+                raise ValueError(
+                    f"no patch is called {name!r}{_hint(name, [*patches, *groups])}; {known}."
+                )
         listed += found
     return tuple(dict.fromkeys(listed))
 
 
 def _hint(name: str, known: Sequence[str]) -> str:
     shell = re.sub(r"(?<![.\])])\*", ".*", name)
-    if shell != name and not re.search(r"[\[(\\]", shell) and any(re.fullmatch(shell, patch) for patch in known):
+    if (
+        shell != name
+        and not re.search(r"[\[(\\]", shell)
+        and any(re.fullmatch(shell, patch) for patch in known)
+    ):
         return f" (patterns are regular expressions: {shell!r})"
     near = similar(name, known)
     return f" (did you mean {near!r}?)" if near else ""

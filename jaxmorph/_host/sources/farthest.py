@@ -72,7 +72,9 @@ class Filled(AbstractReduction):
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
         def chosen(points, order):
             first = self.tree.beside(points, others)
-            return farthest(points, max(len(first), ENOUGH[points.shape[1]]), self.closest(points), first)
+            return farthest(
+                points, max(len(first), ENOUGH[points.shape[1]]), self.closest(points), first
+            )
 
         return chosen_in_order(points, chosen)
 
@@ -81,20 +83,28 @@ class Filled(AbstractReduction):
 
 
 def farthest(
-    points: np.ndarray, count: int, closest: float, first: np.ndarray | None = None, reach: np.ndarray | float = 0.0
+    points: np.ndarray,
+    count: int,
+    closest: float,
+    first: np.ndarray | None = None,
+    reach: np.ndarray | float = 0.0,
 ) -> np.ndarray:
     """Picks ids of `count` points, each the farthest from all chosen points; `first` come first. It
     ends early if all points are within `closest` of chosen points. With `reach` (n,), distances are
     relative to it, and it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
-    distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
-    least, weight = closest**2, 1.0
+    distance = np.full(len(points), np.inf)
+    work = np.empty((2, len(points)))
+    least = closest**2
+    weight = 1.0
     if np.ndim(reach):
         # finite, also if all points are in one place
-        weight, least = 1 / np.maximum(reach, max(closest, 1e-100)) ** 2, 1.0
+        weight = 1 / np.maximum(reach, max(closest, 1e-100)) ** 2
+        least = 1.0
     least *= 1 + SAME
-    chosen, outermost = [], first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    chosen = []
+    outermost = first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
     for node in [outermost] if first is None else first.tolist():
         if distance[node] > least and len(chosen) < count:
             chosen.append(node)
@@ -105,7 +115,13 @@ def farthest(
     return np.array(chosen)
 
 
-def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndarray | float, work: np.ndarray) -> None:
+def _lower(
+    distance: np.ndarray,
+    columns: np.ndarray,
+    node: int,
+    weight: np.ndarray | float,
+    work: np.ndarray,
+) -> None:
     """Lowers squared distances where `node` is closer, in place: all data stay in the cache."""
     total, term = work
     np.subtract(columns[0], columns[0, node], out=total)
@@ -118,7 +134,10 @@ def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndar
     np.minimum(distance, total, out=distance)
 
 
-SHARE = {2: 0.25, 3: 0.5}  # default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
+SHARE = {
+    2: 0.25,
+    3: 0.5,
+}  # default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,7 +184,9 @@ class Graded(AbstractSeparated):
 
     def _near(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
         share = SHARE[points.shape[1]] if self.share is None else self.share
-        return farthest(points, self.most, self.closest(points), reach=share * _room(points, others))
+        return farthest(
+            points, self.most, self.closest(points), reach=share * _room(points, others)
+        )
 
 
 def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -192,9 +213,13 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
     start = first
     while start < n:
         end = min(n, start + start // 4 + 1)  # a tree for a quarter more points
-        own, distances, numbers = place[start - first : end - first], [], []
+        own = place[start - first : end - first]
+        distances = []
+        numbers = []
         for low, high in ((0, start), (start, end)):
-            distance, row = Tree(points[low:high]).query(points[start:end], k=range(1, min(high - low, count) + 1))
+            distance, row = Tree(points[low:high]).query(
+                points[start:end], k=range(1, min(high - low, count) + 1)
+            )
             distances.append(np.where(low + row < own, distance, np.inf))
             numbers.append(np.where(low + row < own, low + row, own))
         nearest = np.argsort(np.hstack(distances), axis=1, kind="stable")[:, : count - 1]

@@ -57,14 +57,20 @@ class Greedy(AbstractSeparated):
         motions = np.asarray(self.motions, dtype=float)
         if motions.shape[1:] != points.shape:
             raise ValueError(
-                f"`motions` has shape {motions.shape}, but there are {len(points)} points in {points.shape[1]} dimensions."
+                f"`motions` has shape {motions.shape}, but there are {len(points)} points in "
+                f"{points.shape[1]} dimensions."
             )
         values = np.concatenate(list(motions[:, order]), axis=1)
         return _by_error(points, values, self.sources, closest, self.tolerance, self.group)
 
 
 def _by_error(
-    points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float, group: float
+    points: np.ndarray,
+    values: np.ndarray,
+    count: int,
+    closest: float,
+    tolerance: float,
+    group: float,
 ) -> np.ndarray:
     """Picks points where interpolation of `values` (m, k d) misses most, a `group` in a round."""
     unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
@@ -72,7 +78,8 @@ def _by_error(
     chosen = farthest(points, min(count, points.shape[1] + 1), closest)
     kernel = _kernel(unit, unit[chosen])
     distance = np.min([np.linalg.norm(points - points[i], axis=1) for i in chosen], axis=0)
-    closest, slack = closest * (1 + SAME), SAME * np.abs(values).max()
+    closest = closest * (1 + SAME)
+    slack = SAME * np.abs(values).max()
     least = max(tolerance * np.abs(values).max(), slack)
     while len(chosen) < count:
         missed = _missed(kernel, tail, chosen, values)
@@ -86,7 +93,9 @@ def _by_error(
                 break
             added.append(worst)
             away = np.linalg.norm(points - points[worst], axis=1)
-            missed = missed * np.minimum(away / distance[worst], 1)  # without the part that this source will mend
+            missed = missed * np.minimum(
+                away / distance[worst], 1
+            )  # without the part that this source will mend
             distance = np.minimum(distance, away)
             missed[distance <= closest] = 0
         chosen = np.concatenate([chosen, added])
@@ -94,12 +103,16 @@ def _by_error(
     return chosen
 
 
-def _missed(kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _missed(
+    kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np.ndarray
+) -> np.ndarray:
     """The largest miss (m,), over all values, of the chosen points' spline (eq. 3)."""
     terms = tail.shape[1]
     matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])
     rhs = np.concatenate([values[chosen], np.zeros((terms, values.shape[1]))])
-    weights = np.linalg.lstsq(matrix, rhs)[0]  # points in one plane leave the polynomial undetermined
+    weights = np.linalg.lstsq(matrix, rhs)[
+        0
+    ]  # points in one plane leave the polynomial undetermined
     return np.abs(values - np.concatenate([kernel, tail], axis=1) @ weights).max(axis=1)
 
 

@@ -8,7 +8,15 @@ from scipy.spatial.distance import cdist
 
 from ..cells.topology import Pair
 from ..package.arguments import between
-from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, ranked, roundoff
+from ..package.rounding import (
+    SAME,
+    Tree,
+    canonical_order,
+    first_largest,
+    nearest_of,
+    ranked,
+    roundoff,
+)
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 
@@ -28,8 +36,11 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     # A batch holds the nodes with the largest distances. Independent ones are picked together. Only
     # nodes within the distance of a picked node can come nearer to it.
     rank = canonical_order(points)
-    place, ordered = np.argsort(rank), points[rank].astype(float)
-    distance, nearest, radius = np.full(len(points), np.inf), np.arange(len(points)), np.zeros(len(points))
+    place = np.argsort(rank)
+    ordered = points[rank].astype(float)
+    distance = np.full(len(points), np.inf)
+    nearest = np.arange(len(points))
+    radius = np.zeros(len(points))
 
     def approach(near: np.ndarray, node: np.ndarray) -> None:
         """Updates distances and nearest nodes of nodes `near` that are nearer to `node`."""
@@ -37,7 +48,9 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
         closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
         np.minimum.at(distance, near[closer], gap[closer])
         closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
-        closer = closer[np.argsort(-node[closer], kind="stable")]  # the first of equals is written last
+        closer = closer[
+            np.argsort(-node[closer], kind="stable")
+        ]  # the first of equals is written last
         nearest[near[closer]] = node[closer]
 
     approach(*_pairs_of_equals(images[rank]))
@@ -51,11 +64,17 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     others = np.setdiff1d(np.arange(len(points)), start)
     approach(others, nearest_of(ordered[others], ordered[start], start))
     distance[start] = 0
-    tree, least = Tree(ordered), roundoff(points)
+    tree = Tree(ordered)
+    least = roundoff(points)
     while (batch := _farthest(distance, least)).size:
-        gaps = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(ordered[batch], ordered[batch]), np.inf)
-        picked = batch[gaps.min(axis=1) >= distance[batch] * (1 - SAME)]  # no earlier node of the batch comes nearer
-        radius[picked], distance[picked] = distance[picked], 0
+        gaps = np.where(
+            np.tri(len(batch), k=-1, dtype=bool), cdist(ordered[batch], ordered[batch]), np.inf
+        )
+        picked = batch[
+            gaps.min(axis=1) >= distance[batch] * (1 - SAME)
+        ]  # no earlier node of the batch comes nearer
+        radius[picked] = distance[picked]
+        distance[picked] = 0
         node, near = tree.within(ordered[picked], (1 - SAME) * radius[picked])
         approach(near, picked[node])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
@@ -93,7 +112,9 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
     return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:BATCH]]
 
 
-def overlaps(points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray) -> Pair:
+def overlaps(
+    points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
+) -> Pair:
     """Pairs (target, centre) within the centre's radius (b,), by target, then centre."""
     tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     rank, target = tree.within(points[centres], radius[centres])
@@ -113,7 +134,8 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
     column = _places_in_runs(target)
     rows = np.zeros((count, 1 + column.max(initial=0)), dtype=np.int32)
     used = np.zeros(rows.shape, dtype=bool)
-    rows[target, column], used[target, column] = centre, True
+    rows[target, column] = centre
+    used[target, column] = True
     return rows, used
 
 
@@ -141,7 +163,8 @@ def _sweep(owner: np.ndarray, level: np.ndarray) -> Pair:
     if not owner.size:
         return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))
-    level, owner = level[order], owner[order]
+    level = level[order]
+    owner = owner[order]
     within = _places_in_runs(level, owner)
     begins = within % WIDTH == 0
     level_of_row = level[begins]
@@ -152,5 +175,6 @@ def _sweep(owner: np.ndarray, level: np.ndarray) -> Pair:
     slot = (first_slot + _places_in_runs(level_of_row))[np.cumsum(begins) - 1]
     entries = np.full((last_step[-1] * rows, WIDTH), -1, dtype=np.int32)
     owners = np.zeros(last_step[-1] * rows, np.int32)
-    entries[slot, within % WIDTH], owners[slot] = order, owner
+    entries[slot, within % WIDTH] = order
+    owners[slot] = owner
     return entries.reshape(-1, rows, WIDTH), owners.reshape(-1, rows)

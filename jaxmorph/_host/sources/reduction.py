@@ -54,7 +54,9 @@ class AbstractSeparated(AbstractReduction):
         """Returns `separation` times the diagonal of all points, but at least round-off."""
         if len(points) == 0:
             return 0.0
-        return max(self.separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
+        return max(
+            self.separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points)
+        )
 
 
 class AbstractSearchPoints(abc.ABC):
@@ -136,19 +138,26 @@ class KDTree(AbstractSeparated):
 
     def __post_init__(self):
         if self.leaves is None and self.points_per_leaf is None and self.largest_box == np.inf:
-            raise ValueError("KDTree needs `leaves`, `points_per_leaf` or `largest_box`: splitting would not end.")
+            raise ValueError(
+                "KDTree needs `leaves`, `points_per_leaf` or `largest_box`: splitting would not "
+                "end."
+            )
         for name in ("leaves", "points_per_leaf", "crowded"):
             if getattr(self, name) is not None:
                 whole(name, getattr(self, name))
         check_fields(self)
         if not 0 <= self.smallest_box <= self.largest_box:
-            raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
+            raise ValueError(
+                f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, "
+                f"{self.largest_box}."
+            )
         between("separation", self.separation, 0, 1, "[)")
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         boxes = self.boxes(points)
         local = self.search_points.local(points.shape[1])
-        centre, half = boxes.mean(axis=1), np.ptp(boxes, axis=1) / 2
+        centre = boxes.mean(axis=1)
+        half = np.ptp(boxes, axis=1) / 2
         search = (centre[:, None] + half[:, None] * local).reshape(-1, points.shape[1])
         sources = np.unique(nearest_of(search, points, np.arange(len(points))))
         if self.extremes:
@@ -164,7 +173,9 @@ class KDTree(AbstractSeparated):
             return self
         near = (1 - SAME) * float(np.ptp(points, axis=0).max())
         distance = Tree(others).query(points, distance_upper_bound=near)[0]
-        return dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
+        return (
+            dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
+        )
 
     @staticmethod
     def with_sources(count: int, points: np.ndarray) -> "KDTree":
@@ -175,26 +186,36 @@ class KDTree(AbstractSeparated):
 
         **Raises:** `ValueError` for a smaller count.
         """
-        points, count = finite_array("points", points, (None, 2), (None, 3)), whole("count", count)
+        points = finite_array("points", points, (None, 2), (None, 3))
+        count = whole("count", count)
         points = points.astype(float)
         if count <= points.shape[1] or not len(points):
             least = f"{points.shape[1] + 1} or more in {points.shape[1]}-D"
-            raise ValueError(f"`count` must be {least}, not {count}, and {len(points)} points have sources.")
+            raise ValueError(
+                f"`count` must be {least}, not {count}, and {len(points)} points have sources."
+            )
         tried: dict[int, int] = {}
-        low, high = 1, min(count, len(points))
+        low = 1
+        high = min(count, len(points))
         while low <= high:
             leaves = (low + high) // 2
             tried[leaves] = len(KDTree(leaves, extremes=True)(points))
             low, high = (leaves + 1, high) if tried[leaves] < count else (low, leaves - 1)
-        return KDTree(min(tried, key=lambda leaves: (abs(tried[leaves] - count), leaves)), extremes=True)
+        return KDTree(
+            min(tried, key=lambda leaves: (abs(tried[leaves] - count), leaves)), extremes=True
+        )
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
         """Builds the tree of points (n, d); returns lower and upper corners of leaves (k, 2, d)."""
-        counter, done = itertools.count(), []  # the number breaks ties: the leaf found first is split first
+        counter, done = (
+            itertools.count(),
+            [],
+        )  # the number breaks ties: the leaf found first is split first
         heap = [(-len(points), next(counter), np.arange(len(points)))]
         while heap:
             *_, members = heapq.heappop(heap)
-            sides, leaves = np.ptp(points[members], axis=0), 1 + len(heap) + len(done)
+            sides = np.ptp(points[members], axis=0)
+            leaves = 1 + len(heap) + len(done)
             is_wanted = self.leaves is not None and leaves < self.leaves
             is_wanted |= self.points_per_leaf is not None and len(members) > self.points_per_leaf
             is_wanted |= sides.max() > self.largest_box * (1 + SAME)
@@ -203,7 +224,9 @@ class KDTree(AbstractSeparated):
                     heapq.heappush(heap, (-len(half), next(counter), half))
             else:
                 done.append(members)
-        return np.array([[points[members].min(axis=0), points[members].max(axis=0)] for members in done])
+        return np.array(
+            [[points[members].min(axis=0), points[members].max(axis=0)] for members in done]
+        )
 
 
 def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
@@ -215,7 +238,9 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
     return members[:middle], members[middle:]
 
 
-def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+def chosen_in_order(
+    points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> np.ndarray:
     points = np.asarray(points, dtype=float)
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -224,12 +249,15 @@ def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray
 
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
-    extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
+    extremes = []
+    slack = SAME * float(np.ptp(points, axis=0).max())
     for axis, sign in itertools.product(range(points.shape[1]), (-1, 1)):
         along = sign * points[:, axis]
         touching = np.flatnonzero(along >= along.max() - slack)
         others = np.delete(points[touching], axis, axis=1)
-        extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
+        extremes += [
+            touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)
+        ]
     return np.unique(extremes)
 
 
@@ -240,13 +268,17 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
     pairs = Tree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
-    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
+    for first, second in pairs[
+        np.lexsort((pairs[:, 1], pairs[:, 0]))
+    ]:  # pairs come as first < second
         if keep[first]:
             keep[second] = False
     return ids[keep]
 
 
-def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float) -> np.ndarray:
+def drop_near(
+    points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float
+) -> np.ndarray:
     """Drops ids of points within `closest` of one of the `others`; the order stays."""
     if len(ids) == 0 or len(others) == 0:
         return ids

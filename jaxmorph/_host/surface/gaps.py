@@ -20,7 +20,8 @@ def share_left(
     before is the smaller of those at the row and at the corners of the face that is nearest
     afterwards: sliding walls keep their gap. Distances up to `touching` count as no gap.
     """
-    first, second = gaps(before, wall, faces)[0], gaps(after, wall, faces)
+    first = gaps(before, wall, faces)[0]
+    second = gaps(after, wall, faces)
     narrowest = np.minimum(first, first[second[1]].min(axis=1))
     known = np.isfinite(second[0]) & (narrowest > touching)
     return np.where(known, second[0] / np.where(known, narrowest, 1), np.inf)
@@ -32,15 +33,22 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> Pair:
     face between two walls does not count.
     """
     faces = faces[(wall[faces] == wall[faces[:, :1]]).all(axis=1)]
-    distance, nearest = np.full(len(points), np.inf), np.zeros((len(points), faces.shape[1]), dtype=np.int64)
+    distance = np.full(len(points), np.inf)
+    nearest = np.zeros((len(points), faces.shape[1]), dtype=np.int64)
     for label in np.unique(wall):
-        here, others = np.flatnonzero(wall == label), faces[wall[faces[:, 0]] != label]
+        here = np.flatnonzero(wall == label)
+        others = faces[wall[faces[:, 0]] != label]
         if len(others):
-            tree = Tree(points[others].mean(axis=1), leafsize=32, balanced_tree=False, compact_nodes=False)
-            near = others[tree.query(points[here], k=range(1, min(CLOSEST, len(others)) + 1))[1]].swapaxes(0, 1)
+            tree = Tree(
+                points[others].mean(axis=1), leafsize=32, balanced_tree=False, compact_nodes=False
+            )
+            near = others[
+                tree.query(points[here], k=range(1, min(CLOSEST, len(others)) + 1))[1]
+            ].swapaxes(0, 1)
             away = np.stack([_places(points[candidates], points[here])[1] for candidates in near])
             best = away.argmin(axis=0), np.arange(len(here))
-            distance[here], nearest[here] = away[best], near[best]
+            distance[here] = away[best]
+            nearest[here] = near[best]
     return distance, nearest
 
 
@@ -63,12 +71,18 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
     size = np.frexp(np.maximum(radius, 1e-9 * radius.max()))[1]
     groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
     trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
-    blocks = [_closest(trees, corners, x[at : at + BLOCK]) for at in range(0, max(len(x), 1), BLOCK)]
+    blocks = [
+        _closest(trees, corners, x[at : at + BLOCK]) for at in range(0, max(len(x), 1), BLOCK)
+    ]
     return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
 
 
-def _closest(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    bound, rows, simplices = np.full(len(x), np.inf), [], []
+def _closest(
+    trees: list, corners: np.ndarray, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    bound = np.full(len(x), np.inf)
+    rows = []
+    simplices = []
     for group, tree, _ in trees:
         near = group[tree.query(x, k=range(1, min(NEAR, len(group)) + 1))[1]]
         distance = _places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[1]
@@ -77,7 +91,8 @@ def _closest(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarra
         row, member = tree.within(x, (bound + radius) * (1 + 1e-9))
         rows.append(row)
         simplices.append(group[member])
-    row, simplex = np.concatenate(rows), np.concatenate(simplices)
+    row = np.concatenate(rows)
+    simplex = np.concatenate(simplices)
     weights, distance = _places(corners[simplex], x[row])
     order = np.lexsort((simplex, distance, row))
     best = order[np.unique(row[order], return_index=True)[1]]
@@ -88,15 +103,19 @@ def _places(corners: np.ndarray, x: np.ndarray) -> Pair:
     """Weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
     choices = []
     for i, j in itertools.combinations(range(corners.shape[1]), 2):
-        along, weights = corners[:, j] - corners[:, i], np.zeros(corners.shape[:2])
+        along = corners[:, j] - corners[:, i]
+        weights = np.zeros(corners.shape[:2])
         length = np.einsum("md,md->m", along, along)
         share = np.einsum("md,md->m", x - corners[:, i], along) / np.where(length > 0, length, 1)
         weights[:, j] = np.clip(share, 0, 1)
         weights[:, i] = 1 - weights[:, j]
         choices.append(weights)
     if corners.shape[1] == 3:  # the foot of the perpendicular, if it is inside
-        a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        normal, arm = cross_rows(u, v), x - a
+        a = corners[:, 0]
+        u = corners[:, 1] - corners[:, 0]
+        v = corners[:, 2] - corners[:, 0]
+        normal = cross_rows(u, v)
+        arm = x - a
         area = np.einsum("md,md->m", normal, normal)
         turned = np.stack([cross_rows(arm, v), cross_rows(u, arm)], axis=1)
         shares = np.einsum("mcd,md->mc", turned, normal) / np.where(area > 0, area, 1)[:, None]
@@ -109,18 +128,24 @@ def _places(corners: np.ndarray, x: np.ndarray) -> Pair:
     return np.stack(choices)[best], distance[best]
 
 
-AFTER, BEFORE = 1e-9, 1e-6  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
+AFTER, BEFORE = (
+    1e-9,
+    1e-6,
+)  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
 PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
 TOGETHER = 1 << 17  # pairs of faces in a block
 
 
-def crossing_faces(points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray) -> Pair:
+def crossing_faces(
+    points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray
+) -> Pair:
     """Finds pairs (k, 2) of faces that meet only after the motion, and where (k, d) they meet.
     `faces` are segments (f, 2) or triangles (f, 3), rows of `points` (b, d), which are `moved`.
     Faces with a common number of `place` (b,) are neighbours, and do not count.
     """
     pairs = overlapping_boxes(moved[faces], (points != moved).any(axis=1)[faces].any(axis=1))
-    found, places = [pairs[:0]], [points[:0]]
+    found = [pairs[:0]]
+    places = [points[:0]]
     for start in range(0, len(pairs), TOGETHER):
         both = pairs[start : start + TOGETHER]
         first, second = place[faces[both]].swapaxes(0, 1)
@@ -139,13 +164,17 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> np.ndarray:
     # is their minimum, and two boxes overlap if no least coordinate exceeds the other's largest.
     # One more axis goes from 0 to 1 for moving faces, and from 1 to 0 for others: these are apart.
     # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
-    slack, is_still = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True), ~is_moving[:, None]
-    boxes = np.hstack([is_still, corners.min(axis=1) - slack, is_still - 1.0, -corners.max(axis=1) - slack])
+    slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
+    is_still = ~is_moving[:, None]
+    boxes = np.hstack(
+        [is_still, corners.min(axis=1) - slack, is_still - 1.0, -corners.max(axis=1) - slack]
+    )
     order = morton_order(corners.mean(axis=1))
     levels = [boxes[order].T]
     while levels[-1].shape[1] > 1:
         levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[1], 2), axis=1))
-    pairs, children = np.zeros((1, 2), np.int64), np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+    pairs = np.zeros((1, 2), np.int64)
+    children = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     for level in levels[::-1]:
         pairs = (2 * pairs[:, None] + children).reshape(-1, 2)
         pairs = pairs[(pairs[:, 0] <= pairs[:, 1]) & (pairs[:, 1] < level.shape[1])]
@@ -159,7 +188,9 @@ def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:
     where = np.full((len(corners), corners.shape[3]), np.nan)
     for pairs in (corners, corners[:, ::-1]):
         edges, others = pairs.swapaxes(0, 1)
-        for start, end in zip(edges.swapaxes(0, 1), np.roll(edges, -1, axis=1).swapaxes(0, 1), strict=True):
+        for start, end in zip(
+            edges.swapaxes(0, 1), np.roll(edges, -1, axis=1).swapaxes(0, 1), strict=True
+        ):
             share = _share(start, end - start, others, slack)[:, None]
             where = np.where(np.isfinite(share), start + share * (end - start), where)
     return where
@@ -170,8 +201,14 @@ def _share(start: np.ndarray, along: np.ndarray, corners: np.ndarray, slack: flo
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
     rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])
     volume = np.einsum("kd,kd->k", rows[0], along)
-    is_steep = np.abs(volume) > PARALLEL * np.linalg.norm(along, axis=1) * np.linalg.norm(rows[0], axis=1)
-    share, *places = np.einsum("rkd,kd->rk", rows, corners[:, 0] - start) / np.where(is_steep, volume, 1)
+    is_steep = np.abs(volume) > PARALLEL * np.linalg.norm(along, axis=1) * np.linalg.norm(
+        rows[0], axis=1
+    )
+    share, *places = np.einsum("rkd,kd->rk", rows, corners[:, 0] - start) / np.where(
+        is_steep, volume, 1
+    )
     places = -np.array(places)
     inside = np.minimum(share, places.min(axis=0)) >= -slack
-    return np.where(is_steep & inside & (np.maximum(share, places.sum(axis=0)) <= 1 + slack), share, np.nan)
+    return np.where(
+        is_steep & inside & (np.maximum(share, places.sum(axis=0)) <= 1 + slack), share, np.nan
+    )

@@ -19,11 +19,13 @@ from ..package.errors import MeshError, place_of, worst_first
 from ..package.rounding import BETWEEN, canonical_order, morton_order, roundoff, spacing
 from ..sources.reduction import drop_close
 
-JITTER = 1e-8  # relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong
+# relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong
+JITTER = 1e-8
 SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`
 TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
-OPTIONS = "Qbb Qc Qz Q12 Q5"  # SciPy's of qhull, but for a last check of outer planes, which simplices do not use
+# SciPy's of qhull, but for a last check of outer planes, which simplices do not use
+OPTIONS = "Qbb Qc Qz Q12 Q5"
 FLAT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
 
 
@@ -58,16 +60,21 @@ class Graph:
 
 def graph_of(surface: np.ndarray) -> Graph:
     """Builds the Delaunay graph of a surface (b, d). Raises `ValueError` for a flat one."""
-    dimension, slack = surface.shape[1], roundoff(surface)
+    dimension = surface.shape[1]
+    slack = roundoff(surface)
     surface = surface.astype(np.float64, copy=False)
-    centre, size = surface.min(axis=0), np.ptp(surface, axis=0).max() or 1.0
+    centre = surface.min(axis=0)
+    size = np.ptp(surface, axis=0).max() or 1.0
     unit = (surface - centre) / size
-    unique = drop_close(unit, np.arange(len(unit)), roundoff(surface) / size)  # of coincident nodes a moving one
+    unique = drop_close(
+        unit, np.arange(len(unit)), roundoff(surface) / size
+    )  # of coincident nodes a moving one
     unique = unique[canonical_order(unit[unique])]
     nodes = unit[unique]
     if len(nodes) <= dimension:
         raise ValueError(
-            f"a Delaunay graph in {dimension}-D needs {dimension + 1} distinct surface nodes, got {len(nodes)}."
+            f"a Delaunay graph in {dimension}-D needs {dimension + 1} distinct surface nodes, got "
+            f"{len(nodes)}."
         )
     flat = FLAT * roundoff(surface) / size
     return Graph(centre, size, unique, nodes, _graph(nodes, flat), flat, slack)
@@ -102,14 +109,16 @@ def _inverse(corners: np.ndarray) -> np.ndarray:
 def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
     # Coordinates are rounded to about `SNAP` of the nearest distance: qhull sees no last bits.
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
-    graph, snapped = None, np.floor(nodes / step + BETWEEN) * step
+    graph = None
+    snapped = np.floor(nodes / step + BETWEEN) * step
     for phase in range(TRIALS):
         with contextlib.suppress(QhullError):
             graph = _Graph(_jittered(snapped, phase), qhull_options=OPTIONS)
             break
     if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
         raise ValueError(
-            f"the {len(nodes)} surface nodes lie in one {'line' if nodes.shape[1] == 2 else 'plane'}, so no Delaunay graph "
+            f"the {len(nodes)} surface nodes lie in one "
+            f"{'line' if nodes.shape[1] == 2 else 'plane'}, so no Delaunay graph "
             "spans the mesh. Add the other boundaries (far field, walls) as fixed nodes."
         )
     return graph
@@ -120,7 +129,12 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
     dimension = nodes.shape[1]
-    waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
+    waves = (
+        1e6
+        * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[
+            :dimension, :dimension
+        ]
+    )
     # a sum of products has equal bits on every processor, a product of matrices has not
     angle = sum(column[:, None] * wave for column, wave in zip(nodes.T, waves, strict=True))
     return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)
@@ -140,7 +154,9 @@ def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     order = morton_order(targets)
     simplex = np.empty(len(targets), dtype=np.int64)
 
-    def find(part: slice) -> None:  # parts do not follow the cores: a point on a face may have several answers
+    def find(
+        part: slice,
+    ) -> None:  # parts do not follow the cores: a point on a face may have several answers
         simplex[order[part]] = graph.delaunay.find_simplex(targets[order[part]])
 
     by_blocks(find, len(targets))
@@ -149,7 +165,9 @@ def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, targets[poor], simplex[poor])
         still = poor[~(smallest[poor] >= -TOLERANCE)]
-        _check_inside(points, wanted[still], _beyond_hull(graph, targets[still]) * graph.size - graph.slack)
+        _check_inside(
+            points, wanted[still], _beyond_hull(graph, targets[still]) * graph.size - graph.slack
+        )
         simplex[still], beyond = _search(graph, targets[still])
         beyond[beyond <= graph.flat + JITTER] = 0
         _check_inside(points, wanted[still], beyond * graph.size - graph.slack)
@@ -160,7 +178,8 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     # A point moves a little towards the middle, out of the flat simplices along a plane side of the
     # hull, and is searched again. The best simplex has the largest smallest weight.
     simplex = np.maximum(simplex, 0)
-    best, middle = graph.smallest_weight(simplex, points), graph.nodes.mean(axis=0)
+    best = graph.smallest_weight(simplex, points)
+    middle = graph.nodes.mean(axis=0)
     for step in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
         left = np.flatnonzero(~(best >= -TOLERANCE))
         if not left.size:
@@ -168,22 +187,27 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
         candidate = graph.delaunay.find_simplex(points[left] + step * (middle - points[left]))
         weight = graph.smallest_weight(candidate, points[left])
         better = weight > best[left]
-        simplex[left[better]], best[left[better]] = candidate[better], weight[better]
+        simplex[left[better]] = candidate[better]
+        best[left[better]] = weight[better]
     return simplex, best
 
 
 def _search(graph: Graph, points: np.ndarray) -> Pair:
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
-    corners, margin = graph.nodes[graph.delaunay.simplices[sound]], 2 * JITTER + graph.flat
-    low, high = corners.min(axis=1) - margin, corners.max(axis=1) + margin
-    simplex, beyond = np.zeros(len(points), dtype=np.int64), np.zeros(len(points))
+    corners = graph.nodes[graph.delaunay.simplices[sound]]
+    margin = 2 * JITTER + graph.flat
+    low = corners.min(axis=1) - margin
+    high = corners.max(axis=1) + margin
+    simplex = np.zeros(len(points), dtype=np.int64)
+    beyond = np.zeros(len(points))
     for i, point in enumerate(points):
         near = sound[((point >= low) & (point <= high)).all(axis=1)]
         near = near if near.size else sound
         weight = graph.smallest_weight(near, np.broadcast_to(point, (len(near), len(point))))
         best = weight.argmax()
-        simplex[i], beyond[i] = near[best], -weight[best] * heights[near[best]]
+        simplex[i] = near[best]
+        beyond[i] = -weight[best] * heights[near[best]]
     return simplex, beyond
 
 
@@ -194,8 +218,11 @@ def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
     corners = graph.nodes[graph.delaunay.convex_hull]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     height = np.linalg.norm(normals(corners), axis=1) / longest ** (graph.delaunay.ndim - 2)
-    corners, longest, height = (values[height > graph.flat] for values in (corners, longest, height))
-    outward, anchors = unit_rows(normals(corners)), corners[:, 0]
+    corners, longest, height = (
+        values[height > graph.flat] for values in (corners, longest, height)
+    )
+    outward = unit_rows(normals(corners))
+    anchors = corners[:, 0]
     outward *= np.sign(np.einsum("fd,fd->f", outward, anchors - graph.nodes.mean(axis=0)))[:, None]
     slack = 4 * (JITTER * longest + graph.flat) * np.maximum(1, 1 / height)
     offsets = np.einsum("fd,fd->f", outward, anchors) + slack
@@ -208,8 +235,11 @@ def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> No
     outside = ids[worst_first(beyond, 0)]
     if outside.size:
         raise MeshError(
-            f"{len(outside)} of {len(points)} points lie outside of the convex hull of the moving and fixed nodes; the worst is "
-            f"node {{node}} at ({place_of(points[outside[0]])}), {beyond.max():.3g} beyond it. Add the missing boundary "
-            "(outlet, inlet, far field, channel wall) as fixed nodes, or take a method without a graph, such as jm.RBF().",
+            f"{len(outside)} of {len(points)} points lie outside of the convex hull of the moving "
+            "and fixed nodes; the worst is "
+            f"node {{node}} at ({place_of(points[outside[0]])}), {beyond.max():.3g} beyond it. "
+            "Add the missing boundary "
+            "(outlet, inlet, far field, channel wall) as fixed nodes, or take a method without a "
+            "graph, such as jm.RBF().",
             outside,
         )

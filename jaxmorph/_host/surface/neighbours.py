@@ -8,7 +8,15 @@ import numpy as np
 
 from ..cells.topology import Pair
 from ..package.cores import by_blocks
-from ..package.rounding import SAME, Tree, few_by, lowest_of_equals, morton_order, nearest_few, roundoff
+from ..package.rounding import (
+    SAME,
+    Tree,
+    few_by,
+    lowest_of_equals,
+    morton_order,
+    nearest_few,
+    roundoff,
+)
 
 FEW = 16  # most walls for which every wall has a search tree of its own
 AROUND = 8  # neighbours among whose distances a leap is searched
@@ -41,23 +49,31 @@ def near_walls(
     # point. Then the points of a wall are compared with the nodes of all other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
-    order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
+    order = morton_order(
+        points
+    )  # a tree is searched three times faster for neighbours one after the other
     distance, first = _nearest(surface, _by_reach(wall, reach), points[order], once, reach)
     hit = np.flatnonzero(distance < np.inf)
-    near, first, distance = order[hit], first[hit], distance[hit]
+    near = order[hit]
+    first = first[hit]
+    distance = distance[hit]
     around = once(("around", digest(wall), count), lambda: _around(surface, wall, 2 * count))
     rows = np.empty((len(near), count + 1), dtype=np.int32)
 
     def compare(part: slice) -> None:
         candidates = around[first[part]]
-        offsets = [surface[candidates, axis] - points[near[part], axis, None] for axis in range(points.shape[1])]
+        offsets = [
+            surface[candidates, axis] - points[near[part], axis, None]
+            for axis in range(points.shape[1])
+        ]
         rows[part, :count] = _closest(candidates, np.sum([a * a for a in offsets], axis=0), count)
 
     by_blocks(compare, len(near))
     rows[:, count] = rows[:, 0]
     is_nearest = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
-        here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
+        here = np.flatnonzero(wall[first] == label)
+        others = np.flatnonzero(wall != label)
         if others.size:
             far = 8 * (1 + SAME) * reach[wall == label].max()
             bounded = [(members, far) for members in searched_together(wall, others)]
@@ -70,7 +86,8 @@ def near_walls(
 
 def _by_reach(wall: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, float]]:
     # nodes of similar reach are searched together: too large a bound costs ten times as much
-    size, bounded = np.frexp(reach)[1], []
+    size = np.frexp(reach)[1]
+    bounded = []
     for members in searched_together(wall, np.flatnonzero(reach > 0)):
         groups = [members[size[members] == exponent] for exponent in np.unique(size[members])]
         bounded += [(rows, reach[rows].max()) for rows in groups]
@@ -107,22 +124,32 @@ def _nearest(
     """The nearest node of several lists within their bounds, and its distance, else infinite. With
     `reach` (b,), a node counts only within its own reach. Ties go to the first list.
     """
-    trees = [once(("tree", digest(members)), lambda members=members: _tree(surface[members])) for members, _ in bounded]
-    distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
-    place, slack = np.zeros(len(points), dtype=np.int32), max(roundoff(points), roundoff(surface))
+    trees = [
+        once(("tree", digest(members)), lambda members=members: _tree(surface[members]))
+        for members, _ in bounded
+    ]
+    distance = np.full(len(points), np.inf)
+    nearest = np.zeros(len(points), dtype=np.int64)
+    place = np.zeros(len(points), dtype=np.int32)
+    slack = max(roundoff(points), roundoff(surface))
 
     def search(k: int, rows: np.ndarray) -> None:
         members, bound = bounded[k]
         several = range(1, min(2, len(members)) + 1)
         found, row = trees[k].query(points[rows], k=several, distance_upper_bound=bound, workers=1)
-        equal = np.flatnonzero((found[:, -1] <= (1 + SAME) * found[:, 0]) & (row[:, -1] < len(members)))
-        least, row = found[:, 0], np.minimum(row[:, 0], len(members) - 1)
+        equal = np.flatnonzero(
+            (found[:, -1] <= (1 + SAME) * found[:, 0]) & (row[:, -1] < len(members))
+        )
+        least = found[:, 0]
+        row = np.minimum(row[:, 0], len(members) - 1)
         row[equal] = few_by(trees[k], points[rows[equal]], 1, slack)[:, 0]
         node = members[row]
         closer = (least < distance[rows]) | ((least == distance[rows]) & (k < place[rows]))
         closer &= least < (np.inf if reach is None else reach[node])
         better = rows[closer]
-        distance[better], nearest[better], place[better] = least[closer], node[closer], k
+        distance[better] = least[closer]
+        nearest[better] = node[closer]
+        place[better] = k
 
     def search_all(part: slice) -> None:
         # A tree is searched only for points whose answer so far is farther than the tree's box. The
@@ -158,7 +185,9 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
         nodes = np.flatnonzero(wall == label)
         k = min(count, len(nodes))
         nearest = nodes[nearest_few(surface[nodes], surface[nodes], k)]
-        around[nodes] = np.concatenate([nearest, np.repeat(nodes[:, None], count - k, axis=1)], axis=1)
+        around[nodes] = np.concatenate(
+            [nearest, np.repeat(nodes[:, None], count - k, axis=1)], axis=1
+        )
     return around
 
 

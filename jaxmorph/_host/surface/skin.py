@@ -22,10 +22,16 @@ from ..package.rounding import (
 )
 from ..sources.farthest import farthest
 
-RINGS = (40, 80)  # radii of rings at which a body's field comes to rest, relative to the body's radius
+RINGS = (
+    40,
+    80,
+)  # radii of rings at which a body's field comes to rest, relative to the body's radius
 BEYOND = 1.1  # least distance of a far field with rings, relative to the last ring
 SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
-APART = {2: 0.6, 3: 0.8}  # distance of the points of a ring, relative to its radius: about 8 on a circle
+APART = {
+    2: 0.6,
+    3: 0.8,
+}  # distance of the points of a ring, relative to its radius: about 8 on a circle
 
 
 def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.ndarray:
@@ -37,7 +43,9 @@ def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.nd
         inside = corners[(corners < moving).all(axis=1)]
         pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2).reshape(-1, 2))
     sides = np.concatenate(pairs)
-    sides = np.unique(np.sort(sides if len(sides) else _neighbours(points[:moving]), axis=1), axis=0)
+    sides = np.unique(
+        np.sort(sides if len(sides) else _neighbours(points[:moving]), axis=1), axis=0
+    )
     length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
     return sides[length > roundoff(points)]
 
@@ -45,7 +53,8 @@ def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.nd
 def _neighbours(points: np.ndarray) -> np.ndarray:
     """Pairs a node with its nearest and the nearest behind it (2-D), or its six nearest (3-D)."""
     first = distinct(points)[0]
-    unique, start = points[first], np.arange(len(first))
+    unique = points[first]
+    start = np.arange(len(first))
     if len(unique) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     nearest = nearest_few(unique, unique, min(7, len(unique)))[:, 1:]
@@ -71,7 +80,8 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: ByType | None = None) ->
     the diameter of a sphere.
     """
     size = np.bincount(wall, _shares(points, faces))
-    ends, order = np.zeros((len(size), 2), dtype=np.int32), canonical_order(points)
+    ends = np.zeros((len(size), 2), dtype=np.int32)
+    order = canonical_order(points)
     for label in np.unique(wall):
         members = order[wall[order] == label]
         start = points[members].mean(axis=0)
@@ -87,17 +97,27 @@ def _shares(points: np.ndarray, faces: ByType | None) -> np.ndarray:
     """Measures the length (2-D) or area (3-D) around every node (b,); an estimate without faces."""
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
-        np.add.at(share, corners, np.linalg.norm(outward(points[corners]), axis=1)[:, None] / corners.shape[1])
+        np.add.at(
+            share,
+            corners,
+            np.linalg.norm(outward(points[corners]), axis=1)[:, None] / corners.shape[1],
+        )
     left = np.flatnonzero(share == 0)
     count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
     if not left.size or count < 1:
         return share
     distance = np.asarray(Tree(points).query(points[left], k=count + 1)[0])[:, 1:]
-    share[left] = distance.mean(axis=1) if points.shape[1] == 2 else np.pi * distance[:, -1] ** 2 / (count + 0.5)
+    share[left] = (
+        distance.mean(axis=1)
+        if points.shape[1] == 2
+        else np.pi * distance[:, -1] ** 2 / (count + 0.5)
+    )
     return share
 
 
-def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+def nearest_held(
+    points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray
+) -> np.ndarray:
     """Finds each edge's (e,) nearest row fixed or on another wall; else the edge's first row."""
     middle = points[pairs].mean(axis=1)
     nearest = pairs[:, 0].copy()
@@ -110,7 +130,9 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
     return nearest
 
 
-def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
+def drawn_in(
+    surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray
+) -> tuple:
     """Finds distant fixed sources, and shares of the way to them where the field comes to rest. The
     way begins at the middle of the moving sources.
     """
@@ -118,7 +140,11 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
     way = np.linalg.norm(surface - centre, axis=1)
     # one moving node has no size, and no rings
-    far = fixed[(images[fixed] == fixed) & (way[fixed] > BEYOND * (1 + SAME) * rings.max()) & (rings.max() > 0)]
+    far = fixed[
+        (images[fixed] == fixed)
+        & (way[fixed] > BEYOND * (1 + SAME) * rings.max())
+        & (rings.max() > 0)
+    ]
     if len(far):
         far = far[canonical_order(surface[far])]
         far = far[farthest(surface[far], len(far), 0.0, reach=APART[surface.shape[1]] * way[far])]
@@ -138,12 +164,19 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
     # largest sides are looked at, by the equation of their largest facet.
     size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
     order = np.argsort(-size, kind="stable")
-    equations, size = hull.equations[order], size[order]
-    first, plane = np.unique(np.round(equations, 6), axis=0, return_index=True, return_inverse=True)[1:]
+    equations = hull.equations[order]
+    size = size[order]
+    first, plane = np.unique(
+        np.round(equations, 6), axis=0, return_index=True, return_inverse=True
+    )[1:]
     area = np.bincount(plane.ravel(), size)
     largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]]
-    slack, free = 1e-8 * float(np.ptp(surface, axis=0).max()), points[is_free]
-    return any((free @ np.array(normal) + offset > -slack).sum() > 1 for *normal, offset in equations[largest])
+    slack = 1e-8 * float(np.ptp(surface, axis=0).max())
+    free = points[is_free]
+    return any(
+        (free @ np.array(normal) + offset > -slack).sum() > 1
+        for *normal, offset in equations[largest]
+    )
 
 
 def has_free_faces(points: np.ndarray, faces: ByType, is_held: np.ndarray) -> bool:
@@ -153,9 +186,16 @@ def has_free_faces(points: np.ndarray, faces: ByType, is_held: np.ndarray) -> bo
     return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
 
 
-SHARP = np.cos(np.deg2rad(60))  # cosine of the angle between a tip's edges below which the wall is sharp there
-NEARBY = 0.002, 0.008, 0.032  # distances of sources from a tip over the mean chord: waves invert cells at tips
-AWAY = 0.7  # least distance of a place behind a tip from the wall, relative to its distance from the tip
+SHARP = np.cos(
+    np.deg2rad(60)
+)  # cosine of the angle between a tip's edges below which the wall is sharp there
+NEARBY = (
+    0.002,
+    0.008,
+    0.032,
+)  # distances of sources from a tip over the mean chord: waves invert cells at tips
+# least distance of a place behind a tip from the wall, relative to its distance from the tip
+AWAY = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,14 +220,19 @@ class Tips:
 
     def sides(self, tip: int, length: float) -> list[int]:
         """Finds the first place at the distance `length` on both sides of a tip."""
-        found, reach = [], length * (1 - SAME)
+        found = []
+        reach = length * (1 - SAME)
         for place in self.beside[tip].tolist():  # follows the wall, or to its end
             before = tip
-            while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < reach:
+            while (
+                self.count[place] == 2
+                and np.linalg.norm(self.points[place] - self.points[tip]) < reach
+            ):
                 ahead = int(self.beside[place].sum()) - before
                 if ahead == tip:
                     break
-                before, place = place, ahead
+                before = place
+                place = ahead
             found.append(place)
         return found
 
@@ -195,13 +240,19 @@ class Tips:
 def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
     """Finds the sharp tips of the walls with the edges `pairs` (e, 2)."""
     first, same = distinct(points[pairs.ravel()])
-    rows, ends = pairs.ravel()[first], same.reshape(-1, 2)  # the two nodes of a closed edge are one place
+    rows, ends = (
+        pairs.ravel()[first],
+        same.reshape(-1, 2),
+    )  # the two nodes of a closed edge are one place
     place = points[rows]
     directed = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)  # sorted by start
     first = np.searchsorted(directed[:, 0], np.arange(len(place) + 1))
-    beside, count = directed[np.minimum(first[:-1, None] + [0, 1], len(directed) - 1), 1], np.diff(first)
+    beside = directed[np.minimum(first[:-1, None] + [0, 1], len(directed) - 1), 1]
+    count = np.diff(first)
     arms = place[beside] - place[:, None]
-    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP * (1 + SAME) * np.linalg.norm(arms, axis=2).prod(axis=1)
+    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP * (1 + SAME) * np.linalg.norm(
+        arms, axis=2
+    ).prod(axis=1)
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))
 
 
@@ -210,7 +261,8 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
     mirrored in the tip, lies behind it. Its distance is at least `length`, at least one edge, more
     than `closest`, and less than `room`, both of edges (e,).
     """
-    place, found = walls.points, []
+    place = walls.points
+    found = []
     for tip in walls.tips.tolist():
         sides = walls.sides(tip, walls.lengths(tip, length).min())
         image = 2 * place[tip] - place[sides].mean(axis=0)

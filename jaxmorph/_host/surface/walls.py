@@ -8,15 +8,23 @@ from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked
 from ..sources.farthest import farthest
 
-SHARP = np.cos(np.deg2rad(45))  # cosine of a concave corner's angle from which on its faces are two walls
-REACH = 1.5  # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
-CURVED = 4  # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
+SHARP = np.cos(
+    np.deg2rad(45)
+)  # cosine of a concave corner's angle from which on its faces are two walls
+# distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
+REACH = 1.5
+# most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
+CURVED = 4
 SAMPLE = 16  # nodes of a curve that vote for the next part
-AROUND = 512  # nearest nodes among which a node finds its vote; if votes fail, all nodes are searched
+# nearest nodes among which a node finds its vote; if votes fail, all nodes are searched
+AROUND = 512
 
 
 def walls(
-    points: np.ndarray, moving: int, faces: ByType | None = None, in_planes: np.ndarray | None = None
+    points: np.ndarray,
+    moving: int,
+    faces: ByType | None = None,
+    in_planes: np.ndarray | None = None,
 ) -> np.ndarray:
     """Returns each surface node's wall (b,); the first `moving` nodes move.
 
@@ -29,7 +37,9 @@ def walls(
     marked by `in_planes` (b,), take the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
-    groups = [in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
+    groups = [
+        in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)
+    ]
     if groups:
         label = _by_faces(points, moving, groups)
     else:
@@ -37,7 +47,8 @@ def walls(
         others = others if in_planes is None else others[~in_planes[others]]
         label[:moving] = _by_chains(points[:moving])
         label[others] = _by_chains(points[others]) + 1 + label.max()
-    known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
+    known = np.flatnonzero(label >= 0)
+    left = np.flatnonzero(label < 0)
     if left.size:
         label[left] = nearest_of(points[left], points[known], label[known])
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
@@ -55,7 +66,9 @@ def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.nd
     """Sorts nodes (b, d) by place, the first `moving` nodes before all others. Of nodes in one
     place, as on two sides of a slit, the directions of their `faces` decide.
     """
-    columns = [ranked(column, SAME * float(np.ptp(points, axis=0).max(initial=0))) for column in points.T]
+    columns = [
+        ranked(column, SAME * float(np.ptp(points, axis=0).max(initial=0))) for column in points.T
+    ]
     is_still = np.arange(len(points)) >= moving
     order = np.lexsort([*columns[::-1], is_still])
     repeated = np.logical_and.reduce([np.diff(column[order]) == 0 for column in columns])
@@ -77,13 +90,16 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     first, second, agree = _beside(groups)
     unit = unit_rows(normal)
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
-    sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
+    sharp = (
+        agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
+    )
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
     joined = (fixed[first] == fixed[second]) & ~sharp
     part = parts_of(first[joined], second[joined], len(fixed))
     # A moving node at the rim may have moving and fixed faces; its moving faces must name its wall,
     # and a fixed node's fixed faces. So these faces write last.
-    node, face = np.concatenate([group.T.ravel() for group in groups]), owners(groups)
+    node = np.concatenate([group.T.ravel() for group in groups])
+    face = owners(groups)
     order = np.argsort((node >= moving) == fixed[face], kind="stable")
     label = np.full(len(points), -1)
     label[node[order]] = part[face[order]]
@@ -94,7 +110,9 @@ def owners(groups: list[np.ndarray]) -> np.ndarray:
     """The face of every corner, group by group (k, c), first corners of all its faces first."""
     starts = np.cumsum([0, *map(len, groups)])
     faces = zip(starts, groups, strict=False)
-    return np.concatenate([np.tile(start + np.arange(len(group)), group.shape[1]) for start, group in faces])
+    return np.concatenate(
+        [np.tile(start + np.arange(len(group)), group.shape[1]) for start, group in faces]
+    )
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -106,10 +124,13 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     if groups[0].shape[1] == 2:
         is_first = np.repeat([True, False], len(start) // 2)
         start, end = np.where(is_first, start, -1), np.where(is_first, -1, start)
-    owner, edge, turned = owners(groups), np.sort([start, end], axis=0), start < end
+    owner = owners(groups)
+    edge = np.sort([start, end], axis=0)
+    turned = start < end
     order = np.lexsort(edge)
     same = (np.diff(edge[:, order]) == 0).all(axis=0)
-    before, after = order[:-1][same], order[1:][same]
+    before = order[:-1][same]
+    after = order[1:][same]
     return owner[before], owner[after], turned[before] != turned[after]
 
 
@@ -133,13 +154,17 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
     """Pairs (p, 2) of every part that is a curve and the next part of its wall, on both sides."""
     pairs = []
     for curve in range(label.max() + 1):
-        members, others = points[label == curve], np.flatnonzero(label != curve)
+        members = points[label == curve]
+        others = np.flatnonzero(label != curve)
         extent = np.linalg.norm(np.ptp(members, axis=0))
         if len(members) > CURVED * (1 + SAME) * extent / np.median(spacing[label == curve]):
             continue
-        tree, sample = Tree(points[others]), members[farthest(members, SAMPLE, 0.0)]
+        tree = Tree(points[others])
+        sample = members[farthest(members, SAMPLE, 0.0)]
         for count in (AROUND, len(others)):
-            near = others[np.sort(tree.query(sample, k=range(1, min(count, len(others)) + 1))[1], axis=1)]
+            near = others[
+                np.sort(tree.query(sample, k=range(1, min(count, len(others)) + 1))[1], axis=1)
+            ]
             parts = _parts_beside(members, points[near] - sample[:, None], label[near])
             if parts:
                 break
@@ -151,16 +176,23 @@ def _parts_beside(curve: np.ndarray, offsets: np.ndarray, label: np.ndarray) -> 
     """The part next to a curve on either side, if most nodes of a sample of the curve find it.
     `offsets` (s, k, d) lead from the sample to other nodes, whose parts are `label` (s, k).
     """
-    distance, parts = np.linalg.norm(offsets, axis=2), []
+    distance = np.linalg.norm(offsets, axis=2)
+    parts = []
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
-    across = axes[-1]  # the normal of the curve's plane, or the way from a straight curve to the nearest node
+    across = axes[
+        -1
+    ]  # the normal of the curve's plane, or the way from a straight curve to the nearest node
     if not size[1] > 0.01 * size[0]:
         nearest = tuple(np.argwhere(distance <= (1 + SAME) * distance.min())[0])
         across = offsets[nearest] / distance[nearest]
     for side in (-1, 1):
-        reachable = np.where(side * (offsets @ across) > 0.5 * (1 + SAME) * distance, distance, np.inf)
+        reachable = np.where(
+            side * (offsets @ across) > 0.5 * (1 + SAME) * distance, distance, np.inf
+        )
         least = reachable.min(axis=1)
-        closest = np.where(reachable <= (1 + SAME) * least[:, None], label, label.max() + 1).min(axis=1)
+        closest = np.where(reachable <= (1 + SAME) * least[:, None], label, label.max() + 1).min(
+            axis=1
+        )
         votes = np.bincount(closest[np.isfinite(least)], minlength=1)
         if 2 * votes.max() > len(distance):
             parts.append(int(votes.argmax()))

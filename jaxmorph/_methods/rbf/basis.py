@@ -158,7 +158,9 @@ def _compact_jvp(kind, primals, tangents):
     r2_dot, radius_dot = tangents
     xi = _relative(r2, support_radius)
     slope = jnp.where(xi >= 1, 0, kind.slope(jnp.minimum(xi, 1))) / support_radius**2
-    return _compact(kind, r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)
+    return _compact(kind, r2, support_radius), slope * (
+        r2_dot - 2 * r2 / support_radius * radius_dot
+    )
 
 
 def _factored(power: int, *coefficients: float | int) -> Any:
@@ -184,7 +186,8 @@ class WendlandC2(AbstractCompactBasis):
     condition. The constructor raises `ValueError` for a radius that is not positive and finite.
     """
 
-    value, slope = _factored(4, 1, 4), _factored(3, -10)
+    value = _factored(4, 1, 4)
+    slope = _factored(3, -10)
 
 
 class WendlandC4(AbstractCompactBasis):
@@ -193,7 +196,8 @@ class WendlandC4(AbstractCompactBasis):
     It has four continuous derivatives (Wendland 1995).
     """
 
-    value, slope = _factored(6, 1, 6, 35 / 3), _factored(5, -28 / 3, -140 / 3)
+    value = _factored(6, 1, 6, 35 / 3)
+    slope = _factored(5, -28 / 3, -140 / 3)
 
 
 class WendlandC6(AbstractCompactBasis):
@@ -202,7 +206,8 @@ class WendlandC6(AbstractCompactBasis):
     It has six continuous derivatives (Wendland 1995).
     """
 
-    value, slope = _factored(8, 1, 8, 25, 32), _factored(7, -11, -77, -176)
+    value = _factored(8, 1, 8, 25, 32)
+    slope = _factored(7, -11, -77, -176)
 
 
 class CompactC0(AbstractCompactBasis):
@@ -218,8 +223,12 @@ class CompactC1(AbstractCompactBasis):
     phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi.
     """
 
-    value = staticmethod(lambda xi: 1 + xi**2 * (80 / 3 - 40 * xi + 15 * xi**2 - 8 / 3 * xi**3 + 20 * jnp.log(xi)))
-    slope = staticmethod(lambda xi: 110 / 3 - 60 * xi + 30 * xi**2 - 20 / 3 * xi**3 + 20 * jnp.log(xi))
+    value = staticmethod(
+        lambda xi: 1 + xi**2 * (80 / 3 - 40 * xi + 15 * xi**2 - 8 / 3 * xi**3 + 20 * jnp.log(xi))
+    )
+    slope = staticmethod(
+        lambda xi: 110 / 3 - 60 * xi + 30 * xi**2 - 20 / 3 * xi**3 + 20 * jnp.log(xi)
+    )
 
 
 class CompactC2a(AbstractCompactBasis):
@@ -228,7 +237,9 @@ class CompactC2a(AbstractCompactBasis):
     phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi.
     """
 
-    value = staticmethod(lambda xi: 1 - xi**2 * (30 + 10 * xi - 45 * xi**2 + 6 * xi**3 + 60 * xi * jnp.log(xi)))
+    value = staticmethod(
+        lambda xi: 1 - xi**2 * (30 + 10 * xi - 45 * xi**2 + 6 * xi**3 + 60 * xi * jnp.log(xi))
+    )
     slope = staticmethod(lambda xi: -30 - 45 * xi + 90 * xi**2 - 15 * xi**3 - 90 * xi * jnp.log(xi))
 
 
@@ -238,5 +249,9 @@ class CompactC2b(AbstractCompactBasis):
     phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi.
     """
 
-    value = staticmethod(lambda xi: 1 - xi**2 * (20 - 80 * xi + 45 * xi**2 + 16 * xi**3 - 60 * xi**2 * jnp.log(xi)))
-    slope = staticmethod(lambda xi: -20 + 120 * xi - 60 * xi**2 - 40 * xi**3 + 120 * xi**2 * jnp.log(xi))
+    value = staticmethod(
+        lambda xi: 1 - xi**2 * (20 - 80 * xi + 45 * xi**2 + 16 * xi**3 - 60 * xi**2 * jnp.log(xi))
+    )
+    slope = staticmethod(
+        lambda xi: -20 + 120 * xi - 60 * xi**2 - 40 * xi**3 + 120 * xi**2 * jnp.log(xi)
+    )

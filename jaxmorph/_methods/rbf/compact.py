@@ -20,14 +20,18 @@ from .basis import WendlandC2
 from .expansion import is_sound, warn_of_close
 
 NEIGHBOURS = 200  # nodes within the automatic radius of half of the moving nodes
-INSIDE = 1 - 1e-6  # share of a squared radius at which a function counts as zero: its value there is 1e-24
+INSIDE = (
+    1 - 1e-6
+)  # share of a squared radius at which a function counts as zero: its value there is 1e-24
 
 
 class CompactIds(eqx.Module):
     """Ids of the surface's b rows."""
 
     stands: Int[Array, " b"]  # the row that has the function of all rows at its place
-    speaks: Bool[Array, " b"]  # whether a row's displacement counts; a fixed row at a moving row's place does not
+    speaks: Bool[
+        Array, " b"
+    ]  # whether a row's displacement counts; a fixed row at a moving row's place does not
     pairs: Pairs  # rows with functions, within the search's distance of each other
     radius: Scalar  # the functions' radius
     searched: Searched  # the coordinates of the search
@@ -82,21 +86,28 @@ class CompactRBF(AbstractPlacing):
     radius: Scalar | None = eqx.field(converter=number_or_none("radius", 0), default=None)
 
     def connect(self, surface: Surface, points):
-        nodes, dtype = surface.points.astype(float), dtypes.canonicalize_dtype(surface.points.dtype)
+        nodes = surface.points.astype(float)
+        dtype = dtypes.canonicalize_dtype(surface.points.dtype)
         if self.radius is None:
             count = min(NEIGHBOURS, len(nodes))
-            reach = np.asarray(Tree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(surface.moving, -1)
+            reach = np.asarray(Tree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(
+                surface.moving, -1
+            )
             radius = float(np.median(reach[:, -1]))
         else:
             radius = float(self.radius)
         # there 1 - phi is a few units of rounding
-        indistinct = float(np.sqrt(np.finfo(dtype).eps)) * min(radius, float(np.ptp(nodes, axis=0).max()))
+        indistinct = float(np.sqrt(np.finfo(dtype).eps)) * min(
+            radius, float(np.ptp(nodes, axis=0).max())
+        )
         owners = drop_close(nodes, np.arange(len(nodes)), max(roundoff(surface.points), indistinct))
         stands = owners[np.asarray(Tree(nodes[owners]).query(nodes)[1])]
         moves = np.arange(len(nodes)) < surface.moving
         speaks = moves | (np.bincount(stands, moves, minlength=len(nodes)) == 0)[stands]
         distance = (1 + SLACK) * radius
-        pairs = np.asarray(Tree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32).reshape(-1, 2)
+        pairs = np.asarray(
+            Tree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32
+        ).reshape(-1, 2)
         near = overlaps(nodes, owners, np.full(len(nodes), distance), points.astype(float))
         reach = Reach(*as_jax(padded(*near, len(points))))
         searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
@@ -121,7 +132,9 @@ class CompactRBF(AbstractPlacing):
             return jnp.sum(count * ids.has_function) > 2 * listed + ids.has_function.sum()
 
         lost = lost_unless(is_certain, is_lost)
-        return eqx.tree_at(lambda factors: factors.matrix.values, factors, jnp.where(lost, jnp.nan, values))
+        return eqx.tree_at(
+            lambda factors: factors.matrix.values, factors, jnp.where(lost, jnp.nan, values)
+        )
 
     def carry(self, ids, factors, surface, points):
         return factors
@@ -140,9 +153,13 @@ class CompactRBF(AbstractPlacing):
         return InterpolatedField(factors.matrix.solve(ids.pairs, free, ids.at_functions(u)))
 
     def check(self, ids: CompactIds, factors: CompactFactors, u):
-        error, dtype = float(_missed(self, ids, factors, u)), factors.matrix.values.dtype
+        error = float(_missed(self, ids, factors, u))
+        dtype = factors.matrix.values.dtype
         nodes = np.asarray(ids.searched.surface, dtype=float)[np.asarray(ids.has_function)]
-        matrix = f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}"
+        matrix = (
+            f"the matrix of CompactRBF, of {len(nodes)} nodes and radius "
+            f"{float(factors.radius):.3g}"
+        )
         is_sound(
             error,
             dtype,

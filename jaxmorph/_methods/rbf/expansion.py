@@ -41,7 +41,9 @@ class RBFFactors(eqx.Module):
     def solve(self, values: Columns) -> Float[Array, "t k"]:
         """Solves for values at the sources, or at the first of them; other rows are zero."""
         right = jnp.pad(values, ((0, len(self.lu) - len(values)), (0, 0)))
-        half = triangular_solve(self.lu, right[self.order], left_side=True, lower=True, unit_diagonal=True)
+        half = triangular_solve(
+            self.lu, right[self.order], left_side=True, lower=True, unit_diagonal=True
+        )
         return triangular_solve(self.lu, half, left_side=True, lower=False)
 
 
@@ -59,7 +61,11 @@ class RBFField(AbstractField):
 
     @property
     def block_size(self) -> int | None:
-        return None if system.is_fused(self._phi, self.sources.dtype) else system.block_size(len(self.sources))
+        return (
+            None
+            if system.is_fused(self._phi, self.sources.dtype)
+            else system.block_size(len(self.sources))
+        )
 
     @property
     def _phi(self) -> system.Radial:
@@ -72,7 +78,10 @@ class RBFField(AbstractField):
             return system.fused(self._phi, self.sources, self.beta.T, x) + terms.sum(axis=1)
         x = system.in_rows(points - self.centre[None], self.scale)
         terms = system.polynomial(x.T, self.degree).T
-        tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
+        tail = sum(
+            (self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)),
+            start=jnp.zeros_like(x),
+        )
         return (system.kernel_sum(self._phi, self.sources, self.beta, x) + tail).T
 
 
@@ -95,7 +104,11 @@ class Expansion(Module):
 
     def kernel(self, r2, scale):
         kernel = system.Radial(self.basis, scale)(r2)
-        return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
+        return (
+            kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype)
+            if self.ridge
+            else kernel
+        )
 
     def factored(self, sources, scale):
         tail = system.polynomial(sources, self.degree)
@@ -115,19 +128,28 @@ class Expansion(Module):
 
     def field(self, factors: RBFFactors, values: Columns, dtype) -> RBFField:
         """Makes the field with given values at the sources, in a given precision. Traced."""
-        solved = factors.solve(values) if factors.cardinals is None else self._iterated(factors, values)
+        solved = (
+            factors.solve(values) if factors.cardinals is None else self._iterated(factors, values)
+        )
         weights = solved.astype(dtype)
-        beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
-        sources, centre, scale = (leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale))
+        beta = weights.T[:, : len(factors.sources)]
+        alpha = weights.T[:, len(factors.sources) :]
+        sources, centre, scale = (
+            leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale)
+        )
         return RBFField(self.basis, self.degree, sources, centre, scale, beta, alpha)
 
     def _iterated(self, factors: RBFFactors, values: Columns) -> Float[Array, "t k"]:
-        count, tail = len(factors.sources), system.polynomial(factors.sources, self.degree)
+        count = len(factors.sources)
+        tail = system.polynomial(factors.sources, self.degree)
         right = jnp.pad(values, ((0, tail.shape[1]), (0, 0)))
 
         def product(x):
-            beta, alpha = x[:count], x[count:]
-            return jnp.concatenate([self._times_kernel(factors, beta) + matmul(tail, alpha), matmul(tail.T, beta)])
+            beta = x[:count]
+            alpha = x[count:]
+            return jnp.concatenate(
+                [self._times_kernel(factors, beta) + matmul(tail, alpha), matmul(tail.T, beta)]
+            )
 
         constant, fixed = jax.lax.stop_gradient((self, factors))
 
@@ -138,7 +160,9 @@ class Expansion(Module):
                 lambda beta: jax.lax.platform_dependent(
                     fixed, beta, cpu=constant._of_pairs, default=constant._times_kernel
                 ),
-                lambda rest: precondition(rows, lambda first: fixed.solve(first)[: len(first)], rest),
+                lambda rest: precondition(
+                    rows, lambda first: fixed.solve(first)[: len(first)], rest
+                ),
                 system.polynomial(fixed.sources, self.degree),
                 rows.tolerance,
                 right,
@@ -147,18 +171,25 @@ class Expansion(Module):
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
     def _times_kernel(self, factors: RBFFactors, beta: Columns) -> Columns:
-        sources, phi = factors.sources, system.Radial(self.basis, factors.scale)
+        sources = factors.sources
+        phi = system.Radial(self.basis, factors.scale)
 
         def of_block(points):
-            return system.kernel_sum(phi, sources, beta.T, system.in_rows(points, jnp.ones((), points.dtype))).T
+            return system.kernel_sum(
+                phi, sources, beta.T, system.in_rows(points, jnp.ones((), points.dtype))
+            ).T
 
         if system.is_fused(phi, sources.dtype):
             return self._with_ridge(system.fused(phi, sources, beta, sources), beta)
-        return self._with_ridge(map_rows(jax.checkpoint(of_block), sources, system.block_size(len(sources))), beta)
+        return self._with_ridge(
+            map_rows(jax.checkpoint(of_block), sources, system.block_size(len(sources))), beta
+        )
 
     def _of_pairs(self, factors: RBFFactors, beta: Columns) -> Columns:
         """Multiplies by the kernel's matrix, on a CPU by half of its entries."""
-        product = system.symmetric_kernel_sum(system.Radial(self.basis, factors.scale), factors.sources, beta.T).T
+        product = system.symmetric_kernel_sum(
+            system.Radial(self.basis, factors.scale), factors.sources, beta.T
+        ).T
         return self._with_ridge(product, beta)
 
     def _with_ridge(self, product, beta):
@@ -166,8 +197,11 @@ class Expansion(Module):
 
 
 # relative changes of displacements by rounding: an error, a warning, one in float32
-USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 3e-2, 1e-6, 1e-3
-NEAR = 1e-3  # distance of two sources, relative to the distance of sources around, that is worth a warning
+USELESS = 3e-2
+NOTICEABLE = 1e-6
+NOTICEABLE_SINGLE = 1e-3
+# distance of two sources, relative to the distance of sources around, that is worth a warning
+NEAR = 1e-3
 
 
 def is_sound(error: float, dtype, message: Callable[[str], str], otherwise: str) -> bool:
@@ -190,10 +224,13 @@ def rounding(expansion: Expansion, factors: RBFFactors, values: Columns) -> Scal
     step of iterative refinement: the field of what the first field misses at the sources. It is
     infinite for a system without a solution.
     """
-    sources, count = factors.sources, len(values)
+    sources = factors.sources
+    count = len(values)
 
     def field(weights, points):
-        return map_rows(lambda part: matmul(expansion.rows(sources, factors.scale, part), weights), points, 1024)
+        return map_rows(
+            lambda part: matmul(expansion.rows(sources, factors.scale, part), weights), points, 1024
+        )
 
     first = factors.solve(values)
     missed = values - field(first, sources) - expansion.at_sources * first[:count]
@@ -213,7 +250,9 @@ def nearest_two(sources: np.ndarray) -> str:
         return ""
     distance, nearest = map(np.asarray, Tree(sources).query(sources, k=2))
     first = distance[:, 1].argmin()
-    pair = " and ".join(str(tuple(float(f"{x:.6g}") for x in sources[i])) for i in (first, nearest[first, 1]))
+    pair = " and ".join(
+        str(tuple(float(f"{x:.6g}") for x in sources[i])) for i in (first, nearest[first, 1])
+    )
     return f"; the nearest two sources, {pair}, are {distance[first, 1]:.3g} apart"
 
 
@@ -222,7 +261,10 @@ def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -
     if len(first):
         distance = np.linalg.norm(nodes[first[0]] - nodes[second[0]])
         warn(
-            f"{len(first)} surface nodes nearly coincide with others, the nearest two {distance:.3g} apart near "
-            f"({place_of(nodes[first[0]])}). Where such nodes move differently, {method} moves nodes around them by "
-            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect."
+            f"{len(first)} surface nodes nearly coincide with others, the nearest two "
+            f"{distance:.3g} apart near "
+            f"({place_of(nodes[first[0]])}). Where such nodes move differently, {method} moves "
+            "nodes around them by "
+            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by "
+            "jm.inspect."
         )

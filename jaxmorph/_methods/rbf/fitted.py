@@ -13,22 +13,36 @@ from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface import skin
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Control, Pairs, Rows, Scalar, check_kind, einsum, matmul, number_or_none
+from ..base import (
+    AbstractMethod,
+    Control,
+    Pairs,
+    Rows,
+    Scalar,
+    check_kind,
+    einsum,
+    matmul,
+    number_or_none,
+)
 from ..surface import Surface
 from .basis import Columns, Sources, Weights
 from .expansion import RBFFactors
 from .rbf import RBF, Direct
 from .system import polynomial
 
-JOINT = 0.05  # largest `ell`, relative to the distance of the nearest node that is fixed or of another wall
-SOURCES_ALONE = 64  # fewest leaves of the k-d tree if the field interpolates instead of being fitted
+# largest `ell`, relative to the distance of the nearest node that is fixed or of another wall
+JOINT = 0.05
+# fewest leaves of the k-d tree if the field interpolates instead of being fitted
+SOURCES_ALONE = 64
 
-ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
+ELL = {2: 0.17, 3: 0.07}
+MU = {2: 0.1, 3: 0.4}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
 twists in 3-D pays for every large rotation, so less of it is asked for there.
 """
 
-BEHIND, BEYOND_TIP = 0.02, 0.2
+BEHIND = 0.02
+BEYOND_TIP = 0.2
 """Distance of the source behind a sharp tip, and its largest distance, relative to the mean chord
 or to the distance of the nearest held node, whichever is less.
 """
@@ -38,8 +52,14 @@ AT_TIP = 0.03, 0.5
 wall's slope. Cells there are small, and the wall's angle changes with the thickness.
 """
 
-WALLS = {2: 8, 3: 2}  # most walls that get sources as if each were alone, by dimension; more share as many
-ROWS = {2: 4096, 3: 2048}  # most nodes of the wall, and most edges, that enter the fit, by dimension
+WALLS = {
+    2: 8,
+    3: 2,
+}  # most walls that get sources as if each were alone, by dimension; more share as many
+ROWS = {
+    2: 4096,
+    3: 2048,
+}  # most nodes of the wall, and most edges, that enter the fit, by dimension
 
 
 class WallIds(eqx.Module):
@@ -75,24 +95,31 @@ class WallIds(eqx.Module):
         return cls(*as_jax([ids.astype(np.int32) for ids in rows]), *[jnp.zeros(0)] * 3)
 
     @classmethod
-    def found(cls, surface: Surface, moving: np.ndarray, fixed: np.ndarray, closest: float) -> "WallIds":
+    def found(
+        cls, surface: Surface, moving: np.ndarray, fixed: np.ndarray, closest: float
+    ) -> "WallIds":
         """Finds the ids of a fit on the host; `closest` is how close two sources may come."""
-        points, dimension = surface.points, surface.points.shape[1]
+        points = surface.points
+        dimension = surface.points.shape[1]
         pairs = skin.edges(points, surface.moving, surface.faces)
         wall, ends, share = surface.walls
         chord = share * np.linalg.norm(np.subtract(*points[ends.T]), axis=1)
-        tips, sharp = np.zeros((0, 3)), np.zeros((0, dimension))
+        tips = np.zeros((0, 3))
+        sharp = np.zeros((0, dimension))
         if dimension == 2:
             beside, tips, sharp = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
             moving = drop_close(points, np.concatenate([moving, beside]), roundoff(points))
         # each source has a row of its own, so that the system is regular
-        nodes = np.union1d(surface.seen[skin.thinned(points[surface.seen], ROWS[dimension])], moving)
+        nodes = np.union1d(
+            surface.seen[skin.thinned(points[surface.seen], ROWS[dimension])], moving
+        )
         pairs = pairs[skin.thinned(points[pairs].mean(axis=1), ROWS[dimension])]
         label = wall[pairs[:, 0]]
         held = skin.nearest_held(points, surface.moving, wall, pairs)
         far, reach = skin.drawn_in(points, moving, fixed, surface.images)
         rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        ell, mu = ELL[dimension] * share[label], MU[dimension] * share[label]
+        ell = ELL[dimension] * share[label]
+        mu = MU[dimension] * share[label]
         near, largest = AT_TIP
         for tip in sharp:
             distance = np.linalg.norm(points[pairs].mean(axis=1) - tip, axis=1)
@@ -101,7 +128,8 @@ class WallIds(eqx.Module):
 
     def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
-        moving, fixed = surface[self.moving], surface[self.fixed]
+        moving = surface[self.moving]
+        fixed = surface[self.fixed]
         centre = moving.mean(axis=0)[None]
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
         return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
@@ -118,7 +146,10 @@ class WallIds(eqx.Module):
         a plate which is held at the far field and pushed in the middle. So a body that is carried
         far away takes them along.
         """
-        return deflection(self.reach.astype(values.dtype))[:, None] * values[self.moving].mean(axis=0)[None]
+        return (
+            deflection(self.reach.astype(values.dtype))[:, None]
+            * values[self.moving].mean(axis=0)[None]
+        )
 
 
 def deflection(reach: Float[Array, " r"]) -> Float[Array, " r"]:
@@ -145,18 +176,22 @@ def _at_tips(
 def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
     """Adds sources until each of several moving walls has enough, with their images."""
     rows = np.arange(surface.moving)
-    wall, images = surface.walls[0][rows], surface.images[rows]
+    wall = surface.walls[0][rows]
+    images = surface.images[rows]
     labels = np.unique(wall[images == rows])
     if len(labels) < 2:
         return sources
-    most, count = len(labels), ENOUGH[surface.points.shape[1]]
+    most = len(labels)
+    count = ENOUGH[surface.points.shape[1]]
     enough = count * min(most, WALLS[surface.points.shape[1]]) // most
     chosen = [sources]
     for label in labels:
         own = np.intersect1d(rows[(wall == label) & (images == rows)], surface.seen)
         first = np.flatnonzero(np.isin(own, sources))
         if len(first) < enough:
-            chosen.append(own[farthest(surface.points[own], enough, closest, first if len(first) else None)])
+            chosen.append(
+                own[farthest(surface.points[own], enough, closest, first if len(first) else None)]
+            )
     moving = rows[np.isin(images, np.concatenate(chosen))]
     return np.concatenate([moving, sources[sources >= surface.moving]])
 
@@ -226,7 +261,8 @@ class FittedRBF(AbstractMethod):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
         if self.rbf.solver is not None and not isinstance(self.rbf.solver, Direct):
             raise ValueError(
-                f"FittedRBF factors its dense system: `rbf` with solver={type(self.rbf.solver).__name__}() is for RBF alone."
+                "FittedRBF factors its dense system: `rbf` with "
+                f"solver={type(self.rbf.solver).__name__}() is for RBF alone."
             )
 
     @property
@@ -238,7 +274,9 @@ class FittedRBF(AbstractMethod):
         if surface.faces is None:
             is_open = True
         elif is_open is None:
-            is_open = skin.has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
+            is_open = skin.has_free_sides(
+                surface.points, surface.rows(len(points)) == len(surface.points), points
+            )
         # The ids depend on the surface alone, so all pieces of a mesh share them. A method with
         # array leaves has no hash: its id is the key, and the entry holds the method itself, so
         # that no other object can get that id.
@@ -248,16 +286,25 @@ class FittedRBF(AbstractMethod):
     def _ids(self, surface: Surface, is_open: bool) -> WallIds:
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
         rbf = self._denser if is_open else self.rbf
-        sources = rbf.chosen(surface) if is_open else _on_each_wall(surface, rbf.chosen(surface), closest)
-        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
-        return WallIds.without_edges(moving, fixed) if is_open else WallIds.found(surface, moving, fixed, closest)
+        sources = (
+            rbf.chosen(surface) if is_open else _on_each_wall(surface, rbf.chosen(surface), closest)
+        )
+        moving = sources[sources < surface.moving]
+        fixed = sources[sources >= surface.moving]
+        return (
+            WallIds.without_edges(moving, fixed)
+            if is_open
+            else WallIds.found(surface, moving, fixed, closest)
+        )
 
     @property
     def _denser(self) -> RBF:
         """The field for meshes with free sides, and for points alone."""
         reduction = self.rbf.reduction
         if isinstance(reduction, KDTree | Filled) and reduction.leaves is not None:
-            reduction = dataclasses.replace(reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None)
+            reduction = dataclasses.replace(
+                reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None
+            )
         return RBF(self.rbf.basis, reduction, self.rbf.fixed_reduction, self.rbf.degree)
 
     def control(self, ids):
@@ -277,26 +324,39 @@ class FittedRBF(AbstractMethod):
             empty = Cholesky.of(none)
             return FitFactors(rbf, none, none, outer, empty, none, empty, none, empty)
         surface = surface.astype(rbf.lu.dtype)
-        moves, cardinal = len(ids.moving), rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
-        start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
-        middle, along = (start + end) / 2, end - start
+        moves = len(ids.moving)
+        cardinal = rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
+        start = surface[ids.edges[:, 0]]
+        end = surface[ids.edges[:, 1]]
+        middle = (start + end) / 2
+        along = end - start
         length = jnp.sqrt(jnp.sum(along**2, axis=1))
 
         def rows(points):
-            return self.rbf.expansion.rows(rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale)
+            return self.rbf.expansion.rows(
+                rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale
+            )
 
         value = matmul(rows(surface[ids.nodes]), cardinal)
-        slopes = einsum("eta,ts->eas", jax.vmap(jax.jacfwd(lambda x: rows(x[None])[0]))(middle), cardinal)
+        slopes = einsum(
+            "eta,ts->eas", jax.vmap(jax.jacfwd(lambda x: rows(x[None])[0]))(middle), cardinal
+        )
         slope = einsum("ea,eas->es", along / length[:, None], slopes)
         ell, mu = self._lengths(ids, surface, middle)
-        nodes, weighted = value[:, :moves] / len(value), slope[:, :moves] * (mu**2 / len(slope))[:, None]
+        nodes = value[:, :moves] / len(value)
+        weighted = slope[:, :moves] * (mu**2 / len(slope))[:, None]
         squares = matmul(nodes.T, value)
-        matrix = _system(squares + matmul(weighted.T, slope), slopes * (ell * len(slope) ** -0.5)[:, None, None])
+        matrix = _system(
+            squares + matmul(weighted.T, slope), slopes * (ell * len(slope) ** -0.5)[:, None, None]
+        )
         fit = Cholesky.of(matrix[..., :moves].reshape(matrix.shape[0] * moves, -1))
         terms = polynomial((surface - rbf.centre[None]) * rbf.scale, self.rbf.degree)
-        affine, plain = Cholesky.of(matmul(terms.T, terms)), Cholesky.of(squares[:, :moves])
+        affine = Cholesky.of(matmul(terms.T, terms))
+        plain = Cholesky.of(squares[:, :moves])
         edges = weighted / length[:, None]
-        return FitFactors(rbf, nodes, edges, matrix[..., moves:], fit, terms, affine, squares[:, moves:], plain)
+        return FitFactors(
+            rbf, nodes, edges, matrix[..., moves:], fit, terms, affine, squares[:, moves:], plain
+        )
 
     def _lengths(self, ids: WallIds, surface, middle):
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
@@ -309,7 +369,9 @@ class FittedRBF(AbstractMethod):
 
     def field(self, ids: WallIds, factors: "FitFactors", surface, u):
         values = u.astype(factors.rbf.lu.dtype)
-        if not len(ids.edges):  # an interpolation: fitting it to its own sources would lose half of the digits
+        if not len(
+            ids.edges
+        ):  # an interpolation: fitting it to its own sources would lose half of the digits
             values = jnp.concatenate([values[ids.moving], values[ids.fixed]])
             return self.rbf.expansion.field(factors.rbf, values, u.dtype)
         affine = factors.affine.solve(matmul(factors.polynomial.T, values))
@@ -339,7 +401,10 @@ class Cholesky(eqx.Module):
         return cls(jnp.linalg.cholesky(matrix * size[:, None] * size[None]), size)
 
     def solve(self, right: Columns) -> Columns:
-        return jax.scipy.linalg.cho_solve((self.lower, True), right * self.size[:, None]) * self.size[:, None]
+        return (
+            jax.scipy.linalg.cho_solve((self.lower, True), right * self.size[:, None])
+            * self.size[:, None]
+        )
 
 
 class FitFactors(eqx.Module):

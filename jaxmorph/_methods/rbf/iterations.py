@@ -15,9 +15,13 @@ from .system import polynomial, squared_distances
 LIMIT = 150  # most products of a solve. A sound matrix takes 10 to 20.
 MEAN = 0.1  # residual at which steps end, as a mean over the sources, in tolerances
 
-MISSED, NOTICEABLE = 1e3, 1e-3  # tolerances, or share of the displacement: a field that misses by more is NaN
+MISSED, NOTICEABLE = (
+    1e3,
+    1e-3,
+)  # tolerances, or share of the displacement: a field that misses by more is NaN
 ROUNDINGS = 100  # units of rounding below which no tolerance goes: what single precision can reach
-GIVE = 1e-10  # corner of a small system, relative to its kernel, for neighbours that lie in one plane
+# corner of a small system, relative to its kernel, for neighbours that lie in one plane
+GIVE = 1e-10
 
 Product = Callable[[Columns], Columns]
 
@@ -52,7 +56,11 @@ def local_weights(
         tail = polynomial(places / or_one(extent), degree) * is_there[:, None]
         kernel = phi(squared_distances(places, places))
         size = jnp.abs(kernel).max()
-        kernel = jnp.where(is_there[:, None] & is_there[None], kernel / size, sign * jnp.eye(count, dtype=size.dtype))
+        kernel = jnp.where(
+            is_there[:, None] & is_there[None],
+            kernel / size,
+            sign * jnp.eye(count, dtype=size.dtype),
+        )
         corner = -sign * GIVE * jnp.eye(tail.shape[1], dtype=size.dtype)
         matrix = jnp.block([[kernel, tail], [tail.T, corner]])
         solved = jnp.linalg.solve(matrix, jnp.eye(len(matrix), 1, dtype=size.dtype))[:count, 0]
@@ -78,19 +86,26 @@ def precondition(rows: Cardinals, solve_first: Callable, residual: Columns) -> C
         ids, weights = column
         return total.at[ids].add(weights[:, None] * values), None
 
-    values = jax.lax.scan(gather, jnp.zeros_like(residual[first:]), columns)[0] / rows.weights[:, :1]
+    values = (
+        jax.lax.scan(gather, jnp.zeros_like(residual[first:]), columns)[0] / rows.weights[:, :1]
+    )
     start = jnp.zeros_like(residual).at[:first].set(solve_first(residual[:first]))
     return jax.lax.scan(scatter, start, columns)[0]
 
 
 def iterated(
-    product: Product, inverse: Product, tail: Float[Array, "s p"], tolerance: Scalar, right: Float[Array, "t k"]
+    product: Product,
+    inverse: Product,
+    tail: Float[Array, "s p"],
+    tolerance: Scalar,
+    right: Float[Array, "t k"],
 ) -> Float[Array, "t k"]:
     """Solves K beta + T alpha = v, T' beta = g, on weights that the polynomial does not see.
     `product` multiplies by K, `inverse` by the preconditioner; `tail` is T, `right` v and g. The
     result is NaN where the steps do not converge.
     """
-    values, moments = right[: len(tail)], right[len(tail) :]
+    values = right[: len(tail)]
+    moments = right[len(tail) :]
     lower = jnp.linalg.cholesky(matmul(tail.T, tail)), True
 
     def coefficients(moments):
@@ -113,7 +128,9 @@ def iterated(
     size = jnp.abs(rest).max()
     goal = tolerance * size
     state = improved((beta, rest), MEAN * rest.size**0.5 * goal)
-    beta, rest = jax.lax.cond(missed(state[1]) > goal, lambda state: improved(state, goal), lambda state: state, state)
+    beta, rest = jax.lax.cond(
+        missed(state[1]) > goal, lambda state: improved(state, goal), lambda state: state, state
+    )
     allowed = jnp.minimum(MISSED * tolerance, jnp.maximum(tolerance, NOTICEABLE))
     solved = jnp.concatenate([beta, coefficients(matmul(tail.T, rest))])
     return jnp.where(missed(rest) <= allowed * size, solved, jnp.nan)

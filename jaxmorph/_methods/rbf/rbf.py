@@ -20,11 +20,22 @@ from ..._kernels.values import as_jax, largest
 from ..base import AbstractMethod, Control, Scalar, check_kind, number, or_one
 from ..surface import Surface
 from .basis import AbstractBasis, ThinPlateSpline
-from .expansion import Expansion, RBFFactors, is_solved, is_sound, nearest_two, rounding, warn_of_close
+from .expansion import (
+    Expansion,
+    RBFFactors,
+    is_solved,
+    is_sound,
+    nearest_two,
+    rounding,
+    warn_of_close,
+)
 from .iterations import ROUNDINGS, Cardinals, OrderedIds, local_weights
 
 MANY = 8192  # sources beyond which the system is solved by iterations
-DENSE, SHARE = (1000, 6000), 6  # least and most sources solved densely by default; between, one of every `SHARE`
+DENSE, SHARE = (
+    (1000, 6000),
+    6,
+)  # least and most sources solved densely by default; between, one of every `SHARE`
 
 
 class Direct(Module):
@@ -70,7 +81,9 @@ class Iterative(Module):
 
     def dense_count(self, count: int) -> int:
         fewest, most = DENSE
-        return min(count, min(max(fewest, count // SHARE), most) if self.dense is None else self.dense)
+        return min(
+            count, min(max(fewest, count // SHARE), most) if self.dense is None else self.dense
+        )
 
 
 class RBF(AbstractMethod):
@@ -116,7 +129,9 @@ class RBF(AbstractMethod):
 
     def __check_init__(self):
         if not isinstance(self.solver, Direct | Iterative | None):
-            raise ValueError(f"`solver` must be jm.Direct() or jm.Iterative(), not {shown(self.solver)}.")
+            raise ValueError(
+                f"`solver` must be jm.Direct() or jm.Iterative(), not {shown(self.solver)}."
+            )
         check_kind(self.basis, AbstractBasis, "basis", "jm.ThinPlateSpline()")
         check_kind(self.reduction, AbstractReduction, "reduction", "jm.KDTree(64)")
         check_kind(self.fixed_reduction, AbstractReduction, "fixed_reduction", "jm.KDTree(16)")
@@ -144,7 +159,9 @@ class RBF(AbstractMethod):
 
     @property
     def exact(self) -> bool:
-        every = isinstance(self.reduction, AllPoints) and isinstance(self.fixed_reduction, AllPoints)
+        every = isinstance(self.reduction, AllPoints) and isinstance(
+            self.fixed_reduction, AllPoints
+        )
         return every and not self.ridge
 
     def connect(self, surface: Surface, points):
@@ -153,7 +170,9 @@ class RBF(AbstractMethod):
         if solver is None:
             return sources, None
         first = solver.dense_count(len(sources))
-        order, earlier = far_to_near(surface.points[sources].astype(float), first, solver.neighbours)
+        order, earlier = far_to_near(
+            surface.points[sources].astype(float), first, solver.neighbours
+        )
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
     def chosen(self, surface: Surface) -> np.ndarray:
@@ -161,12 +180,15 @@ class RBF(AbstractMethod):
         sources = drop_close(surface.points, sources, roundoff(surface.points))
         if len(sources) == 0:
             raise ValueError("there are no sources: `moving` is empty.")
-        places, dimension = surface.points[sources], surface.points.shape[1]
+        places = surface.points[sources]
+        dimension = surface.points.shape[1]
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
         if self.degree == 1 and (len(sources) <= dimension or spread[-1] <= 1e-10 * spread[0]):
             raise ValueError(
-                f"the {len(sources)} sources do not span {dimension} dimensions, so a linear polynomial is not determined. "
-                "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis that allows it."
+                f"the {len(sources)} sources do not span {dimension} dimensions, so a linear "
+                "polynomial is not determined. "
+                "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis "
+                "that allows it."
             )
         return sources.astype(np.int32)
 
@@ -180,7 +202,9 @@ class RBF(AbstractMethod):
         return Control(sources, sources)
 
     def fit(self, ids: Int[Array, " s"] | OrderedIds, surface, points):
-        points = surface[_rows(ids)].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
+        points = surface[_rows(ids)].astype(
+            jnp.promote_types(surface.dtype, jnp.result_type(float))
+        )
         centre = points.mean(axis=0)
         extent = jnp.abs(points - centre[None]).max()
         if self.ridge:  # its effect depends on the scale, which must then not depend on the axes
@@ -229,7 +253,9 @@ class RBF(AbstractMethod):
 
     def _unusable(self, factors: RBFFactors, fault: str) -> str:
         sources = np.asarray(factors.places)
-        *hints, last = self._hints(factors.cardinals is not None, single=sources.dtype != np.float64)
+        *hints, last = self._hints(
+            factors.cardinals is not None, single=sources.dtype != np.float64
+        )
         return (
             f"the interpolation matrix of {len(sources)} sources is {fault}{nearest_two(sources)}. "
             f"Try {', '.join(hints)}, or {last}."
@@ -237,17 +263,25 @@ class RBF(AbstractMethod):
 
     def _hints(self, iterates: bool, single: bool) -> list[str]:
         lengths = [field.name for field in dataclasses.fields(self.basis) if "radius" in field.name]
-        separates = all(hasattr(reduction, "separation") for reduction in (self.reduction, self.fixed_reduction))
+        separates = all(
+            hasattr(reduction, "separation") for reduction in (self.reduction, self.fixed_reduction)
+        )
         hints = {
             "a `ridge` of RBF such as 1e-6": True,
             "fewer sources": separates,
             "a larger `separation` in both reductions": separates,
-            "fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)": not separates,
-            "another `degree` of the polynomial": self.basis.min_degree != 1 or self._below_min_degree,
+            "fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)": (
+                not separates
+            ),
+            "another `degree` of the polynomial": self.basis.min_degree != 1
+            or self._below_min_degree,
             "a larger `tolerance` of Iterative": iterates and not single,
             "x64 mode of JAX": single,
         }
-        return [*(f"a smaller `{name}` of the basis" for name in lengths), *(hint for hint in hints if hints[hint])]
+        return [
+            *(f"a smaller `{name}` of the basis" for name in lengths),
+            *(hint for hint in hints if hints[hint]),
+        ]
 
 
 def _rows(ids: Any) -> Any:

@@ -17,13 +17,21 @@ from jaxtyping import Array, Float
 from ..._host.package.errors import warn
 from ..._kernels.compile import is_for_cpu
 from ..._kernels.gpu import fused_sum, has_kernels, is_elementwise
-from ..._kernels.linear import MOST_ROWS, few_rows_times, few_rows_times_transposed, linear_primitive
+from ..._kernels.linear import (
+    MOST_ROWS,
+    few_rows_times,
+    few_rows_times_transposed,
+    linear_primitive,
+)
 from ..base import BLOCK, Scalar, matmul
 from ..blocks import fold_rows, map_rows
 from .basis import AbstractBasis, Columns, Sources, Squared, Weights
 
-KERNEL_BLOCK = 2**17  # elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache
-MOST_FUSED = 48  # columns of weights beyond which a product of matrices is faster than the GPU's kernel
+KERNEL_BLOCK = (
+    2**17
+)  # elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache
+# columns of weights beyond which a product of matrices is faster than the GPU's kernel
+MOST_FUSED = 48
 SQUARE = 256  # sources along each side of a block of the symmetric product: 512 KiB in float64
 
 
@@ -50,7 +58,9 @@ def in_rows(points: Float[Array, "c d"], scale: Scalar) -> Float[Array, "d c"]:
     return jax.lax.optimization_barrier(matmul(matrix, points.T))
 
 
-def kernel_sum(phi: Callable, sources: Sources, weights: Weights, points: Float[Array, "d c"]) -> Float[Array, "k c"]:
+def kernel_sum(
+    phi: Callable, sources: Sources, weights: Weights, points: Float[Array, "d c"]
+) -> Float[Array, "k c"]:
     """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances."""
     # one loop along the points for distances and kernel, then a product with the weights; the
     # compiler makes vector instructions of it only if each coordinate lies in a row of its own
@@ -61,7 +71,9 @@ def symmetric_kernel_sum(phi: Callable, sources: Sources, weights: Weights) -> W
     # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
     # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
     # of columns i.
-    count, columns, one = len(sources), len(weights), jnp.ones((), sources.dtype)
+    count = len(sources)
+    columns = len(weights)
+    one = jnp.ones((), sources.dtype)
     side = min(SQUARE, count)
     blocks = -(-count // side)
     more = blocks * side - count
@@ -97,7 +109,9 @@ def is_fused(phi: Radial, dtype: Any) -> bool:
     return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(phi)) and is_elementwise(phi, dtype)
 
 
-def fused(phi: Radial, sources: Sources, weights: Columns, points: Float[Array, "c d"]) -> Float[Array, "c k"]:
+def fused(
+    phi: Radial, sources: Sources, weights: Columns, points: Float[Array, "c d"]
+) -> Float[Array, "c k"]:
     if not len(points) or not len(sources):
         return jnp.zeros((len(points), weights.shape[1]), points.dtype)
     leaves, structure = jax.tree.flatten(phi)
@@ -117,7 +131,9 @@ def _by_blocks(weights, sources, points, *leaves, structure):
     if len(sources) <= len(points):
         return map_rows(jax.checkpoint(at_points), points, block_size(len(sources)))
     start = jnp.zeros((weights.shape[1], len(points)), points.dtype)
-    return fold_rows(jax.checkpoint(of_sources), start, (sources, weights), block_size(len(points))).T
+    return fold_rows(
+        jax.checkpoint(of_sources), start, (sources, weights), block_size(len(points))
+    ).T
 
 
 def _in_kernel(weights, sources, points, *leaves, structure):
@@ -127,15 +143,22 @@ def _in_kernel(weights, sources, points, *leaves, structure):
     def phi(r2, *leaves):
         return jax.tree.unflatten(structure, leaves)(r2)
 
-    groups = [weights[:, start : start + MOST_ROWS] for start in range(0, weights.shape[1], MOST_ROWS)]
-    return jnp.concatenate([fused_sum(phi, group, sources, points, leaves) for group in groups], axis=1)
+    groups = [
+        weights[:, start : start + MOST_ROWS] for start in range(0, weights.shape[1], MOST_ROWS)
+    ]
+    return jnp.concatenate(
+        [fused_sum(phi, group, sources, points, leaves) for group in groups], axis=1
+    )
 
 
 _sum = linear_primitive(
     "weighted_sum",
     _by_blocks,
     rows=lambda sources, points, *leaves, structure: points.shape[0],
-    turned=lambda sources, points, *leaves, structure: ((points, sources, *leaves), {"structure": structure}),
+    turned=lambda sources, points, *leaves, structure: (
+        (points, sources, *leaves),
+        {"structure": structure},
+    ),
 )
 _lowered_by_blocks = mlir.lower_fun(_by_blocks, multiple_results=False)
 _lowered_in_kernel = mlir.lower_fun(_in_kernel, multiple_results=False)
@@ -154,7 +177,8 @@ def _lowered_for_cuda(context, *arguments, structure):
     except Exception as error:
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         warn(
-            f"this version of JAX ({jax.__version__}) does not compile the kernel for the GPU, loops take its place: {reason}"
+            f"this version of JAX ({jax.__version__}) does not compile the kernel for the GPU, "
+            f"loops take its place: {reason}"
         )
         return _lowered_by_blocks(context, *arguments, structure=structure)
 

@@ -51,7 +51,10 @@ class DistributedGrid:
     def shared(comm: Any, mesh: jm.Mesh | None) -> "DistributedGrid":
         shares = None
         if mesh is not None:
-            parts = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
+            parts = (
+                np.unique(part, return_inverse=True)
+                for part in np.array_split(mesh.file_nodes, comm.size)
+            )
             shares = [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in parts]
         points, nodes, rows = comm.scatter(shares)
         return DistributedGrid(comm, points, nodes, rows, mesh, mesh)
@@ -61,14 +64,19 @@ class DistributedGrid:
         def part() -> tuple[io.Decomposed, jm.Mesh, Any]:
             case = io.Decomposed(path)
             if len(case) != comm.size:
-                raise ValueError(f"{path}: {len(case)} folders processor*, and {comm.size} processes: run as many.")
+                raise ValueError(
+                    f"{path}: {len(case)} folders processor*, and {comm.size} processes: run as "
+                    "many."
+                )
             return case, _in_space(case.read(comm.rank), path), case.side(comm.rank)
 
         case, mesh, side = together(comm, part)
         sides = comm.gather(side)
         outside = together(comm, lambda: None if comm.rank else case.surface(sides))
         points = np.asarray(mesh.points)
-        return DistributedGrid(comm, points, io.global_nodes(mesh), np.arange(len(points)), mesh, outside, case)
+        return DistributedGrid(
+            comm, points, io.global_nodes(mesh), np.arange(len(points)), mesh, outside, case
+        )
 
     @property
     def known(self) -> dict[str, Any]:
@@ -128,9 +136,13 @@ class SolverOrder:
         """Adds up the solvers' numbers: the transpose of `to_solver`."""
         return self._sent(values, self.places, self.sent, self.count)
 
-    def _sent(self, values: np.ndarray, sent: list[np.ndarray], places: list[np.ndarray], size: int) -> np.ndarray:
+    def _sent(
+        self, values: np.ndarray, sent: list[np.ndarray], places: list[np.ndarray], size: int
+    ) -> np.ndarray:
         result = np.zeros(size, values.dtype)
-        for rows, answer in zip(places, self.comm.alltoall([values[rows] for rows in sent]), strict=True):
+        for rows, answer in zip(
+            places, self.comm.alltoall([values[rows] for rows in sent]), strict=True
+        ):
             np.add.at(result, rows, answer)
         return result
 
@@ -138,7 +150,9 @@ class SolverOrder:
 def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
     """Finds who has what. `indices` (k,) count the numbers of all processes from 0."""
     firsts = np.cumsum([0, *comm.allgather(count)])
-    wanted = together(comm, lambda: rows_of("indices", whole_numbers("indices", indices), int(firsts[-1])))
+    wanted = together(
+        comm, lambda: rows_of("indices", whole_numbers("indices", indices), int(firsts[-1]))
+    )
     keeper = np.searchsorted(firsts, wanted, side="right") - 1
     places = [np.flatnonzero(keeper == rank) for rank in range(comm.size)]
     sent = comm.alltoall([wanted[rows] - firsts[rank] for rank, rows in enumerate(places)])
@@ -147,7 +161,10 @@ def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
 
 def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
     if mesh.points.shape[1] != 3:
-        raise ValueError(f"{path}: this mesh is in 2-D, and IDWarp's coordinates are in 3-D: take `jaxmorph.prepare`.")
+        raise ValueError(
+            f"{path}: this mesh is in 2-D, and IDWarp's coordinates are in 3-D: take "
+            "`jaxmorph.prepare`."
+        )
     return mesh
 
 
@@ -164,17 +181,21 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
     mesh = io.read(path)
     points = mesh.in_file_order(mesh.points)
     if points.shape[1] != 3 or list(mesh.cells) != ["quad"]:
-        raise ValueError(f"{path}: a surface in 3-D of blocks with one layer of nodes is expected, not {mesh}.")
+        raise ValueError(
+            f"{path}: a surface in 3-D of blocks with one layer of nodes is expected, not {mesh}."
+        )
     first = np.unique(mesh.file_nodes, return_index=True)[1]
     return points, first[np.asarray(mesh.cells["quad"])]
 
 
 def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     points = reals("pts", points if np.size(points) else np.zeros((0, 3)), (None, 3))
-    corners, counts = whole_numbers("conn", conn), whole_numbers("faceSizes", sizes)
+    corners = whole_numbers("conn", conn)
+    counts = whole_numbers("faceSizes", sizes)
     if (counts < 3).any() or counts.sum() != len(corners):
         raise ValueError(
-            f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
+            f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a "
+            "face has 3 or more."
         )
     return points, rows_of("conn", corners, len(points)), counts
 

@@ -46,7 +46,15 @@ OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
 }
 """IDWarp's options: the types that each takes beside None, and its default."""
 WEIGHTS = ("aExp", "bExp", "alpha")
-WITHOUT = ("LdefFact", "errTol", "evalMode", "zeroCornerRotations", "cornerAngle", "restartFile", "bucketSize")
+WITHOUT = (
+    "LdefFact",
+    "errTol",
+    "evalMode",
+    "zeroCornerRotations",
+    "cornerAngle",
+    "restartFile",
+    "bucketSize",
+)
 """Options without a counterpart here."""
 FILE = ("gridFile", "fileType")
 
@@ -54,14 +62,18 @@ FILE = ("gridFile", "fileType")
 def checked(options: Any) -> dict[str, Any]:
     """Completes options by IDWarp's defaults, and adds a list of those that were given."""
     if not isinstance(options, Mapping):
-        raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
+        raise ValueError(
+            f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}."
+        )
     values = {name_of(name): value for name, value in options.items()}
     for name, value in values.items():
         if value is not None:
             _check(name, value)
     if values.get("gridFile") is None:
         raise ValueError("`gridFile` must be the name of a grid; its ending tells what it is.")
-    return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {"told": tuple(values)}
+    return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {
+        "told": tuple(values)
+    }
 
 
 def name_of(name: str) -> str:
@@ -98,9 +110,15 @@ def warn_of(options: Mapping[str, Any]) -> None:
     without = WITHOUT if options["useRotations"] is not None else (*WEIGHTS, *WITHOUT)
     told = [name for name in without if name in options["told"] and options[name] is not None]
     if told:
-        by = "IDWarp's, not approximated" if without is WITHOUT else "the default of jaxmorph.prepare"
+        by = (
+            "IDWarp's, not approximated"
+            if without is WITHOUT
+            else "the default of jaxmorph.prepare"
+        )
         warnings.warn(
-            f"options of IDWarp that nothing corresponds to here: {', '.join(told)}. The method is {by}.", stacklevel=3
+            f"options of IDWarp that nothing corresponds to here: {', '.join(told)}. The method "
+            f"is {by}.",
+            stacklevel=3,
         )
 
 
@@ -140,7 +158,9 @@ class USMesh:
     mesh in 2-D, and what `jaxmorph.io.read` refuses.
     """
 
-    def __init__(self, options: Mapping[str, Any] | None = None, comm: Any = None, debug: bool = False):
+    def __init__(
+        self, options: Mapping[str, Any] | None = None, comm: Any = None, debug: bool = False
+    ):
         comm = communicator(comm)
         self._begin(comm, options, lambda path: DistributedGrid.read(comm, path))
 
@@ -169,7 +189,9 @@ class USMesh:
         """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
         self._coordinates = self._rows("coordinates", coordinates)
 
-    def setSurfaceDefinition(self, pts: Any, conn: Any, faceSizes: Any, cgnsBlockID: Any = None) -> None:
+    def setSurfaceDefinition(
+        self, pts: Any, conn: Any, faceSizes: Any, cgnsBlockID: Any = None
+    ) -> None:
         """Defines the surface by this process' points (k, 3) and faces; equal points are one.
 
         Wall nodes move as the closest point of its faces, or as the three nearest points where
@@ -194,7 +216,9 @@ class USMesh:
 
     def setSurfaceFromFile(self, surfFile: str) -> None:
         """Sets the surface's points from a file in blocks as `setSurfaceDefinitionFromFile`'s."""
-        self.setSurfaceCoordinates(together(self.comm, lambda: surface_blocks(self.comm, surfFile))[0])
+        self.setSurfaceCoordinates(
+            together(self.comm, lambda: surface_blocks(self.comm, surfFile))[0]
+        )
 
     def setExternalMeshIndices(self, ind: Any) -> None:
         """Sets the file's coordinates that this process' solver has, three a node, counted from 0.
@@ -260,7 +284,8 @@ class USMesh:
         surface = self._defined()
         if dXv is None:
             random = np.random.default_rng([randomSeed, self.comm.rank])
-            dXv, solverVec = random.random(3 * len(self._grid.rows)), False
+            dXv = random.random(3 * len(self._grid.rows))
+            solverVec = False
         seed = self._volume(dXv, solverVec)
         self.warpDeriv(seed, solverVec=False)
         slopes = np.concatenate(self.comm.allgather(self._dXs)).ravel()
@@ -271,7 +296,10 @@ class USMesh:
             slope = self.comm.allreduce(float(seed @ self._grid.listed(ahead - behind))) / (2 * h)
             worst = max(worst, abs(slope - float(slopes[dof])))
             if self.comm.rank == 0:
-                print(f"surface coordinate {dof}: derivative {slopes[dof]:.12e}, difference {slope:.12e}")
+                print(
+                    f"surface coordinate {dof}: derivative {slopes[dof]:.12e}, difference "
+                    f"{slope:.12e}"
+                )
         return worst / (float(np.abs(slopes).max(initial=0.0)) or 1.0)
 
     def writeGrid(self, fileName: str | None = None) -> None:
@@ -280,7 +308,10 @@ class USMesh:
         Raises `ValueError` without a name: the input is never overwritten.
         """
         if fileName is None:
-            raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
+            raise ValueError(
+                "`fileName` is missing: name a new file or folder; what the mesh was read from "
+                "is kept."
+            )
         self._grid.write(fileName, np.real(self._moved))
 
     def getOption(self, name: str) -> Any:
@@ -296,12 +327,18 @@ class USMesh:
         if name in FILE or (name not in WITHOUT and self._surface is not None):
             what = "the grid is read" if name in FILE else "the surface is defined"
             raise ValueError(f"`{name}` is taken when {what}: give it to USMesh.")
-        self._options = checked({key: self._options[key] for key in self._options["told"]} | {name: value})
+        self._options = checked(
+            {key: self._options[key] for key in self._options["told"]} | {name: value}
+        )
 
     def printOptions(self) -> None:
         """Prints the options and their values, in the first process."""
         if self.comm.rank == 0:
-            print("\n".join(f"{name}: {self.getOption(name)!r}" for name in self._options if name != "told"))
+            print(
+                "\n".join(
+                    f"{name}: {self.getOption(name)!r}" for name in self._options if name != "told"
+                )
+            )
 
     @property
     def warp(self) -> Any:
@@ -316,8 +353,13 @@ class USMesh:
         if self._surface is None:
             outside = self._grid.outside
             names = together(self.comm, lambda: None if outside is None else self._walls(outside))
-            names, mesh = self.comm.bcast(names), self._grid.mesh
-            patches = [] if mesh is None else [np.asarray(mesh.patches[name]) for name in names if name in mesh.patches]
+            names = self.comm.bcast(names)
+            mesh = self._grid.mesh
+            patches = (
+                []
+                if mesh is None
+                else [np.asarray(mesh.patches[name]) for name in names if name in mesh.patches]
+            )
             rows = np.unique(np.concatenate([np.zeros(0, int), *patches]))
             points = np.zeros((0, 3)) if mesh is None else np.asarray(mesh.points, float)[rows]
             self._define(points, np.zeros(0, int), np.zeros(0, int), is_own=True)
@@ -328,13 +370,17 @@ class USMesh:
         walls = patches_by_kind(mesh, self._options)["wall"]
         if not walls:
             raise ValueError(
-                "no patch is a wall: name the moving patches in the option `specifiedSurfaces`, or call setSurfaceDefinition. "
+                "no patch is a wall: name the moving patches in the option `specifiedSurfaces`, "
+                "or call setSurfaceDefinition. "
                 f"There are {', '.join(mesh.patches)}."
             )
         return walls
 
-    def _define(self, points: np.ndarray, corners: np.ndarray, sizes: np.ndarray, is_own: bool) -> None:
-        definition, grid = Definition.gathered(self.comm, points, corners, sizes), self._grid
+    def _define(
+        self, points: np.ndarray, corners: np.ndarray, sizes: np.ndarray, is_own: bool
+    ) -> None:
+        definition = Definition.gathered(self.comm, points, corners, sizes)
+        grid = self._grid
 
         def prepared() -> tuple[jm.SurfaceHalf, Any] | None:
             if grid.outside is None:
@@ -343,7 +389,9 @@ class USMesh:
                 raise ValueError("the surface has no points: no process defines any.")
             boundary, weights = boundary_of(grid.outside, self._options, definition, is_own)
             is_loose = len(boundary.free) > 0 and not len(boundary.fixed)
-            half = jm.prepare_surface(boundary, method=method(self._options, is_loose), **grid.known)
+            half = jm.prepare_surface(
+                boundary, method=method(self._options, is_loose), **grid.known
+            )
             ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[boundary.moving]
             return half, weights[np.argsort(half.rows(ids))]
 
@@ -356,7 +404,8 @@ class USMesh:
     def _solver(self) -> SolverOrder:
         if self._order is None:
             raise ValueError(
-                "the solver's order is not known: call setExternalMeshIndices, or take the order of the file, by getCommonGrid "
+                "the solver's order is not known: call setExternalMeshIndices, or take the order "
+                "of the file, by getCommonGrid "
                 "and solverVec=False."
             )
         return self._order
@@ -395,4 +444,6 @@ class USMesh_C(USMesh):
         """Moves the mesh from its first place to where the surface is, with the steps."""
         super().warpMesh()
         if self._step is not None:
-            self._moved = self._moved + 1j * self._defined().pushforward(self._coordinates, self._step)
+            self._moved = self._moved + 1j * self._defined().pushforward(
+                self._coordinates, self._step
+            )

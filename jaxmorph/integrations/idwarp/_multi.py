@@ -12,7 +12,16 @@ from jaxmorph import io
 from jaxmorph.extend import rows_of, together
 from jaxmorph.io.cgns.file import open_zones, opened
 
-from ._grid import Coordinates, DistributedGrid, Points, SolverOrder, agreed, communicator, faces, solver_order
+from ._grid import (
+    Coordinates,
+    DistributedGrid,
+    Points,
+    SolverOrder,
+    agreed,
+    communicator,
+    faces,
+    solver_order,
+)
 from ._mesh import USMesh, USMesh_C
 
 
@@ -47,14 +56,21 @@ class MultiUSMesh:
         self.comm = communicator(comm)
         expected = "d" if self._number is float else "D"
         if dtype != expected:
-            raise ValueError(f"`dtype` is {dtype!r}; {expected!r} is taken: complex steps have a class, MultiUSMesh_C.")
-        mesh, grids = together(self.comm, lambda: (None, None) if self.comm.rank else _read(CGNSFile, optionsDict))
+            raise ValueError(
+                f"`dtype` is {dtype!r}; {expected!r} is taken: complex steps have a class, "
+                "MultiUSMesh_C."
+            )
+        mesh, grids = together(
+            self.comm, lambda: (None, None) if self.comm.rank else _read(CGNSFile, optionsDict)
+        )
         names, self._zones, counts = self.comm.bcast(grids)
         self._grid = np.repeat(self._zones, counts)
         self._whole = DistributedGrid.shared(self.comm, mesh)
         self.meshes = []
         for k, name in enumerate(names):
-            part = DistributedGrid.shared(self.comm, None if mesh is None else _part(mesh, self._grid == k))
+            part = DistributedGrid.shared(
+                self.comm, None if mesh is None else _part(mesh, self._grid == k)
+            )
             options = {**optionsDict[name], "gridFile": CGNSFile}
             self.meshes.append(self._mesh_class._of(self.comm, options, part))
         self._order: SolverOrder | None = None
@@ -72,7 +88,12 @@ class MultiUSMesh:
             mesh.setExternalMeshIndices(3 * place[nodes[chosen]] + axis[chosen])
 
     def setSurfaceDefinition(
-        self, pts: Any, conn: Any = None, faceSizes: Any = None, cgnsBlockIDs: Any = None, distTol: float = 1e-6
+        self,
+        pts: Any,
+        conn: Any = None,
+        faceSizes: Any = None,
+        cgnsBlockIDs: Any = None,
+        distTol: float = 1e-6,
     ) -> None:
         """Defines the surface as `USMesh` does; IDWarp's `distTol` changes nothing here.
 
@@ -87,7 +108,9 @@ class MultiUSMesh:
             is_own = self._zones[zones] == k
             own = corners[np.repeat(is_own, sizes)]
             self._rows.append(np.unique(own))
-            mesh.setSurfaceDefinition(points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own])
+            mesh.setSurfaceDefinition(
+                points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own]
+            )
 
     def getSurfaceCoordinates(self) -> Points:
         """Returns the surface's points that this process has, as they were set last."""
@@ -98,7 +121,8 @@ class MultiUSMesh:
     def setSurfaceCoordinates(self, pts: Any) -> None:
         """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
         parts = self._parts()
-        shape, is_real = self._coordinates.shape, self._number is float
+        shape = self._coordinates.shape
+        is_real = self._number is float
         points = agreed(self.comm, "pts", pts if is_real else np.real(pts), shape)
         points = points if is_real else points + 1j * agreed(self.comm, "pts", np.imag(pts), shape)
         for rows, mesh in parts:
@@ -124,7 +148,9 @@ class MultiUSMesh:
     def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Points:
         """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3)."""
         if not solverVec:
-            raise ValueError("`solverVec` must be True here; `meshes` have an order of their own each.")
+            raise ValueError(
+                "`solverVec` must be True here; `meshes` have an order of their own each."
+            )
         values = agreed(self.comm, "dXv", dXv, (self._solver().size,))
         for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
             mesh.warpDeriv(values[chosen])
@@ -148,7 +174,9 @@ class MultiUSMesh:
 
     def writeGrid(self, baseName: str | None = None) -> None:
         """Writes all grids as they moved to `baseName`.cgns, IDWarpMulti.cgns by default."""
-        shares = [self.comm.gather(np.real(mesh.getCommonGrid()).reshape(-1, 3)) for mesh in self.meshes]
+        shares = [
+            self.comm.gather(np.real(mesh.getCommonGrid()).reshape(-1, 3)) for mesh in self.meshes
+        ]
 
         def write() -> None:
             mesh = self._whole.mesh
@@ -178,7 +206,11 @@ class MultiUSMesh_C(MultiUSMesh):
     _number = complex
 
     def __init__(
-        self, CGNSFile: str, optionsDict: Mapping[str, Mapping[str, Any]], comm: Any = None, debug: bool = False
+        self,
+        CGNSFile: str,
+        optionsDict: Mapping[str, Mapping[str, Any]],
+        comm: Any = None,
+        debug: bool = False,
     ):
         super().__init__(CGNSFile, optionsDict, comm, "D", debug)
 
@@ -187,10 +219,12 @@ def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray
     """Reads a mesh and its grids: names, and by zone its grid, or -1, and its number of nodes."""
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
-        counts, grids = [zone.count for zone in zones], [zone.name.rsplit(".", 1)[0] for zone in zones]
+        counts = [zone.count for zone in zones]
+        grids = [zone.name.rsplit(".", 1)[0] for zone in zones]
     names = [name for name in dict.fromkeys(grids) if name in options]
     if len(names) < max(len(options), 1):
-        known, missing = ", ".join(dict.fromkeys(grids)), ", ".join(name for name in options if name not in names)
+        known = ", ".join(dict.fromkeys(grids))
+        missing = ", ".join(name for name in options if name not in names)
         raise ValueError(f"`optionsDict`: {path} has no grid {missing}; it has {known}.")
     numbers = [names.index(name) if name in names else -1 for name in grids]
     return io.read(path), (names, np.array(numbers), np.array(counts))
@@ -200,10 +234,14 @@ def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
     nodes, listed = np.unique(mesh.file_nodes[is_own], return_inverse=True)
 
     def own(lists: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        inside = {name: ids[np.isin(ids, nodes).reshape(len(ids), -1).all(axis=1)] for name, ids in lists.items()}
+        inside = {
+            name: ids[np.isin(ids, nodes).reshape(len(ids), -1).all(axis=1)]
+            for name, ids in lists.items()
+        }
         return {name: np.searchsorted(nodes, ids) for name, ids in inside.items() if len(ids)}
 
-    cells, patches = own(mesh.cells), own(mesh.patches)
+    cells = own(mesh.cells)
+    patches = own(mesh.patches)
     periodic = tuple(pair for pair in io.periodic(mesh) if str(pair.patch) in patches)
     rest = {"content": None, "polyhedra": None, "cell_ids": None, "in_file": None}
     source = dataclasses.replace(mesh.source, file_nodes=listed, periodic=periodic, **rest)

@@ -36,7 +36,9 @@ class Definition:
     triangles: Int[np.ndarray, "t 3"]
 
     @staticmethod
-    def gathered(comm: Any, points: np.ndarray, conn: np.ndarray, sizes: np.ndarray) -> "Definition":
+    def gathered(
+        comm: Any, points: np.ndarray, conn: np.ndarray, sizes: np.ndarray
+    ) -> "Definition":
         shares, triangles = zip(*comm.allgather((points, fans(conn, sizes))), strict=True)
         firsts = np.cumsum([0, *map(len, shares)])
         corners = [own + first for own, first in zip(triangles, firsts, strict=False)]
@@ -50,7 +52,9 @@ class Definition:
         returned: each node's distance (k,) from the surface, and the largest distance (k,) of a
         node on it.
         """
-        same = KDTree(self.points).query_pairs(SAME * np.ptp(self.points, axis=0).max(), output_type="ndarray")
+        same = KDTree(self.points).query_pairs(
+            SAME * np.ptp(self.points, axis=0).max(), output_type="ndarray"
+        )
         graph = csr_array((np.ones(len(same)), same.T), (len(self.points), len(self.points)))
         at = connected_components(graph, directed=False)[1]
         place = self.points[np.unique(at, return_index=True)[1]]
@@ -58,16 +62,22 @@ class Definition:
             corners = at[self.triangles]
             chosen, shares, away = closest(place[corners], x)
             edges = np.linalg.norm(place[corners] - place[np.roll(corners, 1, axis=1)], axis=2)
-            columns, limit = corners[chosen], NEAR * edges.max(axis=1)[chosen]
+            columns = corners[chosen]
+            limit = NEAR * edges.max(axis=1)[chosen]
         else:
             count = min(3, len(place))
-            near, columns = (np.reshape(answer, (-1, count)) for answer in KDTree(place).query(x, k=count))
+            near, columns = (
+                np.reshape(answer, (-1, count)) for answer in KDTree(place).query(x, k=count)
+            )
             inverse = 1 / np.maximum(near, np.finfo(float).tiny ** 0.25) ** 2
-            shares, away = inverse / inverse.sum(axis=1, keepdims=True), near[:, 0]
+            shares = inverse / inverse.sum(axis=1, keepdims=True)
+            away = near[:, 0]
             limit = spacing(place)[columns[:, 0]]
         rows = np.repeat(np.arange(len(x)), columns.shape[1])
         of_places = csr_array((shares.ravel(), (rows, columns.ravel())), (len(x), len(place)))
-        means = csr_array((1 / np.bincount(at)[at], (at, np.arange(len(at)))), (len(place), len(at)))
+        means = csr_array(
+            (1 / np.bincount(at)[at], (at, np.arange(len(at)))), (len(place), len(at))
+        )
         return of_places @ means, away, limit
 
 
@@ -87,12 +97,18 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
     if options["symmetryPlanes"] is not None:
         found["symmetry"] = _in_planes(mesh, _planes(mesh, options))
     walls = found.pop("wall")
-    others = {kind: tuple(name for name in names if name not in walls) for kind, names in found.items() if kind}
+    others = {
+        kind: tuple(name for name in names if name not in walls)
+        for kind, names in found.items()
+        if kind
+    }
     return others | {"wall": tuple(walls)}
 
 
 def _in_planes(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
-    on = np.logical_or.reduce([np.zeros(len(mesh.points), bool), *(plane.holds(_points(mesh)) for plane in planes)])
+    on = np.logical_or.reduce(
+        [np.zeros(len(mesh.points), bool), *(plane.holds(_points(mesh)) for plane in planes)]
+    )
     return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
 
 
@@ -110,12 +126,15 @@ def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
     wanted = {name.lower() for name in names}
     missing = sorted(wanted - {name.lower() for name in mesh.patches})
     if missing:
-        raise ValueError(f"`{option}`: no patch {', '.join(missing)}; there are {', '.join(mesh.patches)}.")
+        raise ValueError(
+            f"`{option}`: no patch {', '.join(missing)}; there are {', '.join(mesh.patches)}."
+        )
     return [name for name in mesh.patches if name.lower() in wanted]
 
 
 def _planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
-    planes, points = [], _points(mesh)
+    planes = []
+    points = _points(mesh)
     for origin, normal in options["symmetryPlanes"]:
         plane = jm.Plane(normal, origin)
         near = np.flatnonzero(np.abs(plane.height(points)) <= options["symmTol"])
@@ -135,8 +154,10 @@ def boundary_of(
     move in patches with half of their nodes on its faces, walls first. All other patches but
     symmetry, periodic and overset ones are fixed.
     """
-    kinds, points = patches_by_kind(mesh, options), _points(mesh)
-    walls, periodic = kinds["wall"], io.periodic(mesh)
+    kinds = patches_by_kind(mesh, options)
+    points = _points(mesh)
+    walls = kinds["wall"]
+    periodic = io.periodic(mesh)
     loose = {*kinds["symmetry"], *kinds["overset"]}
     moving = mesh.patch(*walls) if is_own else _on_surface(mesh, surface, walls, loose)
     loose |= {str(name) for pair in periodic for name in (pair.patch, pair.partner)}
@@ -148,10 +169,14 @@ def boundary_of(
     return boundary, surface.weights(points[moving])[0]
 
 
-def _on_surface(mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose: Collection[str]) -> np.ndarray:
+def _on_surface(
+    mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose: Collection[str]
+) -> np.ndarray:
     for names in (walls, [name for name in mesh.patches if name not in loose]):
         found = [np.zeros(0, int)]
-        for nodes in (np.asarray(mesh.patches[name]) for name in names if len(mesh.patches[name]) > 1):
+        for nodes in (
+            np.asarray(mesh.patches[name]) for name in names if len(mesh.patches[name]) > 1
+        ):
             x = _points(mesh)[nodes]
             _, away, limit = surface.weights(x)
             is_on = away <= np.maximum(limit, NEAR * spacing(x))
@@ -159,10 +184,14 @@ def _on_surface(mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose:
                 found.append(nodes[is_on])
         if len(found) > 1:
             return np.unique(np.concatenate(found))
-    low, high = (np.round(extreme(surface.points, axis=0), 6).tolist() for extreme in (np.min, np.max))
+    low, high = (
+        np.round(extreme(surface.points, axis=0), 6).tolist() for extreme in (np.min, np.max)
+    )
     raise ValueError(
-        f"no patch of the mesh lies on the surface that is defined, {len(surface.points)} points between {low} and {high}: "
-        f"its unit, or its place, is not that of the mesh, whose patches are {', '.join(mesh.patches)}."
+        f"no patch of the mesh lies on the surface that is defined, {len(surface.points)} points "
+        f"between {low} and {high}: "
+        "its unit, or its place, is not that of the mesh, whose patches are "
+        f"{', '.join(mesh.patches)}."
     )
 
 

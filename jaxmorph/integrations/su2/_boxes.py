@@ -44,7 +44,8 @@ class BoxPart(AbstractPart):
     def change(self, values: Float[Array, " k"]) -> Float[Array, "..."]:
         """Computes the displacements (*counts, d) of the control points."""
         start = self.control.astype(values.dtype)
-        control, row = start, 0
+        control = start
+        row = 0
         for variable in self.variables:
             part = values[row : row + variable.size]
             if variable.kind in TURNS:
@@ -53,7 +54,8 @@ class BoxPart(AbstractPart):
                 factors = np.zeros((variable.size, *start.shape))  # what a unit of each value adds
                 ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
                 change = jnp.tensordot(part, jnp.asarray(factors, part.dtype), 1)
-            control, row = control + change, row + variable.size
+            control = control + change
+            row = row + variable.size
         return control - start
 
     def is_fixed(self, *index: int) -> bool:
@@ -66,7 +68,8 @@ def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> No
     SU2 moves none where a plane of a given number stays. Of a direction of all it leaves planes out
     in 3-D alone, and only where the other two numbers are given.
     """
-    index, d = variable.index, len(variable.index)
+    index = variable.index
+    d = len(variable.index)
     if part.is_fixed(*index):
         return
     chosen = np.zeros(factors.shape[1:-1])
@@ -80,7 +83,8 @@ def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> No
 
 def _pair(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     """Moves two control points across a box alike (camber), or apart (thickness)."""
-    index, d = variable.index, factors.shape[-1]
+    index = variable.index
+    d = factors.shape[-1]
     if d == 2 or not any(part.is_fixed(*index, side) for side in (0, 1)):
         factors[(0, *index, 0, d - 1)] = -1 if "THICKNESS" in variable.kind else 1
         factors[(0, *index, 1, d - 1)] = 1
@@ -98,7 +102,11 @@ def _nacelle(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     for angle in dict.fromkeys([j, last - j if j >= 0 else 0]):
         if part.is_fixed(i, angle, k):
             break
-        factors[(0, *_places(i, angle if j >= 0 else -1, k))] += [variable.numbers[3], 0, variable.numbers[4]]
+        factors[(0, *_places(i, angle if j >= 0 else -1, k))] += [
+            variable.numbers[3],
+            0,
+            variable.numbers[4],
+        ]
 
 
 def _places(*index: int) -> tuple[int | slice, ...]:
@@ -117,8 +125,11 @@ ADDS = {
 
 def _rotation(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
     """Turns the control points about an axis by degrees; the numbers have its two ends."""
-    d, ends = control.shape[-1], np.array(variable.numbers)
-    axis, about, points = ends[3:] - ends[:3], ends[:d], control.reshape(-1, d)
+    d = control.shape[-1]
+    ends = np.array(variable.numbers)
+    axis = ends[3:] - ends[:3]
+    about = ends[:d]
+    points = control.reshape(-1, d)
     angle = jnp.deg2rad(value)
     turn = (np.sign(axis[2]) * angle, about) if d == 2 else (angle, about, axis)
     return (shapes.rotate(points, *turn) - points).reshape(control.shape)
@@ -133,7 +144,11 @@ def _control_surface(part: BoxPart, variable: Variable, value, control) -> Float
 
 def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
     """Turns one plane's control points about an axis along y, where a line meets the plane."""
-    (j,), start, end = variable.index, np.array(variable.numbers[1:4]), np.array(variable.numbers[4:7])
+    (j,), start, end = (
+        variable.index,
+        np.array(variable.numbers[1:4]),
+        np.array(variable.numbers[4:7]),
+    )
     rise = end[1] - start[1]
     share = (control[0, j, 0, 1] - start[1]) / (rise or 1.0)
     meets = (share >= 0) & (share <= 1) & (rise != 0)
@@ -143,7 +158,9 @@ def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, ".
     free = np.ones(control.shape[:-1], bool)
     for axis, planes in enumerate(part.fixed):
         np.moveaxis(free, axis, 0)[sorted(planes)] = False
-    turned = jnp.where(meets & jnp.asarray(free[:, j, :, None]), turned.reshape(len(control), -1, 3), 0)
+    turned = jnp.where(
+        meets & jnp.asarray(free[:, j, :, None]), turned.reshape(len(control), -1, 3), 0
+    )
     return jnp.zeros_like(control).at[:, j].set(turned)
 
 
@@ -157,7 +174,10 @@ def boxes_of(options: Options, mesh: Mesh, moving: Names, is_setting: bool) -> t
     present = () if is_setting else io.boxes(mesh)
     if not present and "FFD_DEFINITION" in options:
         made = _definition(options, mesh.points.shape[1])
-        return tuple(io.Box(name, box, np.asarray(box.lattice()), _surface(box, mesh, moving)) for name, box in made)
+        return tuple(
+            io.Box(name, box, np.asarray(box.lattice()), _surface(box, mesh, moving))
+            for name, box in made
+        )
     nested = [box.name for box in present if box.level or box.parents or box.children]
     if nested:
         raise ValueError(f"box {nested[0]} is nested in another one; boxes side by side are taken.")
@@ -169,9 +189,12 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
     if options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM") != "BEZIER":
         orders = options.words("FFD_BSPLINE_ORDER")[:d] or ["2"] * d
         degree = [options.whole("FFD_BSPLINE_ORDER", word) - 1 for word in orders]
-    degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
+    degrees = options.groups("FFD_DEGREE")
+    groups = options.groups("FFD_DEFINITION")
     if len(degrees) != len(groups):
-        raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
+        raise options.error(
+            "FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes"
+        )
     boxes = []
     for (name, *words), own in zip(groups, degrees, strict=True):
         corners = options.taken("FFD_DEFINITION", f"box {name}", words, 24)
@@ -179,8 +202,16 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
         counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
         if len(counts) < d or math.prod(counts) > MOST:
             found = " x ".join(map(str, counts))
-            raise options.error("FFD_DEGREE", f"{d} degrees of at most {MOST} control points expected, found {found}")
-        boxes.append((name, shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)))
+            raise options.error(
+                "FFD_DEGREE",
+                f"{d} degrees of at most {MOST} control points expected, found {found}",
+            )
+        boxes.append(
+            (
+                name,
+                shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree),
+            )
+        )
     return boxes
 
 
@@ -194,7 +225,9 @@ def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
     return surface
 
 
-def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Float[np.ndarray, "k d"]:
+def _of_spline(
+    places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron
+) -> Float[np.ndarray, "k d"]:
     """Finds coordinates at which the splines of the lattice at rest give the places in the box.
 
     The lattice is equal along each edge, so each direction stands alone. Splines of the highest
@@ -205,7 +238,8 @@ def _of_spline(places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron) -> Fl
         if 1 < p < count - 1:
             knots = np.clip(np.arange(-p, count + 1) / (count - p), 0, 1)
             spline = scipy.interpolate.BSpline(knots, np.arange(count) / (count - 1), p)
-            slope, t = spline.derivative(), places[:, axis]
+            slope = spline.derivative()
+            t = places[:, axis]
             for _ in range(STEPS):
                 t = np.clip(t - (spline(t) - places[:, axis]) / slope(t), 0, 1)
             found[:, axis] = t
@@ -217,7 +251,8 @@ def box_parts(
 ) -> list[AbstractPart]:
     """Makes a part for each box, of the variables that move its control points."""
     _check_boxes(listed, boxes)
-    nodes, parts = mesh.patch(*moving), []
+    nodes = mesh.patch(*moving)
+    parts = []
     taken = np.zeros(len(nodes), bool)
     for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
         places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
@@ -227,8 +262,10 @@ def box_parts(
         places[taken] = OUTSIDE
         taken |= (places != OUTSIDE).any(axis=1)
         if own := tuple(variable for variable in listed if variable.box == box.name):
-            fixed, length = _fixed_planes(options, box.control, mesh, moving), options.number("REF_LENGTH")
-            rows, move = tuple(row for variable in own for row in variable.rows), box.shape.box.at(jnp.asarray(places))
+            fixed = _fixed_planes(options, box.control, mesh, moving)
+            length = options.number("REF_LENGTH")
+            rows = tuple(row for variable in own for row in variable.rows)
+            move = box.shape.box.at(jnp.asarray(places))
             parts.append(BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move))
     return parts[::-1]
 
@@ -237,38 +274,54 @@ def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
     known = {box.name: box for box in boxes}
     for variable in (variable for variable in listed if variable.box):
         if variable.box not in known:
-            there = ", ".join(known) or "none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
+            there = (
+                ", ".join(known) or "none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
+            )
             raise ValueError(f"there is no box {variable.box} in the mesh file; it has {there}.")
         _check(variable, known[variable.box])
 
 
 def _check(variable: Variable, box: io.Box) -> None:
-    kind, counts, directions = variable.kind, box.shape.counts, KINDS[variable.kind].indices
+    kind = variable.kind
+    counts = box.shape.counts
+    directions = KINDS[variable.kind].indices
     index = variable.numbers[: len(directions)]
     if not index:
         return check_axis(kind, variable.numbers, len(counts))
     if kind.endswith("_2D") != (len(counts) == 2):
-        raise ValueError(f"{kind} in a mesh in {len(counts)}-D: kinds ending in _2D are for 2-D, other kinds for 3-D.")
+        raise ValueError(
+            f"{kind} in a mesh in {len(counts)}-D: kinds ending in _2D are for 2-D, other kinds "
+            "for 3-D."
+        )
     if index == (-1, -1, -1):
-        raise ValueError(f"{kind} of box {box.name} with all three numbers -1: SU2 moves no control point by it.")
+        raise ValueError(
+            f"{kind} of box {box.name} with all three numbers -1: SU2 moves no control point by it."
+        )
     least = -1 if kind.startswith(("FFD_CONTROL_POINT", "FFD_NACELLE")) else 0
     for direction, value in zip(directions, index, strict=True):
         last = counts["ijk".index(direction)] - 1
         if value % 1 or not least <= value <= last:
             raise ValueError(
-                f"{kind} has {direction} = {value:g}; box {box.name} has control points 0 to {last} there."
+                f"{kind} has {direction} = {value:g}; box {box.name} has control points 0 to "
+                f"{last} there."
             )
 
 
-def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names) -> Fixed:
+def _fixed_planes(
+    options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names
+) -> Fixed:
     """Finds the planes that stay in each direction of a lattice, so that no wall tears."""
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
     is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
     segments, (*counts, d) = _segments(mesh, moving), lattice.shape
     fixed = []
     for direction, count in enumerate(counts):
-        planes = set(options.numbers(f"FFD_FIX_{'IJK'[direction]}")) if word == "USER_INPUT" else set()
-        depth = 0 if KEPT[word] == 3 and count <= 2 else KEPT[word]  # a second derivative needs a degree of 2
+        planes = (
+            set(options.numbers(f"FFD_FIX_{'IJK'[direction]}")) if word == "USER_INPUT" else set()
+        )
+        depth = (
+            0 if KEPT[word] == 3 and count <= 2 else KEPT[word]
+        )  # a second derivative needs a degree of 2
         is_mirror = (direction, d, is_symmetric) == (1, 3, True)
         for last, behind in ((0, range(depth)), (-1, range(count - depth, count))):
             if depth and not is_mirror and _crosses(segments, _face(lattice, direction, last)):
@@ -277,7 +330,9 @@ def _fixed_planes(options: Options, lattice: Float[np.ndarray, "..."], mesh: Mes
     return tuple(fixed)
 
 
-def _face(lattice: Float[np.ndarray, "..."], direction: int, last: int) -> Float[np.ndarray, "t d d"]:
+def _face(
+    lattice: Float[np.ndarray, "..."], direction: int, last: int
+) -> Float[np.ndarray, "t d d"]:
     """Cuts one face of a box into two triangles between its corners; in 2-D it is a segment."""
     d = lattice.shape[-1]
     corners = np.take(lattice[np.ix_(*[[0, -1]] * d)], last, axis=direction).reshape(-1, d)
@@ -285,20 +340,27 @@ def _face(lattice: Float[np.ndarray, "..."], direction: int, last: int) -> Float
 
 
 def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d d"]) -> bool:
-    start, way = segments[:, 0], segments[:, 1] - segments[:, 0]
+    start = segments[:, 0]
+    way = segments[:, 1] - segments[:, 0]
     for face in faces:
         # start + s way = face[0] + edges^T w, for s in 0 to 1 and w in the triangle
         edges = face[1:] - face[0]
-        matrix = np.concatenate([way[:, :, None], -np.broadcast_to(edges.T, (len(way), *edges.T.shape))], axis=2)
+        matrix = np.concatenate(
+            [way[:, :, None], -np.broadcast_to(edges.T, (len(way), *edges.T.shape))], axis=2
+        )
         size = np.linalg.norm(edges, axis=1).prod() * np.linalg.norm(way, axis=1)
         good = np.abs(np.linalg.det(matrix)) > 1e-14 * size
         solution = np.linalg.solve(matrix[good], (face[0] - start[good])[:, :, None])[:, :, 0]
-        if ((solution >= 0).all(axis=1) & (solution[:, 0] <= 1) & (solution[:, 1:].sum(axis=1) <= 1)).any():
+        if (
+            (solution >= 0).all(axis=1) & (solution[:, 0] <= 1) & (solution[:, 1:].sum(axis=1) <= 1)
+        ).any():
             return True
     return False
 
 
 def _segments(mesh: Mesh, moving: Names) -> Float[np.ndarray, "s 2 d"]:
     faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()]
-    pairs = [ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)]
+    pairs = [
+        ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)
+    ]
     return np.asarray(mesh.points, float)[np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)]

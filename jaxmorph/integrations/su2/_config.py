@@ -33,7 +33,14 @@ FILES = {
 """Options that name a file of sensitivities, and SU2's default names."""
 
 EXTENSIONS = {
-    **{"DRAG": "cd", "LIFT": "cl", "SIDEFORCE": "csf", "EFFICIENCY": "eff", "THRUST": "ct", "TORQUE": "cq"},
+    **{
+        "DRAG": "cd",
+        "LIFT": "cl",
+        "SIDEFORCE": "csf",
+        "EFFICIENCY": "eff",
+        "THRUST": "ct",
+        "TORQUE": "cq",
+    },
     **{f"MOMENT_{axis}": f"cm{axis.lower()}" for axis in "XYZ"},
     **{f"FORCE_{axis}": f"cf{axis.lower()}" for axis in "XYZ"},
     **{"EQUIVALENT_AREA": "ea", "NEARFIELD_PRESSURE": "nfp", "FIGURE_OF_MERIT": "merit"},
@@ -109,15 +116,23 @@ class Config:
     @property
     def moved_boxes(self) -> tuple[io.Box, ...]:
         """The boxes with the control points where the parameters put them."""
-        changes, values = {}, jnp.asarray(self.parameters) * self.shape.scales
+        changes = {}
+        values = jnp.asarray(self.parameters) * self.shape.scales
         for part in self.shape.parts:
             if isinstance(part, BoxPart):
-                changes[part.variables[0].box] = np.asarray(part.change(values[np.array(part.rows, int)]))
-        return tuple(dataclasses.replace(box, control=box.control + changes.get(box.name, 0)) for box in self.boxes)
+                changes[part.variables[0].box] = np.asarray(
+                    part.change(values[np.array(part.rows, int)])
+                )
+        return tuple(
+            dataclasses.replace(box, control=box.control + changes.get(box.name, 0))
+            for box in self.boxes
+        )
 
 
 @checked
-def read_config(path: str | os.PathLike[str], *, definition: bool = False, zone: int | None = None) -> Config:
+def read_config(
+    path: str | os.PathLike[str], *, definition: bool = False, zone: int | None = None
+) -> Config:
     """Reads a config file of SU2, and the mesh that it names.
 
         config = su2.read_config("inv_NACA0012.cfg")
@@ -138,17 +153,33 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False, zone:
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
-    mesh, kinds = _mesh(options, zone), {variable.kind for variable in listed}
-    sorts, is_setting = {KINDS[kind].sort for kind in kinds}, "FFD_SETTING" in kinds
-    is_whole, is_moving = "mesh" in sorts, is_setting or not sorts <= {"nothing", "flow"}
-    moving = tuple(mesh.patches) if is_whole else _present(options, mesh, "DV_MARKER", markers, is_moving)
-    planes, inner = (_present(options, mesh, name, options.words(name)) for name in ("MARKER_SYM", "MARKER_INTERNAL"))
+    mesh = _mesh(options, zone)
+    kinds = {variable.kind for variable in listed}
+    sorts = {KINDS[kind].sort for kind in kinds}
+    is_setting = "FFD_SETTING" in kinds
+    is_whole = "mesh" in sorts
+    is_moving = is_setting or not sorts <= {"nothing", "flow"}
+    moving = (
+        tuple(mesh.patches)
+        if is_whole
+        else _present(options, mesh, "DV_MARKER", markers, is_moving)
+    )
+    planes, inner = (
+        _present(options, mesh, name, options.words(name))
+        for name in ("MARKER_SYM", "MARKER_INTERNAL")
+    )
     try:
         boxes = boxes_of(options, mesh, moving, is_setting)
-        parts = wall_parts(options, listed, mesh, moving) + box_parts(options, listed, mesh, moving, boxes)
+        parts = wall_parts(options, listed, mesh, moving) + box_parts(
+            options, listed, mesh, moving, boxes
+        )
     except ValueError as error:
-        raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
-    shape = _shape(options, listed, parts, _free_coordinates(mesh, moving, () if is_whole else planes))
+        raise ValueError(
+            f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}"
+        ) from None
+    shape = _shape(
+        options, listed, parts, _free_coordinates(mesh, moving, () if is_whole else planes)
+    )
     config = Config(
         mesh,
         options.output,
@@ -170,7 +201,9 @@ def _mesh(options: Options, zone: int | None) -> Mesh:
         return io.read(options.mesh_file)
     zones = io.read_zones(options.mesh_file)
     if not 1 <= zone <= len(zones):
-        raise options.error("MESH_FILENAME", f"{options.mesh_file} has {len(zones)} zones, not the zone {zone}")
+        raise options.error(
+            "MESH_FILENAME", f"{options.mesh_file} has {len(zones)} zones, not the zone {zone}"
+        )
     return zones[zone - 1]
 
 
@@ -182,8 +215,11 @@ def _sort(name: str) -> str:
     return KINDS[name.partition("[")[0]].sort
 
 
-def _present(options: Options, mesh: Mesh, name: str, markers: Names, is_needed: bool = False) -> tuple[str, ...]:
-    present, absent = [], []
+def _present(
+    options: Options, mesh: Mesh, name: str, markers: Names, is_needed: bool = False
+) -> tuple[str, ...]:
+    present = []
+    absent = []
     for marker in markers:
         try:
             present += mesh.patch_names(marker)
@@ -191,7 +227,9 @@ def _present(options: Options, mesh: Mesh, name: str, markers: Names, is_needed:
             absent.append(marker)
     if is_needed and not present:
         there = ", ".join(mesh.patches)
-        raise options.error(name, f"names no marker of the mesh, so nothing would move; it has {there}")
+        raise options.error(
+            name, f"names no marker of the mesh, so nothing would move; it has {there}"
+        )
     if absent:
         warn(f"{options.path}: {name}= the mesh has no marker {', '.join(absent)}; left out.")
     return tuple(dict.fromkeys(present))
@@ -203,34 +241,50 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
     for kind in filter(lambda kind: KINDS[kind].sort == "flow", kinds):
         warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")
     if left_out := options.left_out():
-        warn(f"{options.path}: not honoured here, though SU2's result depends on it: {', '.join(left_out)}.")
+        warn(
+            f"{options.path}: not honoured here, though SU2's result depends on it: "
+            f"{', '.join(left_out)}."
+        )
     relaxed = options.relaxation
-    cause = "check DV_VALUE" if relaxed == 1 else f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2"
-    suspect = {kind for kind in kinds if KINDS[kind].sort in ("wall", "box")} - (RIGID if relaxed == 1 else set())
+    cause = (
+        "check DV_VALUE"
+        if relaxed == 1
+        else f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2"
+    )
+    suspect = {kind for kind in kinds if KINDS[kind].sort in ("wall", "box")} - (
+        RIGID if relaxed == 1 else set()
+    )
     if config.share > LARGE and suspect:
         warn(f"{options.path}: the wall moves by {config.share:.3g} times its own length: {cause}.")
 
 
 def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:
     """Reads the value of each design variable; without `DV_VALUE_NEW` of them all are at rest."""
-    name, rest = "DV_VALUE_NEW" if definition else "DV_VALUE", np.asarray(shape.rest)
+    name = "DV_VALUE_NEW" if definition else "DV_VALUE"
+    rest = np.asarray(shape.rest)
     values = options.numbers(name) if name in options else []
     if not len(rest) or (definition and len(values) != len(rest)):
         return rest
     if len(values) != len(rest):
-        raise options.error(name, f"{len(rest)} values expected, one for each number, found {len(values)}")
+        raise options.error(
+            name, f"{len(rest)} values expected, one for each number, found {len(values)}"
+        )
     return np.array(values)
 
 
 def _shape(
     options: Options, listed: list[Variable], parts: Sequence[AbstractPart], free: np.ndarray
 ) -> DesignVariables:
-    names, scales, rest = [], [], []
+    names = []
+    scales = []
+    rest = []
     for k, own in enumerate(listed):
         # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
         is_relaxed = own.size == 1 and own.kind != "HICKS_HENNE_CAMBER"
         scale = own.scale * (options.relaxation if is_relaxed else 1)
-        names += [f"{own.kind}[{k}]" + (f"[{part}]" if own.size > 1 else "") for part in range(own.size)]
+        names += [
+            f"{own.kind}[{k}]" + (f"[{part}]" if own.size > 1 else "") for part in range(own.size)
+        ]
         scales += [scale] * own.size
         rest += [1 / scale if own.kind.startswith("SCALE") else 0.0] * own.size
     factors, neutral = (jnp.asarray(np.array(values, float)) for values in (scales, rest))
@@ -239,7 +293,8 @@ def _shape(
 
 def _free_coordinates(mesh: Mesh, moving: Names, planes: Names) -> Bool[np.ndarray, "m d"]:
     """Marks coordinates that may change: on `planes` all but that across the patch."""
-    nodes, points = mesh.patch(*moving) if moving else np.zeros(0, int), np.asarray(mesh.points, float)
+    nodes = mesh.patch(*moving) if moving else np.zeros(0, int)
+    points = np.asarray(mesh.points, float)
     free = np.ones((len(nodes), points.shape[1]), bool)
     for name in planes:
         own = mesh.patch(name)
@@ -293,13 +348,17 @@ def _file(options: Options, is_normal: bool) -> pathlib.Path:
     objective = options.text("OBJECTIVE_FUNCTION", "DRAG")
     kind = "combo" if "," in objective else EXTENSIONS.get(objective.strip("() "), "*")
     defaults = {"SURFACE_ADJ_FILENAME": "surface_adjoint"} if is_normal else FILES
-    names = {option: options.path.parent / options.text(option, default) for option, default in defaults.items()}
+    names = {
+        option: options.path.parent / options.text(option, default)
+        for option, default in defaults.items()
+    }
     for name in names.values():
         if found := _existing(name, kind):
             return found
     tried = ", ".join(f"{option}= {name.name}" for option, name in names.items())
     raise ValueError(
-        f"{options.path}: no file of sensitivities is there ({tried}), with _{kind} or without: give --sensitivity."
+        f"{options.path}: no file of sensitivities is there ({tried}), with _{kind} or without: "
+        "give --sensitivity."
     )
 
 
@@ -318,7 +377,10 @@ def _existing(name: pathlib.Path, kind: str) -> pathlib.Path | None:
 def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] | None:
     """Reads derivatives along the wall's normals, which point into the flow; None without them."""
     with file.open("rb") as stream:
-        names = [name.strip(b"\"' \r\n\t").decode(errors="replace").lower() for name in stream.readline().split(b",")]
+        names = [
+            name.strip(b"\"' \r\n\t").decode(errors="replace").lower()
+            for name in stream.readline().split(b",")
+        ]
     column = next((names.index(name) for name in NORMAL if name in names), None)
     if column is None:
         return None
@@ -331,7 +393,10 @@ def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] 
     nodes = config.mesh.patch(*config.moving)
     missing = np.setdiff1d(nodes, rows[:, 0])
     if len(missing):
-        raise ValueError(f"{file}: {len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first {missing[0]}.")
+        raise ValueError(
+            f"{file}: {len(missing)} of {len(nodes)} nodes of DV_MARKER are missing, first "
+            f"{missing[0]}."
+        )
     normals = shapes.wall_normals(config.mesh, *config.moving)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     slopes = dict(rows.tolist())
@@ -345,16 +410,24 @@ def _by_angle(file: pathlib.Path) -> float | None:
     is_restart = len(sizes) == 5 and sizes[0] == 535532
     begin = 20 + 33 * int(sizes[1]) + 8 * int(sizes[1]) * int(sizes[2]) if is_restart else -1
     if begin > 0 and file.stat().st_size == begin + 4 + 64:
-        return float(np.fromfile(file, "<f8", count=8, offset=begin + 4)[4])  # the fifth of eight numbers
+        return float(
+            np.fromfile(file, "<f8", count=8, offset=begin + 4)[4]
+        )  # the fifth of eight numbers
     for text in ([] if begin > 0 else [file]) + [file.with_suffix(".meta")]:
-        found = re.search(rb"SENS_AOA\s*=\s*([-+.\deE]+)", text.read_bytes()) if text.is_file() else None
+        found = (
+            re.search(rb"SENS_AOA\s*=\s*([-+.\deE]+)", text.read_bytes())
+            if text.is_file()
+            else None
+        )
         if found:
             return float(found[1])
     return None
 
 
 @checked
-def write_gradient(path: str | os.PathLike[str], gradient: Float[np.ndarray, " n"], objective: str = "DRAG") -> None:
+def write_gradient(
+    path: str | os.PathLike[str], gradient: Float[np.ndarray, " n"], objective: str = "DRAG"
+) -> None:
     """Writes a derivative a line below a line with the name of the objective: `of_grad.dat`.
 
     **Arguments:**

@@ -69,13 +69,18 @@ class DesignVariables(shapes.AbstractShape):
     def __call__(self, x: Any, parameters: Any) -> Float[Array, "m d"]:
         x = jnp.asarray(x)
         if np.shape(parameters) != self.rest.shape:
-            raise ValueError(f"`parameters` have shape {np.shape(parameters)}; this config file has {self.rest.shape}.")
+            raise ValueError(
+                f"`parameters` have shape {np.shape(parameters)}; this config file has "
+                f"{self.rest.shape}."
+            )
         values = jnp.asarray(parameters, x.dtype) * self.scales.astype(x.dtype)
         terms = [part(x, values[np.array(part.rows, int)]) for part in self.parts]
         return x + jnp.where(self.free, sum(terms[1:], terms[0]), 0) if terms else x
 
 
-def wall_parts(options: Options, listed: list[Variable], mesh: Mesh, moving: Names) -> list[AbstractPart]:
+def wall_parts(
+    options: Options, listed: list[Variable], mesh: Mesh, moving: Names
+) -> list[AbstractPart]:
     """Makes a part of the variables of each kind that moves no boxes."""
     parts: list[AbstractPart] = []
     for kind in dict.fromkeys(variable.kind for variable in listed if variable.kind in MOVES):
@@ -102,7 +107,9 @@ def check_axis(kind: str, numbers: Sequence[float], d: int) -> None:
     """Raises `ValueError` for two ends of an axis that is not along z in 2-D, or has no length."""
     axis = np.subtract(numbers[3:6], numbers[:3])
     if d == 2 and axis[:2].any():
-        raise ValueError(f"{kind} in 2-D about an axis that is not along z: both ends have the same x and y.")
+        raise ValueError(
+            f"{kind} in 2-D about an axis that is not along z: both ends have the same x and y."
+        )
     if (d == 3 or kind.startswith("FFD")) and not axis.any():
         raise ValueError(f"{kind} about an axis without length: its two ends are one point.")
 
@@ -112,17 +119,22 @@ def _signs(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, " m
     return np.sign(shapes.wall_normals(mesh, *moving)[:, 1])
 
 
-def _chord(options: Options, mesh: Mesh, moving: Names) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
+def _chord(
+    options: Options, mesh: Mesh, moving: Names
+) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
     """Finds the airfoil's own chord, which SU2 takes to be 1 long; 1 for nodes ahead of `TAIL`."""
     wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
     own = shapes.Chord.along(wall)
-    nose, along = np.asarray(own.nose), np.asarray(own.tail - own.nose)
+    nose = np.asarray(own.nose)
+    along = np.asarray(own.tail - own.nose)
     chord = shapes.Chord(nose, nose + along / np.linalg.norm(along))
     return chord, np.where(np.asarray(chord.coordinates(jnp.asarray(wall))[0]) <= TAIL, 1.0, 0.0)
 
 
 def _file(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, "m d"]:
-    name = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))  # the older name
+    name = options.text(
+        "DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat")
+    )  # the older name
     return io.read_displacement(options.beside(name), mesh, mesh.patch(*moving))
 
 
@@ -137,10 +149,13 @@ def _translation_of_length(x, values, numbers: Numbers, data):
 
 def _rotation(x, values, numbers: Numbers, data):
     """Turns about an axis by degrees; the numbers have its two ends."""
-    d, ends = x.shape[1], np.array(numbers)
+    d = x.shape[1]
+    ends = np.array(numbers)
     axes = ends[:, 3:] - ends[:, :3] if d == 3 else [None] * len(ends)
     turns = zip(values, ends[:, :d], axes, strict=True)
-    return sum(shapes.rotate(x, jnp.deg2rad(value), about, axis) - x for value, about, axis in turns)
+    return sum(
+        shapes.rotate(x, jnp.deg2rad(value), about, axis) - x for value, about, axis in turns
+    )
 
 
 def _scale(x, values, numbers: Numbers, data):
@@ -160,7 +175,9 @@ def _hicks_henne(x, values, numbers: Numbers, signs):
 
 def _camber(x, values, numbers: Numbers, data):
     chord, weights = data
-    rise = (_bumps(chord.coordinates(x)[0][:, None], np.ravel(numbers)) @ values) * weights.astype(x.dtype)
+    rise = (_bumps(chord.coordinates(x)[0][:, None], np.ravel(numbers)) @ values) * weights.astype(
+        x.dtype
+    )
     return rise[:, None] * chord.up.astype(x.dtype)[None, :]
 
 
@@ -173,7 +190,8 @@ def _surface_bump(x, values, numbers: Numbers, data):
 
 def _bumps(t: Float[Array, "m _"], tops: Float[np.ndarray, " k"]) -> Float[Array, "m k"]:
     """Evaluates sin(pi t^(ln 0.5 / ln c))^3 for tops c."""
-    behind, power = t > 10 * EPS, (math.log(0.5) / np.log(tops))[None, :].astype(t.dtype)
+    behind = t > 10 * EPS
+    power = (math.log(0.5) / np.log(tops))[None, :].astype(t.dtype)
     return jnp.where(behind, jnp.sin(jnp.pi * jnp.where(behind, t, 0.5) ** power) ** 3, 0)
 
 
@@ -183,7 +201,8 @@ def _kulfan(x, values, numbers: Numbers, signs):
     front = jnp.where(t > 0, jnp.sqrt(jnp.where(t > 0, t, 1)), 0) * (1 - t)
     rise = 0
     for value, (side, number, most) in zip(values, numbers, strict=True):
-        k, n = int(number) - 1, int(most) - 1
+        k = int(number) - 1
+        n = int(most) - 1
         on = signs == (-1 if side == LOWER else 1)
         rise += value * math.comb(n, k) * t**k * (1 - t) ** (n - k) * on
     return front * rise

@@ -64,16 +64,29 @@ KINDS = {
 }
 """Kinds of design variables; `MOVES` has how they move a wall, `BoxPart` how control points."""
 
-UPPER, LOWER, ONE = 1, 0, 2
+UPPER = 1
+LOWER = 0
+ONE = 2
 """Sides of an airfoil, as the first parameter has them; for `ONE` SU2 moves the upper side."""
 
 LEFT_OUT = {
     **{"FFD_INTPREV": ("NO",), "CONVEXITY_CHECK": ("NO",), "OPT_LINE_SEARCH_BOUND": ("1E6",)},
     **{"HOLD_GRID_FIXED": ("NO",), "DEFORM_LIMIT": ("1E6",), "DEFORM_COEFF": ("1E6",)},
-    **{"DEFORM_KIND": ("ELASTIC",), "DEFORM_STIFFNESS_TYPE": ("SOLID_WALL_DISTANCE", "WALL_DISTANCE")},
-    **{"DEFORM_STIFF_LAYER_SIZE": ("0",), "DEFORM_ELASTICITY_MODULUS": ("2E11",), "DEFORM_POISSONS_RATIO": ("0.3",)},
+    **{
+        "DEFORM_KIND": ("ELASTIC",),
+        "DEFORM_STIFFNESS_TYPE": ("SOLID_WALL_DISTANCE", "WALL_DISTANCE"),
+    },
+    **{
+        "DEFORM_STIFF_LAYER_SIZE": ("0",),
+        "DEFORM_ELASTICITY_MODULUS": ("2E11",),
+        "DEFORM_POISSONS_RATIO": ("0.3",),
+    },
     **{"MARKER_PERIODIC": (), "MARKER_DEFORM_MESH_SYM_PLANE": (), "CONFIG_LIST": ()},
-    **{"MESH_FORMAT": ("SU2", "CGNS"), "DV_SENSITIVITY_FORMAT": ("SU2_NATIVE",), "SMOOTH_GRADIENT": ("NO",)},
+    **{
+        "MESH_FORMAT": ("SU2", "CGNS"),
+        "DV_SENSITIVITY_FORMAT": ("SU2_NATIVE",),
+        "SMOOTH_GRADIENT": ("NO",),
+    },
 }
 """Options of SU2_DEF or SU2_DOT that this package ignores, with SU2's defaults."""
 
@@ -123,15 +136,23 @@ class Options:
     def taken(self, name: str, what: str, words: Words, count: int) -> Words:
         """Takes the first `count` words; SU2's tutorials have more, which it warns of."""
         if len(words) < count:
-            raise self.error(name, f"{what} has {count} parameters, found {len(words)}: {' '.join(words)}")
+            raise self.error(
+                name, f"{what} has {count} parameters, found {len(words)}: {' '.join(words)}"
+            )
         if len(words) > count:
-            warn(f"{self.path}: {name}= {what} has {count} parameters, left out: {' '.join(words[count:])}.")
+            warn(
+                f"{self.path}: {name}= {what} has {count} parameters, left out: "
+                f"{' '.join(words[count:])}."
+            )
         return words[:count]
 
     def choice(self, name: str, default: str, *known: str) -> str:
         word = self.text(name, default).upper()
         if word not in known:
-            raise self.error(name, f"{word} is not taken; {', '.join(known)} {'is' if len(known) == 1 else 'are'}")
+            raise self.error(
+                name,
+                f"{word} is not taken; {', '.join(known)} {'is' if len(known) == 1 else 'are'}",
+            )
         return word
 
     @property
@@ -141,7 +162,11 @@ class Options:
     def left_out(self) -> Words:
         """Lists the options of `LEFT_OUT` with another value than SU2's default."""
         given = [(name, self.text(name)) for name in LEFT_OUT if name in self]
-        return [f"{name}= {text}" for name, text in given if _plain(text) not in map(_plain, LEFT_OUT[name])]
+        return [
+            f"{name}= {text}"
+            for name, text in given
+            if _plain(text) not in map(_plain, LEFT_OUT[name])
+        ]
 
     def error(self, name: str, message: str) -> ValueError:
         return ValueError(f"{self.path}: {name}= {message}.")
@@ -188,7 +213,10 @@ def read_options(path: pathlib.Path) -> Options:
         name, equals, value = content.partition("=")
         name = name.strip().upper()  # SU2 takes names in any case
         if not equals or not re.fullmatch(r"\w+", name):
-            raise ValueError(f"{path}, line {number}: an option NAME= value expected, found {content.strip()[:40]!r}.")
+            raise ValueError(
+                f"{path}, line {number}: an option NAME= value expected, found "
+                f"{content.strip()[:40]!r}."
+            )
         if name in values:
             raise ValueError(f"{path}, line {number}: {name}= comes a second time.")
         values[name] = value.strip()
@@ -239,30 +267,42 @@ def checked_variables(options: Options, definition: bool) -> Listed:
     options.numbers("DV_VALUE_NEW" if definition else "DV_VALUE")
     options.whole("DEFORM_NONLINEAR_ITER")
     ends = np.cumsum([variable.size for variable in listed]).tolist()
-    listed = [dataclasses.replace(own, first=end - own.size) for own, end in zip(listed, ends, strict=True)]
+    listed = [
+        dataclasses.replace(own, first=end - own.size)
+        for own, end in zip(listed, ends, strict=True)
+    ]
     return listed, markers
 
 
 def _listed(options: Options) -> Listed:
-    kinds, groups = [word.upper() for word in options.words("DV_KIND")], options.groups("DV_PARAM")
+    kinds = [word.upper() for word in options.words("DV_KIND")]
+    groups = options.groups("DV_PARAM")
     if not kinds:
-        raise ValueError(f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are.")
+        raise ValueError(
+            f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are."
+        )
     _check_kinds(options, "DV_KIND", kinds)
     if not any(KINDS[kind].parameters for kind in kinds):
         groups = [[]] * len(kinds)
     if len(groups) != len(kinds):
-        raise options.error("DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND")
+        raise options.error(
+            "DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND"
+        )
     listed = [_variable(options, "DV_PARAM", *entry) for entry in zip(kinds, groups, strict=True)]
     return listed, options.words("DV_MARKER")
 
 
 def _definition(options: Options) -> Listed:
-    entries = [_defined(options, text) for text in filter(split, options.text("DEFINITION_DV").split(";"))]
+    entries = [
+        _defined(options, text) for text in filter(split, options.text("DEFINITION_DV").split(";"))
+    ]
     if not entries:
         raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
     markers = dict.fromkeys(" ".join(words) for _, words in entries)
     if len(markers) > 1:
-        raise options.error("DEFINITION_DV", f"variables of different markers, {' and '.join(markers)}")
+        raise options.error(
+            "DEFINITION_DV", f"variables of different markers, {' and '.join(markers)}"
+        )
     return [variable for variable, _ in entries], entries[0][1]
 
 
@@ -270,7 +310,9 @@ def _defined(options: Options, text: str) -> tuple[Variable, Words]:
     """Reads one variable and its markers: ( kind, scale | markers | parameters )."""
     name, (head, *rest) = "DEFINITION_DV", [split(part) for part in text.split("|")]
     if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
-        raise options.error(name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}")
+        raise options.error(
+            name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}"
+        )
     by_number = {str(kind.number): word for word, kind in KINDS.items()}
     kind = by_number.get(head[0], head[0].upper())
     _check_kinds(options, name, [kind])
@@ -291,7 +333,10 @@ def _check_alone(options: Options, listed: list[Variable]) -> None:
     """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
     for variable in listed:
         if variable.sort in ("constant", "mesh") and len(listed) > 1:
-            raise ValueError(f"{options.path}: {variable.kind} is taken alone; found {len(listed)} design variables.")
+            raise ValueError(
+                f"{options.path}: {variable.kind} is taken alone; found {len(listed)} design "
+                "variables."
+            )
     kinds = sorted({variable.kind for variable in listed if variable.sort != "flow"})
     for start in ("FFD_", "HICKS_HENNE_CAMBER"):
         _check_sort(options, kinds, start)
@@ -301,7 +346,9 @@ def _check_sort(options: Options, kinds: Words, start: str) -> None:
     own = [kind for kind in kinds if kind.startswith(start)]
     others = [kind for kind in kinds if kind not in own]
     if own and others:
-        raise ValueError(f"{options.path}: {', '.join(own)} beside {', '.join(others)}: SU2 moves by one sort.")
+        raise ValueError(
+            f"{options.path}: {', '.join(own)} beside {', '.join(others)}: SU2 moves by one sort."
+        )
 
 
 def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
@@ -313,7 +360,10 @@ def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
         case "CST", (_, number, most) if number % 1 or most % 1 or not 1 <= number <= most:
             return f"CST has the function {number:g} of {most:g}: whole numbers from 1 expected."
         case "SURFACE_BUMP", (start, end, top) if not start < top < end:
-            return f"SURFACE_BUMP from {start:g} to {end:g} with its top at {top:g}: it must lie between."
+            return (
+                f"SURFACE_BUMP from {start:g} to {end:g} with its top at {top:g}: it must lie "
+                "between."
+            )
     return None
 
 
@@ -324,5 +374,7 @@ def _variable(options: Options, name: str, kind: str, words: Words, scale: float
     words = options.taken(name, kind, words, count)
     box, start = (words[0], 1) if sort == "box" else ("", 0)
     numbers = tuple(options.number(name, word) for word in words[start:])
-    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(numbers[len(indices) :])  # a value for each direction
+    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(
+        numbers[len(indices) :]
+    )  # a value for each direction
     return Variable(kind, box, numbers, len(indices) if is_free else 1, scale)

@@ -50,7 +50,9 @@ class Connection(NamedTuple):
 def interfaces(zone: Zone) -> Iterator[Interface]:
     for label in INTERFACES:
         for name, node in children(zone.group, "ZoneGridConnectivity_t", label):
-            yield Interface(label, name, node, first(node, "GridConnectivityProperty_t", "Periodic_t"))
+            yield Interface(
+                label, name, node, first(node, "GridConnectivityProperty_t", "Periodic_t")
+            )
 
 
 def connections(zones: list[Zone]) -> Iterator[Connection]:
@@ -68,7 +70,10 @@ def _connection(zone: Zone, donor: Zone, each: Interface) -> Iterator[Connection
     sides = ((zone, f"{each.choice}"), (donor, f"{each.choice}Donor"))
     nodes, others = (_picked(side, each.name, each.node, what, place) for side, what in sides)
     if nodes is not None and others is not None:
-        turn = {key: data(array).astype(float).ravel() for key, array in children(each.turn, "DataArray_t")}
+        turn = {
+            key: data(array).astype(float).ravel()
+            for key, array in children(each.turn, "DataArray_t")
+        }
         centre, angles = (turn.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
         yield Connection(zone.name, each.name, np.unique(nodes), np.unique(others), centre, angles)
 
@@ -87,10 +92,12 @@ def name_patches(zones: list[Zone]) -> list[str]:
     A patch with the name of another one is named by the zone too; families keep their names.
     """
     names: dict[Any, str] = {}
-    notes, members = [], collections.Counter()
+    notes = []
+    members = collections.Counter()
     every = itertools.chain(*(zone.conditions for zone in zones))
     for condition in sorted(every, key=lambda each: not each.family):
-        key, patch = condition.family or (condition.name, condition.kind), condition.patch
+        key = condition.family or (condition.name, condition.kind)
+        patch = condition.patch
         while key not in names and patch in names.values():
             patch += f"_{condition.zone}"
         if patch != condition.patch:
@@ -133,8 +140,12 @@ def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
     parts = condition.node
     what = next((part for part in CHOICES if part in parts), None)
     if what is None:
-        raise zone.error(f"boundary condition {condition.name} says neither a range nor a list of points")
-    place = "FaceCenter" if what.startswith("Element") else word(parts.get("GridLocation"), "Vertex")
+        raise zone.error(
+            f"boundary condition {condition.name} says neither a range nor a list of points"
+        )
+    place = (
+        "FaceCenter" if what.startswith("Element") else word(parts.get("GridLocation"), "Vertex")
+    )
     if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
         place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
     return _picked(zone, condition.name, parts, what, place)
@@ -156,7 +167,8 @@ def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndar
     start, stop = np.minimum(start, stop), np.maximum(start, stop)
     if zone.is_structured:
         return _of_block(zone, name, place, start - 1, stop - 1)
-    start, stop = start.ravel(), stop.ravel()
+    start = start.ravel()
+    stop = stop.ravel()
     if place != "Vertex":
         return _of_elements(zone, name, start, stop)
     if start.min() < 1 or stop.max() > zone.count:
@@ -164,8 +176,11 @@ def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndar
     return zone.first - 1 + (np.arange(start[0], stop[0] + 1) if len(start) == 1 else start)
 
 
-def _of_block(zone: Zone, name: str, place: str, start: np.ndarray, stop: np.ndarray) -> np.ndarray | None:
-    low, high = start.min(axis=0), stop.max(axis=0)
+def _of_block(
+    zone: Zone, name: str, place: str, start: np.ndarray, stop: np.ndarray
+) -> np.ndarray | None:
+    low = start.min(axis=0)
+    high = stop.max(axis=0)
     step = np.zeros(len(low), np.int64)
     if place != "Vertex":
         normal = _normal(low, high, zone.shape, place)
@@ -173,10 +188,14 @@ def _of_block(zone: Zone, name: str, place: str, start: np.ndarray, stop: np.nda
             return None
         step[np.arange(len(step)) != normal] = 1
     if len(low) != len(zone.shape) or (low < 0).any() or (high + step >= zone.shape).any():
-        raise zone.error(f"boundary condition {name} goes beyond {' x '.join(map(str, zone.shape))} vertices")
+        raise zone.error(
+            f"boundary condition {name} goes beyond {' x '.join(map(str, zone.shape))} vertices"
+        )
     ids = block_ids(zone.shape, zone.first).reshape(zone.shape)
     ends = stop + step + 1
-    return np.concatenate([ids[tuple(map(slice, *box))].ravel() for box in zip(start, ends, strict=True)])
+    return np.concatenate(
+        [ids[tuple(map(slice, *box))].ravel() for box in zip(start, ends, strict=True)]
+    )
 
 
 def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: str) -> int | None:
@@ -196,10 +215,13 @@ def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: st
 
 
 def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> np.ndarray | None:
-    nodes, count, solid = [np.zeros(0, np.int64)], 0, 0
+    nodes = [np.zeros(0, np.int64)]
+    count = 0
+    solid = 0
     for begin, section in zone.content.elements.items():
         # of a range that part which lies in the section; members of a list are in it, or not
-        low, high = np.maximum(start, begin), np.minimum(stop, begin + len(section.vertices) - 1)
+        low = np.maximum(start, begin)
+        high = np.minimum(stop, begin + len(section.vertices) - 1)
         rows = (np.arange(low[0], high[0] + 1) if len(start) == 1 else low[low <= high]) - begin
         count += len(rows)
         if section.dimension < zone.content.dimension:
@@ -208,13 +230,17 @@ def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> 
             solid += len(rows)
     missing = (stop - start + 1).sum() - count
     if missing:
-        raise zone.error(f"boundary condition {name}: {missing} of its {count + missing} elements are not there")
+        raise zone.error(
+            f"boundary condition {name}: {missing} of its {count + missing} elements are not there"
+        )
     return None if solid == count else np.concatenate(nodes)
 
 
 def said(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:
     """Lists what the file says of the patches `known`: their types and groups, and symmetry."""
-    conditions = [condition for zone in zones for condition in zone.conditions if condition.patch in known]
+    conditions = [
+        condition for zone in zones for condition in zone.conditions if condition.patch in known
+    ]
     kinds = kinds_of(file, conditions)
     symmetry = tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
     return {"kinds": kinds, "groups": groups_of(file, conditions, known), "symmetry": symmetry}
@@ -226,16 +252,23 @@ def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
     types: dict[str, dict[str, None]] = {}
     for condition in conditions:
         kinds = families.get(condition.patch, []) if condition.kind in UNSAID else [condition.kind]
-        types.setdefault(condition.patch, {}).update((kind, None) for kind in kinds if kind not in UNSAID)
+        types.setdefault(condition.patch, {}).update(
+            (kind, None) for kind in kinds if kind not in UNSAID
+        )
     return {patch: ", ".join(kinds) for patch, kinds in types.items() if kinds}
 
 
 def _of_families(file: Any, label: str) -> dict[str, list[str]]:
     families = children(file, "CGNSBase_t", "Family_t")
-    return {name: [word(node) for _, node in children(family, label) if " data" in node] for name, family in families}
+    return {
+        name: [word(node) for _, node in children(family, label) if " data" in node]
+        for name, family in families
+    }
 
 
-def groups_of(file: Any, conditions: list[Condition], known: Iterable[str]) -> dict[str, tuple[str, ...]]:
+def groups_of(
+    file: Any, conditions: list[Condition], known: Iterable[str]
+) -> dict[str, tuple[str, ...]]:
     """Lists patches by the families of their family, and by additional families, as in gmsh."""
     above = _of_families(file, "FamilyName_t")
     groups: dict[str, dict[str, None]] = {}

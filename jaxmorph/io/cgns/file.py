@@ -35,7 +35,9 @@ def read(path: pathlib.Path) -> Parts:
     with opened(path) as file:
         zones, dimension = open_zones(path, file)
         coordinates = [each for zone in zones for each in zone.coordinates()]
-        points = points_of(coordinates, zones[-1].rows.stop, max(each.columns.stop for each in coordinates))
+        points = points_of(
+            coordinates, zones[-1].rows.stop, max(each.columns.stop for each in coordinates)
+        )
         singles = singles_of(coordinates)
         _read_cells(zones, dimension, points)
         notes = [*_others(file, zones, dimension), *name_patches(zones)]
@@ -45,11 +47,15 @@ def read(path: pathlib.Path) -> Parts:
         pairs = _pairs(found, of_patch)
         known = said(file, zones, of_patch)
     with faults_of(path):
-        mesh, joined = join(points, [block[:2] for zone in zones for block in zone.content.blocks], of_patch, faces)
+        mesh, joined = join(
+            points, [block[:2] for zone in zones for block in zone.content.blocks], of_patch, faces
+        )
         content = dataclasses.replace(joined, stamp=stamp_of(path), singles=singles)
         known |= {"notes": tuple(notes), **content.known}
         known |= {"periodic": tuple(_periodic(*pair, joined.is_flat) for pair in pairs)}
-        return mesh._replace(source=Source(path, NAME, content, *_whole(zones, joined.node), **known))
+        return mesh._replace(
+            source=Source(path, NAME, content, *_whole(zones, joined.node), **known)
+        )
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
@@ -66,9 +72,11 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     bases = {name: base for name, base, level in _bases(file) if level == most}
     if len(bases) > 1:
         raise ValueError(
-            f"{path}: {len(bases)} bases of {most}-D cells in this file ({', '.join(bases)}); one is read."
+            f"{path}: {len(bases)} bases of {most}-D cells in this file ({', '.join(bases)}); one "
+            "is read."
         )
-    zones, start = [], 0
+    zones = []
+    start = 0
     for name, group in children(next(iter(bases.values()), {}), "Zone_t"):
         is_structured = word(first(group, "ZoneType_t"), "Structured") == "Structured"
         sizes = np.atleast_2d(data(group))[0]
@@ -99,7 +107,9 @@ def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
 
 
 def _patches(zones: list[Zone]) -> tuple[Members, list[np.ndarray], list[str]]:
-    of_patch, faces, regions = {}, [], []
+    of_patch = {}
+    faces = []
+    regions = []
     for zone in zones:
         for name, nodes in patches(zone):
             if nodes is None:
@@ -115,16 +125,23 @@ def _others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
     for name, _, level in _bases(file):
         if level < dimension:
             yield f"the base {name} of {level}-D cells is not read, and stays in the file."
-    steps = [zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1]
+    steps = [
+        zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1
+    ]
     if steps:
-        yield f"of several GridCoordinates of the zones {', '.join(steps)} the first are read, and moved."
+        names = ", ".join(steps)
+        yield f"of several GridCoordinates of the zones {names} the first are read, and moved."
 
 
 def _left(zones: list[Zone], found: list[Connection], patches: Members) -> Iterator[str]:
     inside = np.zeros(zones[-1].rows.stop, bool)
     inside[np.concatenate([np.zeros(0, np.int64), *itertools.chain(*patches.values())])] = True
     sections = itertools.chain(*(zone.outer_sections() for zone in zones))
-    outside = [each.section for each in sections if not inside[getattr(each.vertices, "values", each.vertices)].all()]
+    outside = [
+        each.section
+        for each in sections
+        if not inside[getattr(each.vertices, "values", each.vertices)].all()
+    ]
     if outside and any(zone.conditions for zone in zones):
         names = ", ".join(dict.fromkeys(outside))
         yield f"no boundary condition has all faces of the sections {names}: they are in unnamed."
@@ -134,11 +151,13 @@ def _left(zones: list[Zone], found: list[Connection], patches: Members) -> Itera
 
 
 def _pairs(found: list[Connection], patches: Members) -> list[tuple[str, str, Connection]]:
-    names, counts = {}, collections.Counter(each.name for each in found)
+    names = {}
+    counts = collections.Counter(each.name for each in found)
     for each in found:
         is_taken = each.name in patches or counts[each.name] > 1
         name = f"{each.zone}/{each.name}" if is_taken else each.name
-        names[each.nodes.tobytes()], patches[name] = name, [each.nodes]
+        names[each.nodes.tobytes()] = name
+        patches[name] = [each.nodes]
     pairs: dict[frozenset[str], tuple[str, str, Connection]] = {}
     for each in found:
         name = names[each.nodes.tobytes()]
@@ -160,9 +179,13 @@ def _whole(zones: list[Zone], node: Any) -> tuple[Polyhedra, np.ndarray] | tuple
     """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
     if not any(len(getattr(zone.content.whole, "cut", ())) for zone in zones):
         return None, None
-    parts, cut, ids, first = [], [], [], 0
+    parts = []
+    cut = []
+    ids = []
+    first = 0
     for zone in zones:
-        start, whole = first, zone.content.whole
+        start = first
+        whole = zone.content.whole
         if whole is not None:
             parts.append(whole.faces.renumbered(start))
             cut.append(whole.cut + start)

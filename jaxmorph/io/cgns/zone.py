@@ -48,7 +48,9 @@ class Block(NamedTuple):
 def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
-    cell = np.repeat(np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells]))
+    cell = np.repeat(
+        np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells])
+    )
     face = rows_among(numbers, np.abs(used))
     if (face < 0).any():
         raise ValueError("NFACE_n names faces that are in no section NGON_n")
@@ -61,7 +63,8 @@ def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
 
 def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
     """Makes faces of those that have a cell; one with a cell only behind it is turned round."""
-    turned, has_cell = (sides[0] < 0) & (sides[1] >= 0), sides.max(axis=0) >= 0
+    turned = (sides[0] < 0) & (sides[1] >= 0)
+    has_cell = sides.max(axis=0) >= 0
     ends = np.cumsum(sizes)
     starts = ends - sizes
     rows, which = spread(starts, ends)
@@ -70,15 +73,55 @@ def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
     return Faces(labels[rows], np.append(0, np.cumsum(sizes[has_cell])), owner, neighbour)
 
 
-TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
+TYPES = {
+    2: "vertex",
+    3: "line",
+    5: "triangle",
+    7: "quad",
+    10: "tetra",
+    12: "pyramid",
+    14: "wedge",
+    17: "hexahedron",
+}
 TYPES |= {
-    **{4: "line3", 6: "triangle6", 8: "quad8", 9: "quad9", 11: "tetra10", 13: "pyramid14", 15: "wedge15"},
-    **{18: "hexahedron20", 19: "hexahedron27", 21: "pyramid13", 24: "line4", 26: "triangle10", 28: "quad16"},
-    **{30: "tetra20", 33: "pyramid30", 36: "wedge40", 39: "hexahedron64", 40: "line5", 42: "triangle15"},
-    **{16: "wedge18", 44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},
+    **{
+        4: "line3",
+        6: "triangle6",
+        8: "quad8",
+        9: "quad9",
+        11: "tetra10",
+        13: "pyramid14",
+        15: "wedge15",
+    },
+    **{
+        18: "hexahedron20",
+        19: "hexahedron27",
+        21: "pyramid13",
+        24: "line4",
+        26: "triangle10",
+        28: "quad16",
+    },
+    **{
+        30: "tetra20",
+        33: "pyramid30",
+        36: "wedge40",
+        39: "hexahedron64",
+        40: "line5",
+        42: "triangle15",
+    },
+    **{
+        16: "wedge18",
+        44: "quad25",
+        47: "tetra35",
+        50: "pyramid55",
+        53: "wedge75",
+        56: "hexahedron125",
+    },
 }
 NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
-MIXED, NGON, NFACE = 20, 22, 23
+MIXED = 20
+NGON = 22
+NFACE = 23
 DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
 
 
@@ -91,7 +134,10 @@ def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
         if inner:
             yield from children(child, *inner)
         else:
-            yield (decoded(name) if isinstance(name, bytes) else name), child  # h5py: bytes unless UTF-8
+            yield (
+                (decoded(name) if isinstance(name, bytes) else name),
+                child,
+            )  # h5py: bytes unless UTF-8
 
 
 def first(group: Any, *labels: str) -> Any:
@@ -185,21 +231,33 @@ class Zone:
         if grid is None:
             raise self.error("no GridCoordinates")
         names = dict(children(grid, "DataArray_t"))
-        sets = [names[f"Coordinate{axis}"][" data"] for axis in "XYZ" if f"Coordinate{axis}" in names]
+        sets = [
+            names[f"Coordinate{axis}"][" data"] for axis in "XYZ" if f"Coordinate{axis}" in names
+        ]
         if len(sets) < 2 or any(data(rind).any() for _, rind in children(grid, "Rind_t")):
-            raise self.error(f"Cartesian coordinates without rind planes expected, found {', '.join(names)}")
+            raise self.error(
+                f"Cartesian coordinates without rind planes expected, found {', '.join(names)}"
+            )
         wrong = {values.size for values in sets} - {self.count}
         if wrong:
             raise self.error(f"{min(wrong)} coordinates for {self.count} vertices")
-        return [Coordinates(values, self.rows, slice(axis, axis + 1)) for axis, values in enumerate(sets)]
+        return [
+            Coordinates(values, self.rows, slice(axis, axis + 1))
+            for axis, values in enumerate(sets)
+        ]
 
     def cells(self, points: np.ndarray) -> ZoneContent:
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
-                raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
+                raise self.error(
+                    f"a block of {' x '.join(map(str, self.shape))} vertices has no cells"
+                )
             return ZoneContent([Block(*block_cells(ids))], {}, block_sides(ids))
-        blocks, elements, polygons, volumes = [], {}, [], []
+        blocks = []
+        elements = {}
+        polygons = []
+        volumes = []
         for name, node in children(self.group, "Elements_t"):
             section = _Section(self, name, node)
             if section.kind == NFACE:
@@ -209,8 +267,12 @@ class Zone:
                 rows = section.ragged(least=3)
                 section.check(rows.values)
                 numbers = section.start + np.arange(len(rows))
-                polygons.append((numbers, rows.values - 1, np.diff(rows.starts), section.parents(len(rows))))
-                elements[section.start] = ElementSection(name, 2, Ragged(rows.values - 1 + self.first, rows.starts))
+                polygons.append(
+                    (numbers, rows.values - 1, np.diff(rows.starts), section.parents(len(rows)))
+                )
+                elements[section.start] = ElementSection(
+                    name, 2, Ragged(rows.values - 1 + self.first, rows.starts)
+                )
             else:
                 for begin, number, corners in section.runs():
                     ids = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
@@ -234,7 +296,12 @@ class Zone:
             if volumes:
                 sides = _sides(numbers, volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
-                sides = np.unique(np.append(0, parents), return_inverse=True)[1][1:].reshape(parents.shape).T - 1
+                sides = (
+                    np.unique(np.append(0, parents), return_inverse=True)[1][1:]
+                    .reshape(parents.shape)
+                    .T
+                    - 1
+                )
             faces = _faces(labels, sizes, sides)
             cells_by_type, whole = cells_of_faces(faces, points)
         except ValueError as error:
@@ -242,8 +309,13 @@ class Zone:
         blocks = [Block(kind, corners + self.first, cell) for kind, corners, cell in cells_by_type]
         faces = dataclasses.replace(faces, labels=faces.labels + self.first)
         sizes = np.where(faces.neighbour < 0, faces.sizes, 0)
-        outer = [faces.corners(np.flatnonzero(sizes == size), size) for size in np.unique(sizes[sizes > 0]).tolist()]
-        return content._replace(blocks=content.blocks + blocks, sides=outer, whole=Polyhedra(faces, whole.cut))
+        outer = [
+            faces.corners(np.flatnonzero(sizes == size), size)
+            for size in np.unique(sizes[sizes > 0]).tolist()
+        ]
+        return content._replace(
+            blocks=content.blocks + blocks, sides=outer, whole=Polyhedra(faces, whole.cut)
+        )
 
 
 class _Section:
@@ -268,35 +340,59 @@ class _Section:
         values = self.values
         if "ElementStartOffset" in self.node:
             rows = Ragged(values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
-            fault = f"the offsets of section {self.name} do not cut its {len(values)} numbers into {self.count} rows"
+            fault = (
+                f"the offsets of section {self.name} do not cut its {len(values)} numbers into "
+                f"{self.count} rows"
+            )
         else:  # the last row may be cut short
-            counts, at, numbers = [], 0, values.tolist()
+            counts = []
+            at = 0
+            numbers = values.tolist()
             while at < len(numbers):
                 counts.append(at)
                 at += 1 + max(numbers[at], 0)
             rows = Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))
-            fault = f"section {self.name} has no ElementStartOffset, and its {len(values)} numbers are not {self.count} rows"
-        starts, sizes = rows.starts, np.diff(rows.starts)
-        if len(rows) != self.count or starts[0] or starts[-1] != len(rows.values) or (sizes < least).any():
-            raise self.zone.error(f"{fault} of {least} numbers or more, each behind its count before version 4 of CGNS")
+            fault = (
+                f"section {self.name} has no ElementStartOffset, and its {len(values)} numbers "
+                f"are not {self.count} rows"
+            )
+        starts = rows.starts
+        sizes = np.diff(rows.starts)
+        if (
+            len(rows) != self.count
+            or starts[0]
+            or starts[-1] != len(rows.values)
+            or (sizes < least).any()
+        ):
+            raise self.zone.error(
+                f"{fault} of {least} numbers or more, each behind its count before version 4 of "
+                "CGNS"
+            )
         return rows
 
     def parents(self, count: int) -> np.ndarray:
         """Reads the numbers (count, 2) of the cells on both sides of each face, 0 for none."""
-        cells = data(self.node["ParentElements"]) if "ParentElements" in self.node else np.zeros((2, count), np.int64)
+        cells = (
+            data(self.node["ParentElements"])
+            if "ParentElements" in self.node
+            else np.zeros((2, count), np.int64)
+        )
         if cells.shape != (2, count):
             raise self.error(f"has ParentElements for {cells.size // 2} of its {count} faces")
         return cells.T
 
     def runs(self) -> Iterator[tuple[int, int, np.ndarray]]:
         """Yields elements of one type after another: number of the first, type, vertices."""
-        start, at, values = self.start, 0, self.values
+        start = self.start
+        at = 0
+        values = self.values
         head = int(self.kind == MIXED)  # each element begins with its type
         while at < len(values):
             number = int(values[at]) if head else self.kind
             if number not in NODES:
                 raise self.error(
-                    f"has elements of type {number}; linear elements, those of order 2, of order 3 and 4 with all inner nodes, "
+                    f"has elements of type {number}; linear elements, those of order 2, of order "
+                    "3 and 4 with all inner nodes, "
                     "and polyhedra are read"
                 )
             width = head + NODES[number]
@@ -306,8 +402,12 @@ class _Section:
                 break
             self.check(rows[:, head:])
             yield start, number, rows[:, head:]
-            at, start = at + rows.size, start + len(rows)
+            at = at + rows.size
+            start = start + len(rows)
         if at != len(values):
-            raise self.error(f"has {len(values)} numbers, of which the last {len(values) - at} are no whole element")
+            raise self.error(
+                f"has {len(values)} numbers, of which the last {len(values) - at} are no whole "
+                "element"
+            )
         if start != self.start + self.count:
             raise self.error(f"has {start - self.start} elements, and the range of {self.count}")

@@ -70,12 +70,15 @@ class CaseContent:
             ids = load(self.topology, "pointProcAddressing").numbers("label").ravel()
         except FileNotFoundError:
             raise ValueError(
-                f"{self.topology}: there is no pointProcAddressing, so it is not known which points the processors share. "
-                "Run reconstructParMesh -constant in the case, which writes it, or decomposePar again."
+                f"{self.topology}: there is no pointProcAddressing, so it is not known which "
+                "points the processors share. "
+                "Run reconstructParMesh -constant in the case, which writes it, or decomposePar "
+                "again."
             ) from None
         if len(ids) != len(self.points) or ids.min(initial=0) < 0 or len(np.unique(ids)) < len(ids):
             raise ValueError(
-                f"{self.topology / 'pointProcAddressing'}: {len(ids)} numbers for {len(self.points)} points; each point has "
+                f"{self.topology / 'pointProcAddressing'}: {len(ids)} numbers for "
+                f"{len(self.points)} points; each point has "
                 "one of its own, from 0 on. Run decomposePar again."
             )
         return ids
@@ -83,14 +86,19 @@ class CaseContent:
     @property
     def case(self) -> pathlib.Path | None:
         above = self.topology.resolve().parents
-        inner = [folder for folder in above if folder.name == "constant"] or list(filter(_is_time, above))
+        inner = [folder for folder in above if folder.name == "constant"] or list(
+            filter(_is_time, above)
+        )
         return inner[0].parent if inner else None
 
     @property
     def place(self) -> pathlib.Path:
         """The folder of the mesh in `constant` or a time: `polyMesh`, or that of a region."""
-        case, here = self.case, self.topology.resolve()
-        return pathlib.Path("polyMesh" if case is None else here.relative_to(case / here.relative_to(case).parts[0]))
+        case = self.case
+        here = self.topology.resolve()
+        return pathlib.Path(
+            "polyMesh" if case is None else here.relative_to(case / here.relative_to(case).parts[0])
+        )
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -125,7 +133,11 @@ def read(path: pathlib.Path) -> Parts:
         content,
         whole,
         None if (joined[1:] > joined[:-1]).all() else joined,
-        between=None if not len(between) else between if plane is None else plane.ids(between).reshape(-1, 2),
+        between=None
+        if not len(between)
+        else between
+        if plane is None
+        else plane.ids(between).reshape(-1, 2),
         notes=tuple(_notes(folder, planes)),
         **content.known,
         **_said(boundary, mesh, plane),
@@ -139,7 +151,9 @@ def _nodes(faces: Faces, boundary: Boundary) -> Members:
     Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to.
     """
     own = [patch for patch in boundary if not patch.is_between]
-    return gathered((patch.refers or patch.name, faces.nodes(patch.start, patch.end)) for patch in own)
+    return gathered(
+        (patch.refers or patch.name, faces.nodes(patch.start, patch.end)) for patch in own
+    )
 
 
 def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
@@ -148,7 +162,8 @@ def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
     if "wedge" in kinds and kinds != ["wedge"] * 2:
         names = ", ".join(patch.name for patch in planes if patch.size)
         raise ValueError(
-            f"{path}: patches of type wedge ({names}); an axisymmetric case has two, and none of type empty."
+            f"{path}: patches of type wedge ({names}); an axisymmetric case has two, and none of "
+            "type empty."
         )
     return planes if kinds else []
 
@@ -158,14 +173,24 @@ def _said(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any
     kinds = {patch.name: patch.type for patch in own}
     symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.size]
     if plane is not None and plane.on_axis.any():
-        symmetry, kinds = [*symmetry, "axis"], kinds | {"axis": "axis"}
-    return {"groups": _groups(own), "periodic": _periodic(boundary, own), "symmetry": tuple(symmetry), "kinds": kinds}
+        symmetry = [*symmetry, "axis"]
+        kinds = kinds | {"axis": "axis"}
+    return {
+        "groups": _groups(own),
+        "periodic": _periodic(boundary, own),
+        "symmetry": tuple(symmetry),
+        "kinds": kinds,
+    }
 
 
 def _periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     """Lists the cyclic pairs, unless partners of their faces are on another processor."""
     is_cut = any(patch.refers and patch.size for patch in boundary)
-    return () if is_cut else tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
+    return (
+        ()
+        if is_cut
+        else tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
+    )
 
 
 def _groups(own: Boundary) -> dict[str, tuple[str, ...]]:
@@ -176,17 +201,24 @@ def _groups(own: Boundary) -> dict[str, tuple[str, ...]]:
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
     content = content_of(mesh, NAME)
     if content is None:
-        raise ValueError(f"{path}: only a mesh that was read from an OpenFOAM case can be written to one.")
+        raise ValueError(
+            f"{path}: only a mesh that was read from an OpenFOAM case can be written to one."
+        )
     case = content.case
     if not _is_time(path):
         if case is None:
             raise ValueError(
-                f"{path}: {content.file.path.parent} is in no case with a folder constant; nothing to copy."
+                f"{path}: {content.file.path.parent} is in no case with a folder constant; "
+                "nothing to copy."
             )
         check_new(path, case, f"a new folder, or a time folder of the case such as {case / '1'}")
     elif case is None or not path.parent.is_dir() or not os.path.samefile(path.parent, case):
-        raise ValueError(f"{path}: a time folder must be one of the case that the mesh was read from, {case}.")
-    elif any(is_same(path / content.place / name, content.file.path) for name in ("points", "points.gz")):
+        raise ValueError(
+            f"{path}: a time folder must be one of the case that the mesh was read from, {case}."
+        )
+    elif any(
+        is_same(path / content.place / name, content.file.path) for name in ("points", "points.gz")
+    ):
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 
 
@@ -194,12 +226,15 @@ def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"{path}: exists; name {remedy}.")
     if case.resolve() in path.resolve().parents:
-        raise ValueError(f"{path}: a new case cannot be inside of the case that the mesh was read from.")
+        raise ValueError(
+            f"{path}: a new case cannot be inside of the case that the mesh was read from."
+        )
 
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
-    content, points = content_of(mesh, NAME), file_points(mesh)
+    content = content_of(mesh, NAME)
+    points = file_points(mesh)
     case = content.case
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
     if parts:
@@ -220,7 +255,8 @@ def file_points(mesh: MeshLike) -> np.ndarray:
 
 
 def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -> None:
-    case, name = content.case, content.file.path.name
+    case = content.case
+    name = content.file.path.name
     if not _is_time(path):
         assert case is not None
         with complete(path, folder=True) as partial:
@@ -233,7 +269,14 @@ def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -
         return
     file = path / content.place / name
     # the first of the folders that is not there yet appears complete, else the file does
-    new = next((folder for folder in reversed(file.relative_to(path).parents) if not (path / folder).exists()), None)
+    new = next(
+        (
+            folder
+            for folder in reversed(file.relative_to(path).parents)
+            if not (path / folder).exists()
+        ),
+        None,
+    )
     target = file if new is None else path / new
     with complete(target, folder=target != file) as partial:
         inner = partial / file.relative_to(target)
@@ -257,7 +300,9 @@ def _write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) 
         if path.suffix != ".gz":
             out.writelines(_replaced(file, points))
             return
-        with gzip.GzipFile(file.path.stem, "wb", 6, out) as packed:  # it keeps a name: not the temporary one
+        with gzip.GzipFile(
+            file.path.stem, "wb", 6, out
+        ) as packed:  # it keeps a name: not the temporary one
             packed.writelines(_replaced(file, points))
 
 
@@ -270,7 +315,9 @@ def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | memoryview
         yield from (file.data[: place.start], values, file.data[place.start + len(values) :])
     else:
         part = slice(place.start, file.end_of_text(place.start))
-        yield from replaced(file.data, part, points.ravel(), plain=lambda text: text.translate(PARENTHESES))
+        yield from replaced(
+            file.data, part, points.ravel(), plain=lambda text: text.translate(PARENTHESES)
+        )
 
 
 def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
@@ -278,7 +325,9 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
     points = file.numbers("scalar", 3)
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size or not len(points):
-        raise file.error(f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points")
+        raise file.error(
+            f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
+        )
     return file, points
 
 
@@ -299,13 +348,18 @@ def _in_space(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary
 def _in_plane(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
     kinds = {patch.type for patch in planes if patch.size}
-    sides = [ids for patch in planes if len(ids := nodes.pop(patch.name))]  # no patches of the mesh in one of them
+    sides = [
+        ids for patch in planes if len(ids := nodes.pop(patch.name))
+    ]  # no patches of the mesh in one of them
     plane = sector(faces, points, sides) if kinds == {"wedge"} else layer(faces, points, chosen)
     own = {name: plane.ids(ids) for name, ids in nodes.items()}
     axis = np.flatnonzero(plane.on_axis)
     if len(axis):
         if len(own.get("axis", ())):
-            raise ValueError("the patch axis has faces; nodes on the axis get its name: call it otherwise in boundary.")
+            raise ValueError(
+                "the patch axis has faces; nodes on the axis get its name: call it otherwise in "
+                "boundary."
+            )
         own["axis"] = axis
     cells, ids, whole = plane_cells(faces, points, chosen, plane)
     return checked_parts(plane.in_plane(points), cells, own), ids, whole, plane
@@ -313,13 +367,21 @@ def _in_plane(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary
 
 def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     places = [path / "constant" / "polyMesh", path / "polyMesh"]
-    here = path if path.name == "polyMesh" else next((place for place in places if place.is_dir()), None)
+    here = (
+        path
+        if path.name == "polyMesh"
+        else next((place for place in places if place.is_dir()), None)
+    )
     if here is None:
-        raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.{_hint(path)}")
+        raise ValueError(
+            f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.{_hint(path)}"
+        )
     if any((here / name).is_file() for name in ("faces", "faces.gz")):
         return here, here
     # points alone are those of a time: the faces have the same place in the case's constant
-    time = next((folder for folder in here.absolute().parents if _is_time(folder)), here.absolute().parent)
+    time = next(
+        (folder for folder in here.absolute().parents if _is_time(folder)), here.absolute().parent
+    )
     return here, time.parent / "constant" / here.absolute().relative_to(time)
 
 
@@ -329,7 +391,9 @@ def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
     if topology.parent.name == "constant" and (others := regions(topology.parent)):
-        yield f"the regions {', '.join(others)} have meshes of their own: {topology.parent / others[0]} is the first."
+        names = ", ".join(others)
+        first = topology.parent / others[0]
+        yield f"the regions {names} have meshes of their own: {first} is the first."
     if planes:
         names = ", ".join(f"{patch.name} ({patch.type})" for patch in planes if patch.size)
         yield f"the planes {names} are no patches: the mesh lies in one of them."
@@ -347,15 +411,22 @@ def regions(folder: pathlib.Path) -> list[str]:
 
 
 def _hint(path: pathlib.Path) -> str:
-    here, parts = path if _is_time(path) else path / "constant", sorted(path.glob("processor*"))
+    here = path if _is_time(path) else path / "constant"
+    parts = sorted(path.glob("processor*"))
     if found := regions(here):
-        return f" Its regions, {', '.join(found)}, have meshes of their own, each read by itself: {here / found[0]}."
+        return (
+            f" Its regions, {', '.join(found)}, have meshes of their own, each read by itself: "
+            f"{here / found[0]}."
+        )
     if not parts:
         return ""
     inner = regions(parts[0] / "constant")
     names = f", and has the regions {', '.join(inner)}" if inner else ""
     place = pathlib.Path("constant", *inner[:1]) if inner else pathlib.Path()
-    return f" It is decomposed{names}: jaxmorph deform --decomposed {path / place}, or take {parts[0] / place}."
+    return (
+        f" It is decomposed{names}: jaxmorph deform --decomposed {path / place}, or take "
+        f"{parts[0] / place}."
+    )
 
 
 def _is_time(path: pathlib.Path) -> bool:

@@ -56,7 +56,9 @@ class FoamFile(NamedTuple):
         width = int(match[1]) if match else {"label": 32, "scalar": 64}[what]
         if width not in (32, 64):
             raise self.error(f"{what}s of {width} bits are not known; arch is {arch!r}")
-        return np.dtype(f"{'>' if 'MSB' in arch else '<'}{'i' if what == 'label' else 'f'}{width // 8}")
+        return np.dtype(
+            f"{'>' if 'MSB' in arch else '<'}{'i' if what == 'label' else 'f'}{width // 8}"
+        )
 
     def error(self, message: str) -> ValueError:
         return ValueError(f"{self.path}: {message}.")
@@ -80,12 +82,18 @@ class FoamFile(NamedTuple):
         if self.is_binary:
             values = _narrow(self.binary(items, what, width)[0])
         else:
-            stop = self.data.find(b"}", items.start) if items.uniform else self.end_of_text(items.start)
+            stop = (
+                self.data.find(b"}", items.start)
+                if items.uniform
+                else self.end_of_text(items.start)
+            )
             values = self._parsed(items, stop if items.size else items.start, KINDS[what])
         if items.uniform and len(values) == width:
             values = np.tile(values, items.size)
         if len(values) % width or items.size not in (-1, len(values) // width):
-            raise self.error(f"{items.size} elements of {width} {what}s expected, found {len(values)} numbers")
+            raise self.error(
+                f"{items.size} elements of {width} {what}s expected, found {len(values)} numbers"
+            )
         return values.reshape(-1, width)
 
     def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> np.ndarray:
@@ -97,13 +105,20 @@ class FoamFile(NamedTuple):
 
     def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
         """Views the numbers of a binary list, one element if it is uniform; tells where it ends."""
-        dtype, stored = self.dtype(what), width * (1 if items.uniform else items.size)
+        dtype = self.dtype(what)
+        stored = width * (1 if items.uniform else items.size)
         if items.size == 0:
             return np.zeros(0, dtype), items.start
         end = items.start + stored * dtype.itemsize
         if items.size < 0 or self.data[end : end + 1] not in (b")", b"}"):
-            message = f"{items.size} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
-            raise self.error(f"{message}; it is cut short, or its header's arch ({self.header.get('arch')}) is wrong")
+            message = (
+                f"{items.size} elements of {width} {what}s of {dtype.itemsize} bytes do not fit "
+                "the file"
+            )
+            raise self.error(
+                f"{message}; it is cut short, or its header's arch ({self.header.get('arch')}) is "
+                "wrong"
+            )
         return np.frombuffer(self.data, dtype, stored, items.start), end + 1
 
     def faces(self) -> Rows:
@@ -121,7 +136,8 @@ class FoamFile(NamedTuple):
     def _separate_faces(self) -> Rows:
         """Reads a binary list of lists of older versions: faces with their counts, in turn."""
         items = self.list_at(self.end)
-        at, parts = items.start, [np.zeros(0, self.dtype("label"))]
+        at = items.start
+        parts = [np.zeros(0, self.dtype("label"))]
         for face in range(items.size):
             labels, at = self.binary(self.list_at(at), "label")
             if len(labels) < 3:
@@ -138,9 +154,12 @@ class FoamFile(NamedTuple):
         fits = items.size in (-1, len(begins)) and (begins > 0).all()
         if not fits or (values[begins - 1] != sizes).any() or (sizes < 3).any():
             raise self.error(
-                f"{items.size} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
+                f"{items.size} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other "
+                "numbers of labels"
             )
-        return np.delete(values, np.concatenate([begins - 1, begins])), np.append(0, np.cumsum(sizes))
+        return np.delete(values, np.concatenate([begins - 1, begins])), np.append(
+            0, np.cumsum(sizes)
+        )
 
 
 def _narrow(values: np.ndarray) -> np.ndarray:
@@ -155,7 +174,8 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
     with unpacked(path) as plain:
-        raw, data = path.read_bytes(), plain.read_bytes()
+        raw = path.read_bytes()
+        data = plain.read_bytes()
     match = _HEADER.search(data, 0, 1 << 14)
     if match is None:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
@@ -202,9 +222,14 @@ def patches(file: FoamFile) -> Boundary:
     _refuse_directives(file, tree)
     stated = int(tree.pop(0)) if re.fullmatch(r"\d{1,19}", str(*tree[:1])) else None
     if tree[:1] != ["("]:
-        raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
+        raise file.error(
+            "a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )"
+        )
     end = tree.index(")") if ")" in tree else len(tree)
-    found = [_patch(file, str(name), body) for name, body in itertools.zip_longest(tree[1:end:2], tree[2:end:2])]
+    found = [
+        _patch(file, str(name), body)
+        for name, body in itertools.zip_longest(tree[1:end:2], tree[2:end:2])
+    ]
     name, count = collections.Counter(["", *(patch.name for patch in found)]).most_common(1)[0]
     if count > 1:
         raise file.error(f"{count} patches are called {name}; each needs a name of its own")
@@ -219,7 +244,8 @@ def _refuse_directives(file: FoamFile, words: list[Any]) -> None:
     for word in words:
         if str(word).startswith(("#", "$")):
             raise file.error(
-                f"{word[:40]} is not read, nor are other directives and variables: `foamDictionary -expand` prints "
+                f"{word[:40]} is not read, nor are other directives and variables: "
+                "`foamDictionary -expand` prints "
                 "the file without them"
             )
 
@@ -251,10 +277,14 @@ def _statements(words: list[Any]) -> Iterator[list[str]]:
 
 def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
     if not isinstance(body, list):
-        raise file.error(f"patch {name[:80]} has no entries between {{ and }}; is the file cut short?")
+        raise file.error(
+            f"patch {name[:80]} has no entries between {{ and }}; is the file cut short?"
+        )
     entries = {key: words for key, *words in _statements(body)}
     firsts = {key: words[0].strip('"') for key, words in entries.items() if words}
-    _refuse_directives(file, [*entries, *(firsts.get(key) for key in ("type", "nFaces", "startFace"))])
+    _refuse_directives(
+        file, [*entries, *(firsts.get(key) for key in ("type", "nFaces", "startFace"))]
+    )
     groups = entries.get("inGroups", [])  # List<word> 2(wall wing), or (wall wing)
     groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
     try:
@@ -269,13 +299,17 @@ def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
             int(firsts.get("neighbProcNo", -1)),
         )
     except (KeyError, ValueError) as error:
-        raise file.error(f"patch {name[:80]} has no good type, nFaces and startFace ({error})") from error
+        raise file.error(
+            f"patch {name[:80]} has no good type, nFaces and startFace ({error})"
+        ) from error
 
 
 def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
     """Reads `faces`, `owner` and `neighbour`. Raises `ValueError` where they close no cells."""
     labels, starts = load(folder, "faces").faces()
-    owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
+    owner, neighbour = (
+        load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour")
+    )
     if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
         counts = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
         raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {counts}.")
@@ -283,27 +317,36 @@ def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
     faces = Faces(labels, starts, owner, neighbour[neighbour >= 0])
     counts = np.bincount(np.concatenate([owner, faces.neighbour]))
     if counts.min() < 4:
-        raise ValueError(f"{folder}: cell {counts.argmin()} has {counts.min()} faces; a cell needs 4 at least.")
+        raise ValueError(
+            f"{folder}: cell {counts.argmin()} has {counts.min()} faces; a cell needs 4 at least."
+        )
     _check_patches(folder / "boundary", boundary, faces)
     ajar = open_cells(faces)
     if len(ajar):
-        raise ValueError(f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: a damaged file.")
+        raise ValueError(
+            f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: a damaged file."
+        )
     return faces
 
 
-def _check_labels(folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.ndarray, neighbour: np.ndarray) -> None:
+def _check_labels(
+    folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.ndarray, neighbour: np.ndarray
+) -> None:
     """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
 
     Each cell has four faces and each face two cells at most. Outer faces have no neighbour: older
     versions write -1 for them, at the end of the list.
     """
-    inner, count = int((neighbour >= 0).sum()), len(owner)
+    inner = int((neighbour >= 0).sum())
+    count = len(owner)
     most = f"which is none: {count} faces make {count // 2} cells at most"
     has_none = neighbour < (-1 if len(neighbour) == count else 0)
     has_none[:inner] |= neighbour[:inner] < 0
     if labels.min() < 0 or labels.max() >= n:
         bad = labels.min() if labels.min() < 0 else labels.max()
-        raise ValueError(f"{folder / 'faces'}: a face names node {bad}, but there are points 0 to {n - 1}.")
+        raise ValueError(
+            f"{folder / 'faces'}: a face names node {bad}, but there are points 0 to {n - 1}."
+        )
     for name, cells, wrong, what in (
         ("neighbour", neighbour, has_none | (neighbour > count // 2), most),
         ("owner", owner, (owner < 0) | (owner > count // 2), most),
@@ -315,15 +358,21 @@ def _check_labels(folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.nd
 
 
 def _check_patches(file: pathlib.Path, boundary: Boundary, faces: Faces) -> None:
-    count, inner = len(faces.owner), len(faces.neighbour)
+    count = len(faces.owner)
+    inner = len(faces.neighbour)
     times = np.zeros(count, dtype=np.int64)
     for patch in boundary:
         if patch.size < 0 or patch.start < 0 or patch.end > count:
-            raise ValueError(f"{file}: patch {patch.name!r} is faces {patch.start} to {patch.end - 1} of {count}.")
+            raise ValueError(
+                f"{file}: patch {patch.name!r} is faces {patch.start} to {patch.end - 1} of "
+                f"{count}."
+            )
         times[patch.start : patch.end] += 1
     wrong = np.flatnonzero(times != (np.arange(count) >= inner))
     if wrong.size:
-        face, where = int(wrong[0]), "an inner face" if wrong[0] < inner else "an outer face"
+        face = int(wrong[0])
+        where = "an inner face" if wrong[0] < inner else "an outer face"
         raise ValueError(
-            f"{file}: {wrong.size} faces are in the wrong number of patches; face {face}, {where}, is in {times[face]}."
+            f"{file}: {wrong.size} faces are in the wrong number of patches; face {face}, "
+            f"{where}, is in {times[face]}."
         )

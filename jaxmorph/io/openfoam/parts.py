@@ -89,7 +89,11 @@ class Decomposed:
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
         self.count = _count(self.path)
         found = regions(self.path / "processor0" / "constant")
-        is_there = self.region in found if self.region else (self.path / "processor0/constant/polyMesh").is_dir()
+        is_there = (
+            self.region in found
+            if self.region
+            else (self.path / "processor0/constant/polyMesh").is_dir()
+        )
         if found and not is_there:
             first = self.path / "constant" / found[0]
             raise ValueError(f"{path}: name one of the regions {', '.join(found)}, as {first}.")
@@ -107,7 +111,9 @@ class Decomposed:
     def folder(self, k: int) -> pathlib.Path:
         """Returns the folder of part `k`. Raises `ValueError` for a part that is not there."""
         if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < self.count:
-            raise ValueError(f"{self.path}: `k` is {k!r}; parts have the numbers 0 to {self.count - 1}.")
+            raise ValueError(
+                f"{self.path}: `k` is {k!r}; parts have the numbers 0 to {self.count - 1}."
+            )
         return self.path / f"processor{k}"
 
     def read(self, k: int) -> Mesh:
@@ -122,12 +128,17 @@ class Decomposed:
         boundary = patches(load(self._mesh_folder(k), "boundary"))
         if not sum(patch.size for patch in boundary):
             raise ValueError(
-                f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose into fewer parts, or by scotch."
+                f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose "
+                "into fewer parts, or by scotch."
             )
-        mesh, last = self.read(k), max(patch.part for patch in boundary)
+        mesh = self.read(k)
+        last = max(patch.part for patch in boundary)
         if last >= self.count:
-            raise ValueError(f"{self.folder(k)}: it has faces to processor{last}, which is missing. {REMEDY}.")
-        ids, outer = global_nodes(mesh), outer_faces(mesh)
+            raise ValueError(
+                f"{self.folder(k)}: it has faces to processor{last}, which is missing. {REMEDY}."
+            )
+        ids = global_nodes(mesh)
+        outer = outer_faces(mesh)
         corners = {} if outer is None else outer.corners
         outside = [np.asarray(rows).ravel() for rows in (*corners.values(), *mesh.patches.values())]
         rows = np.unique(np.concatenate([np.zeros(0, np.int64), *outside]))
@@ -158,23 +169,32 @@ class Decomposed:
         """
         sides = [self.side(k) for k in range(len(self))] if sides is None else sides
         if not sides or not all(isinstance(side, Side) for side in sides):
-            raise ValueError(f"`sides` must be what `side(k)` gives of the {len(self)} parts, not {shown(sides)}.")
+            raise ValueError(
+                f"`sides` must be what `side(k)` gives of the {len(self)} parts, not "
+                f"{shown(sides)}."
+            )
         nodes, points = self._common_points(sides)
         faces, members = (_gathered(sides, name, nodes) for name in ("faces", "patches"))
         cells = {kind: corners for kind, corners in faces.items() if len(corners)}
         known = _said(sides, members)
-        return Mesh(points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known))
+        return Mesh(
+            points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known)
+        )
 
     def _common_points(self, sides: Sequence[Side]) -> tuple[np.ndarray, np.ndarray]:
-        everywhere, places = (np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points"))
+        everywhere, places = (
+            np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points")
+        )
         nodes, first, back = np.unique(everywhere, return_index=True, return_inverse=True)
         points = places[first]
         distance = np.abs(places - points[back.ravel()]).max(axis=1)
         wrong = np.flatnonzero(distance > 1e-9 * np.ptp(points, axis=0).max())
         if len(wrong):
             raise ValueError(
-                f"{self.path}: {len(wrong)} points lie at different places in different processors, first point "
-                f"{everywhere[wrong[0]]} of the whole mesh, by {distance[wrong[0]]:.3g}: they are not parts of one mesh. {REMEDY}."
+                f"{self.path}: {len(wrong)} points lie at different places in different "
+                "processors, first point "
+                f"{everywhere[wrong[0]]} of the whole mesh, by {distance[wrong[0]]:.3g}: they are "
+                f"not parts of one mesh. {REMEDY}."
             )
         return nodes, points
 
@@ -185,7 +205,9 @@ class Decomposed:
 
     @checked
     @contextlib.contextmanager
-    def writing(self, path: str | os.PathLike[str], ranks: Ranks | None = None) -> Iterator["Writer"]:
+    def writing(
+        self, path: str | os.PathLike[str], ranks: Ranks | None = None
+    ) -> Iterator["Writer"]:
         """Writes a new case part by part; it appears when complete, and not at all on failure.
 
         It has the `constant`, `system`, `0` and `0.orig` of the case and of each part, with other
@@ -196,7 +218,8 @@ class Decomposed:
         - `path`: the new folder.
         - `ranks`: the communicator of processes that write together. Default: one process.
         """
-        ranks, target = Alone() if ranks is None else ranks, pathlib.Path(path)
+        ranks = Alone() if ranks is None else ranks
+        target = pathlib.Path(path)
         undivided = self.path / "constant" / self.region
 
         def begin() -> pathlib.Path | None:
@@ -205,18 +228,25 @@ class Decomposed:
                 return None
             new = stack.enter_context(complete(target, folder=True, name_errors=False))
             with named(target):
-                copy_case(self.path, new, ignore=lambda here, _: ["polyMesh"] * (pathlib.Path(here) == undivided))
+                copy_case(
+                    self.path,
+                    new,
+                    ignore=lambda here, _: ["polyMesh"] * (pathlib.Path(here) == undivided),
+                )
             return new
 
         def end() -> None:
             lacks = sorted({*range(len(self))}.difference(*written))
             if lacks:
                 raise ValueError(
-                    f"{path}: not written, {len(lacks)} of {len(self)} parts were not added, first part {lacks[0]}."
+                    f"{path}: not written, {len(lacks)} of {len(self)} parts were not added, "
+                    f"first part {lacks[0]}."
                 )
 
         with contextlib.ExitStack() as stack:
-            writer = Writer(self, target, ranks.bcast(together(ranks, begin)), ranks, Agreement(ranks), set())
+            writer = Writer(
+                self, target, ranks.bcast(together(ranks, begin)), ranks, Agreement(ranks), set()
+            )
             yield writer
             written = ranks.allgather(writer.written)
             together(ranks, end)
@@ -224,7 +254,11 @@ class Decomposed:
 
 def _gathered(sides: Sequence[Side], name: str, nodes: np.ndarray) -> dict[str, np.ndarray]:
     """Joins the ids that all sides have by type or patch, and renumbers them by their place."""
-    return gathered((key, np.searchsorted(nodes, ids)) for side in sides for key, ids in getattr(side, name).items())
+    return gathered(
+        (key, np.searchsorted(nodes, ids))
+        for side in sides
+        for key, ids in getattr(side, name).items()
+    )
 
 
 def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -232,15 +266,25 @@ def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str,
     pairs = [Periodic(*pair) for pair in sides[0].pairs if all(len(members[name]) for name in pair)]
     symmetry = dict.fromkeys(itertools.chain(*(side.symmetry for side in sides)))
     kinds = dict(itertools.chain(*(side.kinds.items() for side in sides)))
-    return {"groups": sides[0].groups, "periodic": tuple(pairs), "symmetry": tuple(symmetry), "kinds": kinds}
+    return {
+        "groups": sides[0].groups,
+        "periodic": tuple(pairs),
+        "symmetry": tuple(symmetry),
+        "kinds": kinds,
+    }
 
 
 def _count(path: pathlib.Path) -> int:
-    names = {folder.name.removeprefix("processor") for folder in path.glob("processor*") if folder.is_dir()}
+    names = {
+        folder.name.removeprefix("processor")
+        for folder in path.glob("processor*")
+        if folder.is_dir()
+    }
     collated = ", ".join(f"processor{name}" for name in sorted(names) if COLLATED.fullmatch(name))
     if collated:
         raise ValueError(
-            f"{path}: folders {collated}; collated files are not read: run decomposePar -fileHandler uncollated."
+            f"{path}: folders {collated}; collated files are not read: run decomposePar "
+            "-fileHandler uncollated."
         )
     numbers = {int(name) for name in names if name.isdecimal()}
     missing = sorted({*range(max(len(numbers), 1))} - numbers)
@@ -275,9 +319,13 @@ class Writer(NamedTuple):
                 return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
             if k is None:
                 raise ValueError("`k` is None; it is the number of the part that `moved` is.")
-            content, mesh = content_of(moved, NAME), self.case._mesh_folder(k)
+            content = content_of(moved, NAME)
+            mesh = self.case._mesh_folder(k)
             if content is None or content.topology.resolve() != mesh.resolve():
-                raise ValueError(f"`moved` is not part {k} as `read({k})` gives it: write each part by its own number.")
+                raise ValueError(
+                    f"`moved` is not part {k} as `read({k})` gives it: write each part by its own "
+                    "number."
+                )
             if k in self.written:
                 raise ValueError(f"part {k} was written already.")
             self.written.add(k)
@@ -291,7 +339,8 @@ class Writer(NamedTuple):
             distance = np.abs(agreed - points[rows]).max(initial=0.0)
             if distance > AGREE * np.abs(points).max(initial=0.0):
                 raise ValueError(
-                    f"part {k}: points that it shares with other parts are {distance:.3g} away from where these have them. "
+                    f"part {k}: points that it shares with other parts are {distance:.3g} away "
+                    "from where these have them. "
                     "Move all parts by plans of one `prepare_surface`."
                 )
             points[rows] = agreed
@@ -321,8 +370,13 @@ def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
         return np.asarray(mesh.source.node_ids)  # the surface of a case
     content = content_of(mesh, NAME)
     if content is None:
-        raise ValueError("the mesh was not read from an OpenFOAM case; only a case's processors have global numbers.")
-    return np.asarray(content.point_ids if content.plane is None else content.point_ids[content.plane.front])
+        raise ValueError(
+            "the mesh was not read from an OpenFOAM case; only a case's processors have global "
+            "numbers."
+        )
+    return np.asarray(
+        content.point_ids if content.plane is None else content.point_ids[content.plane.front]
+    )
 
 
 @checked
@@ -343,13 +397,16 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     **Returns:** the files. **Raises:** `ValueError` as `jm.export` does, for a mesh of another
     source, for a case between wedges, and for parts of another mesh.
     """
-    place, content = pathlib.Path(path), content_of(mesh, NAME)
+    place = pathlib.Path(path)
+    content = content_of(mesh, NAME)
     if not place.is_dir():
         raise ValueError(f"{path}: no folder of an OpenFOAM case.")
     if content is None:
         raise ValueError("`mesh` was not read from an OpenFOAM case: use jm.export(plan, path).")
     if content.plane is not None and content.plane.kind == "wedge":
-        raise ValueError(f"{path}: a case between wedges; OpenFOAM moves both planes, and a plan moves one.")
+        raise ValueError(
+            f"{path}: a case between wedges; OpenFOAM moves both planes, and a plan moves one."
+        )
     plan.check_mesh(mesh)
     region = place.name if place.parent.name == "constant" else ""
     root = place.parent.parent if region else place
@@ -376,11 +433,18 @@ def _layer(content: Any) -> Layer | None:
     return Layer(content.plane.file_nodes(), (first, second))
 
 
-def _check_part(folder: pathlib.Path, part: np.ndarray, whole: np.ndarray, rows: np.ndarray) -> None:
-    away = np.abs(part - whole[rows]).max(axis=1) if rows.max(initial=-1) < len(whole) else np.full(len(part), np.inf)
+def _check_part(
+    folder: pathlib.Path, part: np.ndarray, whole: np.ndarray, rows: np.ndarray
+) -> None:
+    away = (
+        np.abs(part - whole[rows]).max(axis=1)
+        if rows.max(initial=-1) < len(whole)
+        else np.full(len(part), np.inf)
+    )
     wrong = away > 1e-9 * np.abs(whole).max()  # parts are written as text
     if wrong.any():
         raise ValueError(
-            f"{folder}: {wrong.sum()} of {len(part)} points lie elsewhere than in the case, first point {wrong.argmax()}: the "
+            f"{folder}: {wrong.sum()} of {len(part)} points lie elsewhere than in the case, first "
+            f"point {wrong.argmax()}: the "
             "parts are of another mesh. Run decomposePar -force."
         )

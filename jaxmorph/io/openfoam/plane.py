@@ -70,10 +70,12 @@ class Front(NamedTuple):
         off = np.flatnonzero(self.on_axis & ~(np.abs(moved[:, 1]) <= limit))
         if off.size:
             raise ValueError(
-                f"{off.size} nodes of the axis have left it, first node {off[0]}: name it, symmetry='axis' or --symmetry axis."
+                f"{off.size} nodes of the axis have left it, first node {off[0]}: name it, "
+                "symmetry='axis' or --symmetry axis."
             )
         moved[self.on_axis, 1] = 0
-        new, has_moved = old.copy(), (moved != 0).any(axis=1)[:, None]
+        new = old.copy()
+        has_moved = (moved != 0).any(axis=1)[:, None]
         for nodes, axes in zip((self.back, self.front), self.axes[::-1], strict=True):
             here = (old[nodes] - self.origin) @ axes.T
             there = np.where(moved != 0, plane, here)
@@ -89,7 +91,10 @@ class Front(NamedTuple):
 def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> Front:
     planes = [np.unique(nodes) for nodes in patches]
     if len(np.union1d(*planes)) < len(points):
-        raise ValueError("patches of type wedge, but there are nodes off both: there is more than one layer of cells.")
+        raise ValueError(
+            "patches of type wedge, but there are nodes off both: there is more than one layer "
+            "of cells."
+        )
     axes, origin = _frame(planes, points)
     # the plane farther around the axis is in front: seen from outside, (x, r) is right-handed
     turn = 1 if np.cross(axes[1, 1], axes[0, 1]) @ axes[0, 0] > 0 else -1
@@ -97,26 +102,39 @@ def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> F
 
 
 def _paired(
-    kind: str, faces: Faces, points: np.ndarray, planes: Sequence[np.ndarray], axes: np.ndarray, origin: np.ndarray
+    kind: str,
+    faces: Faces,
+    points: np.ndarray,
+    planes: Sequence[np.ndarray],
+    axes: np.ndarray,
+    origin: np.ndarray,
 ) -> Front:
     """Finds the node behind that an edge joins to each node in front; one in both is its own."""
     front, back = planes
     on = np.zeros((2, len(points)), bool)
     on[0, front] = on[1, back] = True
-    alone, corner, after = on & ~on[::-1], faces.labels, faces.after(faces.labels)
+    alone = on & ~on[::-1]
+    corner = faces.labels
+    after = faces.after(faces.labels)
     across = alone[0, corner] & alone[1, after]
     partner = np.where(on.all(axis=0), np.arange(len(points)), -1)
     partner[corner[across]] = after[across]
     partner = partner[front]
     if (partner < 0).any() or len(np.unique(partner)) < len(back):
         raise ValueError(
-            f"patches of type {kind}, but {len(front)} nodes in front and {len(back)} behind are not pairs joined by edges: "
+            f"patches of type {kind}, but {len(front)} nodes in front and {len(back)} behind are "
+            "not pairs joined by edges: "
             "there is more than one layer of cells."
         )
-    here, there = ((points[nodes] - origin) @ own.T for nodes, own in zip((front, partner), axes, strict=True))
+    here, there = (
+        (points[nodes] - origin) @ own.T for nodes, own in zip((front, partner), axes, strict=True)
+    )
     distance = np.linalg.norm(here - there, axis=1).max()
     if distance > APART * np.ptp(points, axis=0).max():
-        raise ValueError(f"patches of type {kind}, but nodes of the two planes are {distance:.3g} apart along them.")
+        raise ValueError(
+            f"patches of type {kind}, but nodes of the two planes are {distance:.3g} apart along "
+            "them."
+        )
     return Front(kind, front, partner, axes, origin)
 
 
@@ -126,11 +144,17 @@ def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarra
     middles = np.stack([points[nodes].mean(axis=0) for nodes in patches])
     arms = [points[nodes] - middle for nodes, middle in zip(patches, middles, strict=True)]
     normals = np.stack([np.linalg.svd(arm, full_matrices=False)[2][-1] for arm in arms])
-    if max(np.abs(arm @ normal).max() for arm, normal in zip(arms, normals, strict=True)) > FLAT * size:
+    if (
+        max(np.abs(arm @ normal).max() for arm, normal in zip(arms, normals, strict=True))
+        > FLAT * size
+    ):
         raise ValueError("a patch of type wedge does not lie in a plane.")
     axis = np.cross(*normals)
     if not np.linalg.norm(axis) > 1e-9:
-        raise ValueError("two patches of type wedge are parallel; a case in two dimensions has patches of type empty.")
+        raise ValueError(
+            "two patches of type wedge are parallel; a case in two dimensions has patches of "
+            "type empty."
+        )
     axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
     sharp = np.round(axis)
     axis = sharp if np.abs(axis - sharp).max() < FLAT else axis
@@ -145,15 +169,21 @@ def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarra
 
 def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
     """Finds the two planes of a case with patches of type empty, whose faces are `empty`."""
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     away = np.minimum(points - low, high - points).max(axis=0)
-    corners, starts = points[faces.labels], faces.starts[:-1]
-    reach = (np.maximum.reduceat(corners, starts) - np.minimum.reduceat(corners, starts))[empty].max(axis=0)
+    corners = points[faces.labels]
+    starts = faces.starts[:-1]
+    reach = (np.maximum.reduceat(corners, starts) - np.minimum.reduceat(corners, starts))[
+        empty
+    ].max(axis=0)
     normals = np.flatnonzero(np.maximum(away, reach) <= FLAT * (high - low))
     if len(normals) != 1:
         raise ValueError(
-            f"patches of type empty, but their faces are two planes across {len(normals)} of the axes x, y, z instead of "
-            "one. Cases in one dimension, and oblique planes, are not supported; other patches have another type."
+            f"patches of type empty, but their faces are two planes across {len(normals)} of the "
+            "axes x, y, z instead of "
+            "one. Cases in one dimension, and oblique planes, are not supported; other patches "
+            "have another type."
         )
     normal = int(normals[0])
     axes = np.delete(np.eye(3), normal, axis=0)
@@ -176,22 +206,30 @@ def plane_cells(
     is_front[plane.front] = True
     front = chosen[np.logical_and.reduceat(is_front[faces.labels], faces.starts[:-1])[chosen]]
     front = front[np.argsort(faces.owner[front], kind="stable")]
-    owner, sizes = faces.owner[front], faces.sizes[front]
+    owner = faces.owner[front]
+    sizes = faces.sizes[front]
     if not np.array_equal(owner, np.arange(faces.count)):
         raise ValueError(
-            f"patches of type {plane.kind} have {len(front)} faces in front of {faces.count} cells, not one each: "
-            "the mesh is not one layer of cells between them. Give these patches another type, such as patch."
+            f"patches of type {plane.kind} have {len(front)} faces in front of {faces.count} "
+            "cells, not one each: "
+            "the mesh is not one layer of cells between them. Give these patches another type, "
+            "such as patch."
         )
     kinds = (("triangle", 3), ("quad", 4))
     parts = [(kind, faces.corners(front[sizes == c], c), owner[sizes == c]) for kind, c in kinds]
-    cut, whole = front[sizes > 4], None
+    cut = front[sizes > 4]
+    whole = None
     if len(cut):
         if plane.kind == "wedge":
-            raise ValueError("patches of type wedge with faces of more than four corners are not supported.")
+            raise ValueError(
+                "patches of type wedge with faces of more than four corners are not supported."
+            )
         pieces, piece_of = triangles(faces, cut, points)
         parts.append(("triangle", pieces, faces.owner[cut][piece_of]))
         whole = Polyhedra(_edges(faces, chosen, is_front, plane), faces.owner[cut])
-    cells = gathered((kind, np.searchsorted(plane.front, rows)) for kind, rows, _ in parts if len(rows))
+    cells = gathered(
+        (kind, np.searchsorted(plane.front, rows)) for kind, rows, _ in parts if len(rows)
+    )
     return cells, gathered((kind, cell) for kind, _, cell in parts), whole
 
 
@@ -205,8 +243,11 @@ def _edges(faces: Faces, chosen: np.ndarray, is_front: np.ndarray, plane: Front)
     last = np.argmax(on & ~np.roll(on, -1, axis=1), axis=1)
     ends = np.take_along_axis(corners, np.stack([last, last - 1], axis=1) % 4, axis=1)
     if (faces.sizes[across] != 4).any() or (on.sum(axis=1) != 2).any() or not is_front[ends].all():
-        raise ValueError(f"patches of type {plane.kind}, but there are faces that do not join the two planes.")
-    labels, starts = np.searchsorted(plane.front, ends).ravel(), 2 * np.arange(len(across) + 1)
+        raise ValueError(
+            f"patches of type {plane.kind}, but there are faces that do not join the two planes."
+        )
+    labels = np.searchsorted(plane.front, ends).ravel()
+    starts = 2 * np.arange(len(across) + 1)
     return Faces(labels, starts, faces.owner[across], faces.all_neighbours()[across])
 
 
@@ -228,14 +269,19 @@ def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> No
         return
     labels, starts = load(topology, "faces").faces()
     for first, second in pairs:
-        before, after = ([_faces(points, labels, starts, patch) for patch in (first, second)] for points in (old, new))
+        before, after = (
+            [_faces(points, labels, starts, patch) for patch in (first, second)]
+            for points in (old, new)
+        )
         turns = bool((_misses(*before, turned=False) > MATCH).any())
         wrong = _misses(*after, turned=turns) - _misses(*before, turned=turns)
         if (wrong > MATCH).any():
             face = int(wrong.argmax())
             raise ValueError(
-                f"the cyclic patches {first.name!r} and {second.name!r} no longer match: {(wrong > MATCH).sum()} of "
-                f"{first.size} pairs of faces miss each other, by up to {wrong[face]:.3g} of the face's size near "
+                f"the cyclic patches {first.name!r} and {second.name!r} no longer match: "
+                f"{(wrong > MATCH).sum()} of "
+                f"{first.size} pairs of faces miss each other, by up to {wrong[face]:.3g} of the "
+                "face's size near "
                 f"({place_of(after[0][0][face])}). Hold both patches fixed, or move both alike."
             )
 
@@ -256,10 +302,13 @@ def _faces(
 def _misses(first: tuple, second: tuple, turned: bool) -> np.ndarray:
     """Measures how far (k,) faces miss partners, by size, after the best transform."""
     (middles, sizes), (partners, others) = first, second
-    arms, ends = middles - middles.mean(axis=0), partners - partners.mean(axis=0)
+    arms = middles - middles.mean(axis=0)
+    ends = partners - partners.mean(axis=0)
     if turned:
         left, _, right = np.linalg.svd(arms.T @ ends)
         signs = np.array([1, 1, np.sign(np.linalg.det(left @ right))])
         arms = arms @ (left * signs) @ right
     distance = np.linalg.norm(arms - ends, axis=1)
-    return np.maximum(distance, np.abs(sizes - others)) / np.maximum(np.minimum(sizes, others), 1e-300)
+    return np.maximum(distance, np.abs(sizes - others)) / np.maximum(
+        np.minimum(sizes, others), 1e-300
+    )
