@@ -314,7 +314,7 @@ GOOD: dict[str, dict[str, Any]] = {
 RATIO, LEAST = {"below": -0.1, "beyond": 1.5}, {"less": 0}
 POSITIVE = {"negative": -1.0, "zero": 0.0, "infinite": np.inf}
 EXTRA: dict[str, dict[str, Any]] = {
-    **each("separation group min_jacobian_ratio share slope decrease size_weight", RATIO),
+    **each("separation group min_jacobian_ratio slope decrease size_weight", RATIO),
     **each(
         "radius support_radius ell mu width outer max_step spacing first_cell gap pitch lift",
         POSITIVE,

@@ -194,12 +194,6 @@ BOUNDARIES = {
     "parallel planes": lambda: wing(symmetry=("root", "tip")),
     "sliding": lambda: wing(sliding=("root", "tip")),
     "periodic": lambda: quarter(),
-    "share": lambda: jm.prepare(
-        cases.naca4("0012", points=1500),
-        "airfoil",
-        "farfield",
-        method=jm.SurfaceReconstruction(jm.FittedRBF(share=0.5)),
-    ),
     "a node of no cell": lambda: jm.prepare(with_loose_node(), "wall", "far"),
 }
 
@@ -216,7 +210,7 @@ def with_loose_node() -> jm.Mesh:
 
 @over(
     "name",
-    fast=["one plane", "periodic", "share", "a node of no cell"],
+    fast=["one plane", "periodic", "a node of no cell"],
     slow=["sliding", "parallel planes"],
 )
 def test_boundaries(library, tmp_path, name):

@@ -1,5 +1,7 @@
 """Corrections of a coarse field: a graph of the surface, a layer over walls, the nearest node."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,6 +32,7 @@ from .blocks import map_points
 from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Interpolation, Reach, Searched, lost_unless, squared_distance
 from .surface import Surface
+from .turn import Turn, TurnIds, risen
 
 
 class DelaunayGraph(AbstractPlacing):
@@ -82,7 +85,7 @@ def barycentric(x: Point, corners: list[Point], at_node) -> list[Scalar]:
 NEIGHBOURS = 6
 # width of the layer, relative to the largest distance from a wall's node to its nearest source
 REACH = 0.5
-CHORD = 0.25  # width of the layer of a wall without matched sources, relative to its mean chord
+CHORD = 0.4  # width of the layer of a wall without matched sources, relative to its mean chord
 SLIGHTLY = 1e-6  # relative difference that keeps the maximum of equal lengths from having a kink
 
 
@@ -141,49 +144,94 @@ class NearWall(AbstractPlacing):
         nodes = np.where(reached, row_of_point, 0)[:, None].repeat(NEIGHBOURS + 2, axis=1)
         nodes[inside[near]] = rows
         reached[inside[near]] = True
-        return Layered(correction, extent), Layered(
-            correction_at_points, WallRow(*as_jax((nodes, reached)))
+        turn = surface.once(
+            ("turn", digest(width)), lambda: TurnIds.found(surface, width.astype(float))
         )
+        of_points = Layered(correction_at_points, WallRow(*as_jax((nodes, reached))))
+        return Layered(correction, extent, turn), of_points
 
     def fit(self, ids, surface, points):
         width = layer_width(self.width, ids.wall, surface)
-        return Layered(self.correction.fit(ids.correction, surface, points), width)
+        correction = self.correction.fit(ids.correction, surface, points)
+        return Layered(correction, width, _turn(ids, surface, width))
 
     def carry(self, ids, factors, surface, points):
         correction = self.correction.carry(ids.correction, factors.correction, surface, points)
-        return Layered(correction, factors.wall)
+        return Layered(correction, factors.wall, _turn(ids, surface, factors.wall))
 
     def place(self, x, ids, factors, surface):
         correction = self.correction.place(x, ids.correction, factors.correction, surface)
-        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
+        return _placed(x, correction, ids.wall, factors, surface)
 
     def carry_place(self, x, ids, factors, surface, placed):
         correction = self.correction.carry_place(
             x, ids.correction, factors.correction, surface, placed.correction
         )
-        return WallPlace(correction, *_blend(x, ids.wall, factors.wall, surface))
+        return _placed(x, correction, ids.wall, factors, surface)
 
     def field(self, ids, factors, surface, u):
-        correction = self.correction.field(ids.correction, factors.correction, surface, u)
-        return NearWallField(correction, InterpolatedField(u))
+        rest = jnp.zeros_like(u)
+        return self.turned(ids, factors, surface, u, u, lambda places: rest)
+
+    def turned(
+        self,
+        ids: "Layered",
+        factors: "Layered",
+        surface: Rows,
+        u: Rows,
+        offset: Rows,
+        coarse: Callable[[Rows], Rows],
+    ) -> AbstractField:
+        """Makes the field of the `offset` that a `coarse` field leaves of the displacement `u`; it
+        turns what the coarse field leaves of the slope across the wall, too.
+        """
+        correction = self.correction.field(ids.correction, factors.correction, surface, offset)
+        values = offset
+        if ids.turn is not None:
+            turn = factors.turn.turned(ids.turn, u, u - offset, coarse(factors.turn.probes))
+            values = jnp.concatenate([offset, turn], axis=1)
+        return NearWallField(correction, InterpolatedField(values))
 
     def check(self, ids, factors, u):
         self.correction.check(ids.correction, factors.correction, u)
 
 
 class Layered(eqx.Module):
-    """Ids or factors of the correction, and those of the wall: `Extent`, `WallRow`, or widths."""
+    """Ids or factors of the correction, and those of the wall: `Extent`, `WallRow`, or widths; and
+    what turns, `TurnIds` or a `Turn`, where the walls have faces.
+    """
 
     correction: PyTree
     wall: PyTree
+    turn: PyTree = None
 
 
 class WallPlace(eqx.Module):
-    """A point's place in the correction, the wall's part of its motion, and the share outside."""
+    """A point's place in the correction, the wall's part of its motion, the share outside, and the
+    height by which the wall's slope counts, where it does.
+    """
 
     correction: PyTree
     wall: Interpolation
     outside: Float[Array, "*n"]
+    rise: Float[Array, "*n"] | None = None
+
+
+def _turn(ids: Layered, surface: Rows, width: Float[Array, " b"]) -> Turn | None:
+    return None if ids.turn is None else Turn.made(ids.turn, surface, width)
+
+
+def _placed(
+    x: Point, correction: PyTree, row: "WallRow", factors: Layered, surface: Rows
+) -> WallPlace:
+    wall, outside = _blend(x, row, factors.wall, surface)
+    turn = factors.turn
+    if turn is None:
+        return WallPlace(correction, wall, outside)
+    share = wall.weights / or_one(1 - outside)  # the weights' sum is the wall's share
+    above = jnp.sum((x[None] - surface[wall.nodes]) * turn.normal[wall.nodes], axis=1)
+    rise = risen(jnp.maximum(dot(share, above), 0), dot(share, turn.height[wall.nodes]))
+    return WallPlace(correction, wall, outside, rise)
 
 
 class Extent(eqx.Module):
@@ -239,11 +287,18 @@ class NearWallField(AbstractWhole):
     wall: InterpolatedField
 
     def __call__(self, x, ids: WallPlace):
-        return self.wall(x, ids.wall) + ids.outside * self.correction(x, ids.correction)
+        wall = self.wall(x, ids.wall)
+        if ids.rise is not None:
+            wall = wall[: len(x)] + ids.rise * wall[len(x) :]
+        return wall + ids.outside * self.correction(x, ids.correction)
 
     def evaluate(self, points, ids: WallPlace):
         correction = map_points(self.correction, points, ids.correction)
-        return map_points(self.wall, points, ids.wall) + ids.outside[:, None] * correction
+        wall = self.wall.evaluate(points, ids.wall)
+        if ids.rise is not None:
+            value, slope = jnp.split(wall, 2, axis=1)
+            wall = value + ids.rise[:, None] * slope
+        return wall + ids.outside[:, None] * correction
 
 
 def _blend(

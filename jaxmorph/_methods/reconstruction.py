@@ -121,7 +121,21 @@ class SurfaceReconstruction(AbstractPlacing):
 
     def field(self, ids, factors, surface, u):
         coarse, offset = self._split(ids, factors, surface, u)
-        return SumField(coarse, self.correction.field(ids[2], factors[2], surface, offset))
+        correction = self.correction
+        if (
+            isinstance(correction, NearWall) and ids[1] is None
+        ):  # the coarse field is known everywhere
+            field = correction.turned(
+                ids[2],
+                factors[2],
+                surface,
+                u,
+                offset,
+                lambda places: map_points(coarse, places, None),
+            )
+        else:
+            field = correction.field(ids[2], factors[2], surface, offset)
+        return SumField(coarse, field)
 
     def offset(self, ids, factors, surface, u):
         """Computes the surface displacement that is left to the correction (eq. 5). Traced."""

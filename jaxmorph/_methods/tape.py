@@ -11,7 +11,7 @@ import scipy.linalg
 from scipy.sparse import csr_array, diags_array, vstack
 
 from .base import AbstractMethod
-from .corrections import DelaunayGraph, LocalCorrection, NearWall
+from .corrections import DelaunayGraph, Layered, LocalCorrection, NearWall
 from .inverse_distance import SMALLEST, InverseDistance, InverseDistanceFactors, nearest_bound
 from .multiscale import Hierarchy, Multiscale
 from .rbf import basis as bases
@@ -20,6 +20,7 @@ from .rbf.fitted import Cholesky, FitFactors, FittedRBF, WallIds, deflection
 from .rbf.rbf import RBF
 from .rbf.system import polynomial
 from .reconstruction import SurfaceReconstruction
+from .turn import Turn, TurnIds
 
 CODES = (
     "add",
@@ -180,9 +181,12 @@ def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
     coarse(tape, at_surface, Places(rows.points, factors[1]))
     tape.step("add", offset, rows.u, number=1)
     tape.step("add", offset, at_surface, number=-1)  # eq. (5)
-    correction = recorded(
-        method.correction, tape, ids[2], factors[2], SurfaceRows(offset, rows.points, rows.count)
-    )
+    left = SurfaceRows(offset, rows.points, rows.count)
+    if isinstance(method.correction, NearWall) and ids[1] is None:
+        turn = _turned(tape, ids[2].turn, factors[2].turn, rows, (coarse, at_surface))
+        correction = _layered(method.correction, tape, ids[2], factors[2], left, turn)
+    else:
+        correction = recorded(method.correction, tape, ids[2], factors[2], left)
 
     def add(tape: Tape, out: int, places: Places) -> None:
         coarse(tape, out, places.of(places.placed[0]))
@@ -220,23 +224,84 @@ def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
 
 @recorded.register
 def _(method: NearWall, tape, ids, factors, rows) -> Field:
+    turn = _turned(tape, ids.turn, factors.turn, rows, None)
+    return _layered(method, tape, ids, factors, rows, turn)
+
+
+def _layered(
+    method: NearWall, tape: Tape, ids: Layered, factors: Layered, rows: SurfaceRows, turn: int
+) -> Field:
+    """Records `NearWall.turned`, whose slopes are in the register `turn`, or -1 for none."""
     correction = recorded(method.correction, tape, ids.correction, factors.correction, rows)
     count = rows.count
 
     def add(tape: Tape, out: int, places: Places) -> None:
         place = places.placed
-        outside = places.placed.outside
         wall = _matrix(places.of(place.wall), count)
-        inner = places.of(place.correction, outside)
-        if (
-            isinstance(correction, _Interpolated) and correction.values == rows.u
-        ):  # one product in place of two
-            tape.sparse(out, rows.u, wall + _matrix(inner, count))
-        else:
-            tape.sparse(out, rows.u, wall)
+        inner = places.of(place.correction, place.outside)
+        is_one = isinstance(correction, _Interpolated) and correction.values == rows.u
+        if is_one:  # one product in place of two
+            wall = wall + _matrix(inner, count)
+        tape.sparse(out, rows.u, wall)
+        if not is_one:
             correction(tape, out, inner)
+        if turn >= 0:
+            tape.sparse(out, turn, _matrix(places.of(place.wall, place.rise), count))
 
     return add
+
+
+def _turned(
+    tape: Tape,
+    ids: TurnIds | None,
+    turn: Turn,
+    rows: SurfaceRows,
+    coarse: tuple[Field, int] | None,
+) -> int:
+    """Records `Turn.turned`; returns its register, or -1 for a wall that turns nothing. `coarse` is
+    a field, and the register of its displacements at the rows.
+    """
+    if ids is None:
+        return -1
+    count = rows.count
+    axes = np.eye(tape.dimension)
+    own = np.arange(count)
+    first, second = ids.pairs.T
+    out = tape.register(count)
+    growth = tape.register(int(ids.wall.max()) + 1)
+
+    def put(register: int, matrix: Any) -> int:
+        copy = tape.register(tape.rows[register])
+        tape.step("add", copy, register, number=1)
+        tape.rows_in_place("turn", copy, np.ones(tape.rows[copy], dtype=bool), matrix)
+        return copy
+
+    # A step treats all components alike. So each component is put where it counts, alone, and the
+    # steps are summed.
+    for e, axis in enumerate(axes):
+        tape.sparse(
+            growth,
+            put(rows.u, np.ones_like(axis)[:, None] * axis),
+            csr_array((turn.arms[:, e], (ids.wall, own)), (tape.rows[growth], count)),
+        )
+        for c, to in enumerate(axes):
+            weight = -turn.strength[first] * turn.slopes[:, c] * turn.normal[first, e]
+            entries = np.concatenate([weight, -weight])
+            places = (np.tile(first, 2), np.concatenate([second, first]))
+            matrix = csr_array((entries, places), (count, count))
+            tape.sparse(out, put(rows.u, to[:, None] * axis), matrix)
+    for c, axis in enumerate(axes):
+        normal = turn.strength * turn.normal[:, c]
+        matrix = csr_array((normal, (own, ids.wall)), (count, tape.rows[growth]))
+        tape.sparse(out, put(growth, axis[:, None] * axis), matrix)
+    if coarse is not None:
+        field, near = coarse
+        far = tape.register(count)
+        field(tape, far, Places(tape.array(turn.probes), None))
+        slope = turn.strength / turn.step
+        tape.sparse(out, far, diags_array(-slope))
+        tape.sparse(out, near, diags_array(slope))
+    return out
 
 
 @dataclasses.dataclass(frozen=True)
@@ -328,7 +393,7 @@ def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field
         tape.sparse(values, u, _stacked([_chosen(np.append(ids.moving, ids.fixed), count)], tail))
         return _expansion(expansion, tape, factors.rbf, values)
     affine, rest, outer = map(
-        tape.register, (factors.polynomial.shape[1], count, factors.outside.shape[1])
+        tape.register, (factors.polynomial.shape[1], count, factors.outer.shape[3])
     )
     tape.dense(affine, u, factors.polynomial, TURNED)
     tape.cholesky(affine, factors.affine)
@@ -339,20 +404,12 @@ def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field
     at_nodes, along = map(tape.register, (len(ids.nodes), len(ids.edges)))
     tape.step("take", at_nodes, rest, tape.array(ids.nodes))
     tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
-    share = 1.0 if method.share is None else float(method.share)
-    systems = (
-        (share, factors.outer, factors.fit, FLAT),
-        (1 - share, factors.outside, factors.plain, 0),
-    )
-    for part, columns, factor, flags in systems:
-        if part > 0:
-            solved = tape.register(moving)
-            tape.dense(solved, at_nodes, factors.nodes, TURNED)
-            if flags:
-                tape.dense(solved, along, factors.edges, TURNED)
-            tape.dense(solved, outer, columns, flags | MINUS)
-            tape.cholesky(solved, factor, flags)
-            tape.sparse(values, solved, _stacked([part * _chosen(np.arange(moving), moving)], tail))
+    solved = tape.register(moving)
+    tape.dense(solved, at_nodes, factors.nodes, TURNED)
+    tape.dense(solved, along, factors.edges, TURNED)
+    tape.dense(solved, outer, factors.outer, FLAT | MINUS)
+    tape.cholesky(solved, factors.fit, FLAT)
+    tape.sparse(values, solved, _stacked([_chosen(np.arange(moving), moving)], tail))
     tape.sparse(values, rest, _stacked([csr_array((moving, count)), *outside], tail))
     tape.dense(values, affine, np.pad(terms, ((0, tail - len(terms)), (0, 0))))
     return _expansion(expansion, tape, factors.rbf, values)

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -13,7 +13,6 @@ from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 from .._boundary.boundary import Boundary, changed, checked_points, with_faces
 from .._boundary.outer_faces import OuterFaces
 from .._host.cells.adjacency import rows_among
-from .._host.cells.topology import solid
 from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
@@ -24,10 +23,9 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.reconstruction import sees_free_sides
-from .._methods.shares import near_cells, needs_share
 from .._methods.surface import ByKind, Surface
 from .plan import Plan, SurfacePart, VolumePart
-from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of, with_share
+from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of
 
 # largest difference of a surface node's place in piece and half, as a share of the extent
 SAME = 1e-12
@@ -145,61 +143,6 @@ class SurfaceHalf:
         volume = VolumePart(base, as_jax(on_plane), ids, _placed(plan.method, own, base, ids))
         return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
 
-    def judged(self, pieces: Iterable[tuple[Mesh, np.ndarray]], comm: Any = None) -> "SurfaceHalf":
-        """Chooses the share of the fit by the cells near the walls, as `prepare` does with a mesh.
-
-        `prepare_surface` does so for a boundary with cells, `integrations.mpi.prepare` for pieces.
-
-        **Arguments:**
-
-        - `pieces`: pieces of the mesh, with the id (n,) of each point in the whole mesh.
-        - `comm`: a communicator, as of mpi4py, whose processes call this together.
-
-        **Returns:** the half with the chosen share, or itself where nothing is to be chosen.
-        """
-        if not needs_share(self.plan.method, self.plan.surface.ids):
-            return self
-        near = []
-        for mesh, nodes in pieces:
-            of_walls = np.flatnonzero(np.isin(nodes, self.moving))
-            rows, cells = near_cells(
-                solid(mesh.linear.cells, mesh.points.shape[1]), of_walls, len(mesh.points)
-            )
-            near.append((np.asarray(nodes)[rows], np.asarray(mesh.points)[rows], cells))
-        parts = [near] if comm is None else comm.gather(near)
-        method = (
-            None
-            if parts is None
-            else self._judged([piece for part in parts for piece in part]).plan.method
-        )
-        method = method if comm is None else comm.bcast(method)
-        return dataclasses.replace(self, plan=dataclasses.replace(self.plan, method=method))
-
-    def _judged(self, pieces: list[tuple[np.ndarray, np.ndarray, dict]]) -> "SurfaceHalf":
-        """Joins pieces of ids, points and cells between rows; nodes without an id stay apart."""
-        starts = np.cumsum([0, *(len(ids) for ids, _, _ in pieces)])
-        ids = np.concatenate([ids for ids, _, _ in pieces])
-        points = np.concatenate([points for _, points, _ in pieces])
-        own = np.where(ids < 0, -2 - np.arange(len(ids)), ids)
-        _, first, row = np.unique(own, return_index=True, return_inverse=True)
-        together: dict[str, list[np.ndarray]] = {}
-        for start, (_, _, cells) in zip(starts, pieces, strict=False):
-            for kind, corners in cells.items():
-                together.setdefault(kind, []).append(row[start + corners])
-        ids = ids[first]
-        cells = {kind: np.concatenate(together[kind]) for kind in sorted(together)}
-        near, cells = near_cells(cells, np.flatnonzero(np.isin(ids, self.moving)), len(ids))
-        return self._with_share(points[first[near]], ids[near], cells)
-
-    def _with_share(self, points: np.ndarray, nodes: np.ndarray, cells: ByKind) -> "SurfaceHalf":
-        try:
-            part = self.attach(points, nodes)
-        except ValueError:  # pieces that do not fit are told of when they are attached
-            return self
-        return dataclasses.replace(
-            self, plan=with_share(self.plan, self._surface, part.volume, cells)
-        )
-
     def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
         """Refuses points on a free side, if the surface was prepared without."""
         if self.faces is not None or self.is_open or not sees_free_sides(self.plan.method):
@@ -313,13 +256,9 @@ def prepare_surface(
     rows = np.union1d(boundary.nodes, fence)
     part = changed(boundary.part(rows), is_open=is_open)
     try:
-        half = SurfaceHalf(plan_of(part, method), ids[rows], part.surface_faces, is_open)
+        return SurfaceHalf(plan_of(part, method), ids[rows], part.surface_faces, is_open)
     except MeshError as error:
         raise error.renumbered(rows) from None
-    if boundary.cells is None or not needs_share(method, half.plan.surface.ids):
-        return half
-    near, cells = near_cells(boundary.cells, boundary.moving, count)
-    return half._with_share(boundary.points[near], ids[near], cells)
 
 
 def _unique_ids(nodes: Any, count: int) -> np.ndarray:

@@ -21,7 +21,6 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractField, AbstractMethod, Point, Rows
 from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.shares import share_of
 from .devices import AXIS, Layout, over_points, rows_from
 
 Own = Float[Array, "o d"]  # coordinates or displacements of the moving, fixed and guided nodes
@@ -250,8 +249,6 @@ class Plan(Module):
             fixed = nodes.shape[-1] - self.n_moving - self.n_guided
             guided = [f"{self.n_guided} guided"] if self.n_guided else []
             parts = [f"{n} points in {d}-D", *parts, f"{fixed} fixed", *guided, f"{points.dtype}"]
-        share = share_of(self.method)
-        parts += [] if share is None else [f"share {share:g} of the fit"]
         return f"Plan({', '.join(parts)}, {self.method})"
 
 

@@ -1,14 +1,12 @@
 """Preparation: all of a mesh that does not depend on the displacement, once on the host."""
 
-import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Real
+from jaxtyping import ArrayLike, Real
 
 from .._boundary.boundary import Boundary, Nodes, changed, nothing_in
 from .._boundary.images import Images, images_of
@@ -18,14 +16,13 @@ from .._boundary.symmetry import Plane, check_planes, facing
 from .._host.package.errors import warn
 from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
-from .._kernels.compile import compiled, quickly_compiled
+from .._kernels.compile import quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Rows, Scalar, check_kind
+from .._methods.base import AbstractMethod, Rows, check_kind
 from .._methods.multiscale import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.shares import has_fit, largest_share, motions, near_cells, needs_share, share_in
-from .._methods.surface import ByKind, Cells, Surface
+from .._methods.surface import Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
 
@@ -172,47 +169,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
-        if boundary.cells is not None and needs_share(method, plan.surface.ids):
-            nodes, cells = near_cells(boundary.cells, boundary.moving, len(points))
-            near = jax.tree.map(lambda leaf: np.asarray(leaf)[nodes], plan.volume)
-            plan = with_share(plan, surface, near, cells)
     return plan
-
-
-def with_share(plan: Plan, surface: Surface, near: VolumePart, cells: ByKind) -> Plan:
-    """Judges the share of the fit by `cells` between points `near` the walls."""
-    is_own = np.asarray(plan.images.kind) == 0
-    walls = np.zeros(len(plan.surface.nodes), dtype=int)
-    walls[np.asarray(plan.images.rows)[is_own]] = surface.walls[0][is_own]
-    moving = np.asarray(plan.moving_points, float)
-    walls = walls[: plan.n_moving]
-    vectors = functools.partial(_vectors, plan, jnp.array([1.0, 0.0]))
-    with quickly_compiled():  # each program runs a few times
-        share = largest_share(
-            plan.method, plan.surface, vectors, motions(moving, walls), near, cells
-        )
-    return dataclasses.replace(_guided_by(plan, share), method=share_in(plan.method, share))
-
-
-def _guided_by(plan: Plan, share: Any) -> Plan:
-    """Returns the plan whose guide has a share of the fit, too."""
-    guide = plan.surface.guide
-    if guide is None or not has_fit(guide.plan.method):
-        return plan
-    guide_plan = dataclasses.replace(guide.plan, method=share_in(guide.plan.method, share))
-    surface = dataclasses.replace(plan.surface, guide=dataclasses.replace(guide, plan=guide_plan))
-    return dataclasses.replace(plan, surface=surface)
-
-
-@compiled
-def _vectors(
-    plan: Plan, shares: Float[Array, " s"], u: Float[Array, "t m d"]
-) -> Float[Array, "b s t d"]:
-    def of_share(share: Scalar) -> Float[Array, "b t d"]:
-        guided = _guided_by(plan, share)
-        return jax.vmap(lambda u: plan.images.vectors(guided.of_surface(u)), out_axes=1)(u)
-
-    return jax.vmap(of_share, out_axes=1)(shares)
 
 
 def surface_of(boundary: Boundary, order: np.ndarray | None = None) -> tuple[Surface, Images]:

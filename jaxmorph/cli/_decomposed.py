@@ -49,8 +49,6 @@ def deform_parts(request: Deform, out: Output) -> int:
         lambda: _prepared(request, case.surface(_by_part(gathered)), out) if gathered else None,
     )
     half, path = ranks.bcast(prepared)  # pyright: ignore[reportGeneralTypeIssues]
-    with out.progress("choosing the share of the fit"):
-        half = half.judged(((part, io.global_nodes(part)) for part in map(case.read, share)), ranks)
     part = functools.partial(_part, request, case, half, path, largest)
     try:
         with case.writing(request.output, ranks) as writer:

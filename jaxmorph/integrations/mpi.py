@@ -177,8 +177,6 @@ def prepare(
             raise error.renumbered(surface.names) from None
 
     shared: Any = comm.bcast(together(comm, half))
-    if mesh is not None:
-        shared = shared.judged([(mesh, ids)] if mesh.cells else [], comm)
     plan = together(comm, lambda: shared.attach(own.points, ids))
     rows = np.searchsorted(surface.names[: surface.moving], ids[own.moving])
     return Piece(comm, plan, ids, own.moving, rows, *marks)

@@ -35,7 +35,7 @@ JOINT = 0.05
 # fewest leaves of the k-d tree if the field interpolates instead of being fitted
 SOURCES_ALONE = 64
 
-ELL = {2: 0.17, 3: 0.07}
+ELL = {2: 0.03, 3: 0.03}
 MU = {2: 0.1, 3: 0.4}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
 twists in 3-D pays for every large rotation, so less of it is asked for there.
@@ -241,10 +241,6 @@ class FittedRBF(AbstractMethod):
       chord, half of its perimeter. In 3-D it is 0.07 of half of the wall's area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
       each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
-    - `share`: the share of the fit in the field, from 0 to 1. The rest is the field of least
-      squares on the same sources, which follows the skin and keeps the cells at blunt ends, slots
-      and thin sections. Default None: `prepare` takes the largest of 1, 0.5, 0.25, 0.1 and 0 that
-      keeps cells in trial motions of the walls, and without cells 1.
 
     Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
 
@@ -255,7 +251,6 @@ class FittedRBF(AbstractMethod):
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
     ell: Scalar | None = eqx.field(default=None, converter=number_or_none("ell", 0))
     mu: Scalar | None = eqx.field(default=None, converter=number_or_none("mu", 0))
-    share: Scalar | None = eqx.field(default=None, converter=number_or_none("share", 0, 1, "[]"))
 
     def __check_init__(self):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
@@ -322,7 +317,7 @@ class FittedRBF(AbstractMethod):
         if not len(ids.edges):
             none, outer = (jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 4))
             empty = Cholesky.of(none)
-            return FitFactors(rbf, none, none, outer, empty, none, empty, none, empty)
+            return FitFactors(rbf, none, none, outer, empty, none, empty)
         surface = surface.astype(rbf.lu.dtype)
         moves = len(ids.moving)
         cardinal = rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
@@ -352,11 +347,8 @@ class FittedRBF(AbstractMethod):
         fit = Cholesky.of(matrix[..., :moves].reshape(matrix.shape[0] * moves, -1))
         terms = polynomial((surface - rbf.centre[None]) * rbf.scale, self.rbf.degree)
         affine = Cholesky.of(matmul(terms.T, terms))
-        plain = Cholesky.of(squares[:, :moves])
         edges = weighted / length[:, None]
-        return FitFactors(
-            rbf, nodes, edges, matrix[..., moves:], fit, terms, affine, squares[:, moves:], plain
-        )
+        return FitFactors(rbf, nodes, edges, matrix[..., moves:], fit, terms, affine)
 
     def _lengths(self, ids: WallIds, surface, middle):
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
@@ -382,9 +374,7 @@ class FittedRBF(AbstractMethod):
         wanted = (at_nodes + matmul(factors.edges.T, difference)).T
         wanted = wanted - einsum("aicj,jc->ai", factors.outer, outer)
         fitted = factors.fit.solve(wanted.reshape(-1, 1)).reshape(wanted.shape).T
-        plain = factors.plain.solve(at_nodes - matmul(factors.outside, outer))
-        share = 1 if self.share is None else self.share.astype(values.dtype)
-        rest = jnp.concatenate([share * fitted + (1 - share) * plain, outer])
+        rest = jnp.concatenate([fitted, outer])
         terms = polynomial(factors.rbf.sources, self.rbf.degree)
         return self.rbf.expansion.field(factors.rbf, rest + matmul(terms, affine), u.dtype)
 
@@ -408,9 +398,8 @@ class Cholesky(eqx.Module):
 
 
 class FitFactors(eqx.Module):
-    """The factored systems of sources, `fit`, `affine` part and least squares (`plain`), and
-    weighted rows of the fit. `outer` and `outside` are the columns of the sources outside of the
-    fit: fixed ones, rings and those behind tips.
+    """The factored systems of sources, `fit` and `affine` part, and weighted rows of the fit.
+    `outer` are the columns of the sources outside of the fit: fixed ones, rings, those behind tips.
     """
 
     rbf: RBFFactors
@@ -420,8 +409,6 @@ class FitFactors(eqx.Module):
     fit: Cholesky
     polynomial: Float[Array, "b p"]
     affine: Cholesky
-    outside: Float[Array, "s t"]
-    plain: Cholesky
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:

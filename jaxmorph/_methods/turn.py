@@ -1,0 +1,239 @@
+"""The slope of a near-wall layer: first grid lines turn with the wall, whatever moves the rest."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._host.linear.products import outward, unit_rows
+from .._host.package.rounding import Tree
+from .._host.surface.skin import edges
+from .._kernels.values import Either, area_vectors, as_jax, namespace, norm
+from .base import Pairs, Rows, Scalar, or_one
+from .surface import Surface
+
+# the height up to which the layer turns as a whole, relative to its width, to the radius of the
+# largest ball inside the body or the mesh that touches the wall there, and to the next wall's gap
+OF_WIDTH = 0.08
+OF_BALL = 0.25
+OF_GAP = 0.12
+SLACK = 0.1  # sine of the angle to the wall below which a node does not bound a ball
+ROUND = 1 - np.cos(np.deg2rad(30))  # of faces that turn by so much about a node it is an edge
+PROBE = 4e-3  # distance from the wall at which the coarse field is probed, relative to the width
+BALLS = 8  # steps to the largest ball
+NEAREST = 8  # nodes nearest to a ball's centre that may bound it
+
+
+class TurnIds(eqx.Module):
+    """Rows of the surface by which its first grid lines turn.
+
+    - `faces`: the moving walls' faces (f, c) by number of corners.
+    - `pairs` (p, 2): a row, and a row beside it at about its height, or at the next node.
+    - `inside`, `outside` (b,): the row that bounds the largest ball at a row, on the body's side
+      and on the mesh's, or the row itself.
+    - `other` (b,): the nearest row of another wall, or the row itself.
+    - `wall` (b,): each row's wall.
+    """
+
+    faces: tuple[Int[Array, "_f _c"], ...]
+    pairs: Pairs
+    inside: Int[Array, " b"]
+    outside: Int[Array, " b"]
+    other: Int[Array, " b"]
+    wall: Int[Array, " b"]
+
+    @classmethod
+    def found(cls, surface: Surface, width: Float[np.ndarray, " b"]) -> "TurnIds | None":
+        """Finds the rows on the host; None for a surface whose walls have no faces."""
+        x = np.asarray(surface.points, float)
+        faces = [
+            corners[(corners < surface.moving).all(axis=1)]
+            for corners in (surface.faces or {}).values()
+        ]
+        faces = [corners for corners in faces if len(corners)]
+        if not faces:
+            return None
+        normal = np.zeros_like(x)
+        for corners in faces:
+            np.add.at(normal, corners, -outward(x[corners])[:, None])
+        normal = unit_rows(normal)
+        own = np.unique(np.concatenate([corners.ravel() for corners in faces]))
+        tree = Tree(x[own])
+        wall = surface.walls[0]
+        largest = OF_WIDTH / OF_BALL * 2 * width
+        inside, outside = (_ball_bounds(tree, own, x, side * normal, largest) for side in (-1, 1))
+        other = np.arange(len(x))
+        for label in np.unique(wall[own]):
+            here = own[wall[own] == label]
+            others = np.flatnonzero(wall != label)
+            if len(others):
+                other[here] = others[Tree(x[others]).query(x[here])[1]]
+        height = _heights([inside, outside, other], x, normal, width)
+        sides = edges(x, surface.moving, surface.faces)
+        pairs = np.concatenate([sides, sides[:, ::-1], _beside(tree, own, x, normal, height)])
+        pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
+        ids = (tuple(faces), pairs, inside, outside, other, wall)
+        found = as_jax(jax.tree.map(lambda rows: rows.astype(np.int32), ids))
+        return cls(**dict(zip(cls.__dataclass_fields__, found, strict=True)))
+
+
+def _heights(
+    bounds: list[Either], x: Float[Either, "b d"], normal: Float[Either, "b d"], width: Either
+) -> Float[Either, " b"]:
+    """Computes how far up the layer turns as a whole at each row: the least of its bounds, without
+    a kink. `bounds` are the rows `inside`, `outside` and `other`.
+    """
+    xp = namespace(x)
+    inside, outside, other = bounds
+    is_alone = other == xp.arange(len(x))
+    limits = [
+        OF_WIDTH * width,
+        OF_BALL * _radius(x[inside] - x, -normal),
+        OF_BALL * _radius(x[outside] - x, normal),
+        OF_GAP * xp.where(is_alone, xp.inf, norm(x[other] - x)),
+    ]
+    is_flat = xp.min(xp.stack(limits), axis=0) <= 0
+    total = sum(xp.where(is_flat, 1, limit) ** -4.0 for limit in limits)
+    return xp.where(is_flat, 0, total**-0.25)
+
+
+def _radius(arm: Float[Either, "b d"], normal: Float[Either, "b d"]) -> Float[Either, " b"]:
+    """The radius of the ball that touches a row along its normal and meets another row."""
+    xp = namespace(arm)
+    length = norm(arm)
+    above = xp.sum(arm * normal, axis=1) - SLACK * length
+    return xp.where(above > 0, length**2 / (2 * xp.where(above > 0, above, 1)), xp.inf)
+
+
+def _ball_bounds(
+    tree: Tree, own: np.ndarray, x: np.ndarray, normal: np.ndarray, largest: np.ndarray
+) -> np.ndarray:
+    """Finds the row that bounds the largest ball at each row along its normal, or the row."""
+    # a ball shrinks until the nodes nearest to its centre are not inside (shrinking balls)
+    bound = np.arange(len(x))
+    radius, start = largest[own], x[own]
+    for _ in range(BALLS):
+        centre = start + radius[:, None] * normal[own]
+        near = own[tree.query(centre, k=range(1, min(NEAREST, len(own)) + 1))[1]]
+        arm = x[near] - start[:, None]
+        length = np.linalg.norm(arm, axis=2)
+        above = np.einsum("kcd,kd->kc", arm, normal[own]) - SLACK * length
+        met = np.where(above > 0, length**2 / (2 * np.where(above > 0, above, 1)), np.inf)
+        best = np.arange(len(own)), met.argmin(axis=1)
+        least = met[best]
+        is_less = least < radius
+        if not is_less.any():
+            break
+        bound[own[is_less]] = near[best][is_less]
+        radius = np.where(is_less, least, radius)
+    return bound
+
+
+def _beside(
+    tree: Tree, own: np.ndarray, x: np.ndarray, normal: np.ndarray, height: np.ndarray
+) -> np.ndarray:
+    """Pairs each row with the nodes nearest to places at its height around it, along the wall."""
+    n = normal[own]
+    if x.shape[1] == 2:
+        across = [np.stack([-n[:, 1], n[:, 0]], axis=1)]
+    else:
+        least = np.eye(3)[np.abs(n).argmin(axis=1)]
+        first = unit_rows(np.cross(n, least))
+        second = np.cross(n, first)
+        across = [first, second, (first + second) / 2**0.5, (first - second) / 2**0.5]
+    places = [x[own] + side * height[own][:, None] * t for t in across for side in (-1, 1)]
+    return np.concatenate([np.stack([own, own[tree.query(p)[1]]], axis=1) for p in places])
+
+
+class Turn(eqx.Module):
+    """What turns first grid lines, at each row of the surface.
+
+    - `normal` (b, d): into the mesh, zero where nothing turns.
+    - `height` (b,): how far up the layer turns as a whole.
+    - `strength` (b,): 1 on a smooth wall, 0 at edges and corners.
+    - `slopes` (p, d): weights of differences of displacement, whose sum is a derivative along the
+      wall.
+    - `arms` (b, d): weights whose product with displacements is the scale of a wall's motion.
+    - `probes` (b, d): places near the wall at which the coarse field is evaluated.
+    """
+
+    normal: Rows
+    height: Float[Array, " b"]
+    strength: Float[Array, " b"]
+    slopes: Float[Array, "p d"]
+    arms: Rows
+    probes: Rows
+    step: Float[Array, " b"]
+
+    @classmethod
+    def made(cls, ids: TurnIds, x: Rows, width: Float[Array, " b"]) -> "Turn":
+        total = jnp.zeros_like(x)
+        size = jnp.zeros_like(x[:, 0])
+        for corners in ids.faces:
+            area = -area_vectors(x[corners])
+            total = total.at[corners].add(area[:, None])
+            size = size.at[corners].add(norm(area)[:, None])
+        length = norm(total)
+        normal = total / or_one(length)[:, None]
+        # the mean of unit normals is shorter than one where faces turn about a node
+        strength = jnp.maximum(1 - (1 - length / or_one(size)) / ROUND, 0) ** 2
+        strength = jnp.where(size > 0, strength, 0)
+        height = _heights([ids.inside, ids.outside, ids.other], x, normal, width)
+        step = PROBE * or_one(width)
+        count = jnp.zeros_like(size).at[ids.wall].add(size)
+        centre = jnp.zeros_like(x).at[ids.wall].add(size[:, None] * x) / or_one(count)[:, None]
+        arms = size[:, None] * (x - centre[ids.wall])
+        inertia = (
+            jnp.zeros_like(size).at[ids.wall].add(jnp.sum(arms * (x - centre[ids.wall]), axis=1))
+        )
+        arms = arms / or_one(inertia)[ids.wall][:, None]
+        return cls(
+            normal=normal,
+            height=height,
+            strength=strength,
+            slopes=_slopes(ids.pairs, x, normal, height),
+            arms=arms,
+            probes=x + step[:, None] * normal,
+            step=step,
+        )
+
+    def turned(self, ids: TurnIds, u: Rows, near: Rows, far: Rows) -> Rows:
+        """Computes what the slope across the wall lacks, for displacements `u` of the wall, and of
+        the coarse field at the wall (`near`) and at the probes (`far`).
+
+        A grid line along n turns with the wall if d u/dn = - sum_t t (n . d u/dt), and keeps its
+        length; where the wall grows by a factor, so does the line.
+        """
+        first, second = ids.pairs.T
+        rise = jnp.sum(self.normal[first] * (u[second] - u[first]), axis=1)
+        wanted = jnp.zeros_like(u).at[first].add(-self.slopes * rise[:, None])
+        growth = jnp.zeros_like(u[:, 0]).at[ids.wall].add(jnp.sum(self.arms * u, axis=1))
+        wanted = wanted + growth[ids.wall][:, None] * self.normal
+        return self.strength[:, None] * (wanted - (far - near) / self.step[:, None])
+
+
+def _slopes(pairs: Pairs, x: Rows, normal: Rows, height: Float[Array, " b"]) -> Float[Array, "p d"]:
+    """Weights of least squares for the derivative along the wall from differences to other rows."""
+    first, second = pairs.T
+    arm = x[second] - x[first]
+    n = normal[first]
+    arm = arm - jnp.sum(arm * n, axis=1)[:, None] * n
+    # rows of another side do not count; all others alike, whether near or far
+    agree = jnp.maximum(jnp.sum(n * normal[second], axis=1), 0) ** 2
+    squared = jnp.sum(arm**2, axis=1)
+    weight = agree / or_one(squared + height[first] ** 2)
+    product = weight[:, None, None] * arm[:, :, None] * arm[:, None]
+    matrix = jnp.zeros((*x.shape, x.shape[1]), x.dtype).at[first].add(product)
+    trace = jnp.trace(matrix, axis1=1, axis2=2)
+    eye = jnp.eye(x.shape[1], dtype=x.dtype)
+    matrix = matrix + or_one(trace)[:, None, None] * (
+        normal[:, :, None] * normal[:, None] + 1e-9 * eye[None]
+    )
+    inverse = jnp.linalg.inv(matrix)
+    return jnp.einsum("pab,pb->pa", inverse[first], weight[:, None] * arm)
+
+
+def risen(place: Scalar, height: Scalar) -> Scalar:
+    """The height to which the layer turns at a distance from the wall: first the distance."""
+    return height * jnp.tanh(place / or_one(height))
