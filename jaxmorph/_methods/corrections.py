@@ -83,9 +83,7 @@ def barycentric(x: Point, corners: list[Point], at_node) -> list[Scalar]:
 
 # wall nodes that a point averages; one more node sets the distance at which weights vanish
 NEIGHBOURS = 6
-# width of the layer, relative to the largest distance from a wall's node to its nearest source
-REACH = 0.5
-CHORD = 0.4  # width of the layer of a wall without matched sources, relative to its mean chord
+CHORD = 0.4  # width of the layer, relative to the wall's mean chord
 SLIGHTLY = 1e-6  # relative difference that keeps the maximum of equal lengths from having a kink
 
 
@@ -100,13 +98,18 @@ class NearWall(AbstractPlacing):
     nearest wall keep their place in the layer. The map is one fixed sparse operator, exact at the
     surface's nodes.
 
+    Where walls have faces, the layer carries the wall's slope, too, and first grid lines turn with
+    the wall: u gets chi h tanh(d / h) g at the distance d along the normal n, with g = - sum_t t (n .
+    du/dt) - dc/dn + a n. The field c is the coarse one, a the factor by which the wall grows as a
+    whole. The height h is small on thin bodies, at noses and in gaps, and zero at sharp edges. The
+    formula is this library's own.
+
     **Arguments:**
 
     - `correction`: any method. Default `DelaunayGraph()`.
     - `width`: width of the layer in the mesh's units. It ends before half of the gap to another
-      wall. Default None: for each wall half of the largest distance from one of its nodes to the
-      nearest matched node, a source that the coarse field reproduces. A wall without matched nodes
-      has a quarter of its mean chord: of half of its length, in 3-D half of its area over its span.
+      wall. Default None: 0.4 of each wall's mean chord, which is half of its length, in 3-D half of
+      its area over its span.
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
@@ -237,13 +240,15 @@ def _placed(
 class Extent(eqx.Module):
     """Walls, as rows of the surface."""
 
-    wall: Int[Array, " b"]  # each row's wall
-    pairs: Int[
-        Array, "w 2 2"
-    ]  # each wall's row that is farthest from the matched ones, with the nearest; its two ends
-    share: Float[
-        Array, " w"
-    ]  # each wall's mean chord, relative to the distance of its ends; zero with matched rows
+    # each row's wall
+    wall: Int[Array, " b"]
+    # each wall's two ends, and its mean chord, relative to their distance
+    ends: Int[Array, "w 2"]
+    chord: Float[Array, " w"]
+    # each wall's row that is farthest from the matched ones, with the nearest of these
+    pairs: Int[Array, "w 2"]
+    # `chord` of a wall without matched rows, else 0
+    share: Float[Array, " w"]
 
     @classmethod
     def seen(cls, surface: Surface) -> "Extent":
@@ -251,18 +256,20 @@ class Extent(eqx.Module):
 
     @classmethod
     def _searched(cls, surface: Surface) -> "Extent":
-        wall, ends, share = surface.walls
-        share = share.copy()
+        wall, ends, chord = surface.walls
+        share = chord.copy()
         points = surface.points
-        pairs = np.stack([0 * ends, ends], axis=1)
+        pairs = 0 * ends
         for label in np.unique(wall):
             here = np.flatnonzero(wall == label)
             chosen = surface.matched[wall[surface.matched] == label]
             matched = nearest_of(points[here], points[chosen], chosen) if len(chosen) else here
             farthest = first_largest(np.linalg.norm(points[here] - points[matched], axis=1))
-            pairs[label, 0] = here[farthest], matched[farthest]
+            pairs[label] = here[farthest], matched[farthest]
             share[label] = 0 if len(chosen) else share[label]
-        return cls(*as_jax((wall.astype(np.int32), pairs.astype(np.int32), share)))
+        ids = {"wall": wall, "ends": ends, "pairs": pairs}
+        ids = {name: rows.astype(np.int32) for name, rows in ids.items()}
+        return cls(**as_jax(ids | {"chord": chord, "share": share}))
 
 
 def layer_width(
@@ -271,8 +278,8 @@ def layer_width(
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
-    gap, span = norm(surface[extent.pairs[..., 0]] - surface[extent.pairs[..., 1]]).T
-    return xp.maximum(REACH * gap, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
+    span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
+    return (CHORD * extent.chord.astype(surface.dtype) * span)[extent.wall]
 
 
 class WallRow(eqx.Module):
@@ -331,7 +338,7 @@ def _blend(
 
 # search distance in radii: beyond 1 another node may come nearer than the nearest node
 SEARCHED = 1.25
-SPACING = 2.0  # the automatic radius, relative to the width of the layer of `NearWall`
+HALF = 0.5  # the radius at a wall without matched sources, relative to its mean chord
 
 
 class LocalIds(eqx.Module):
@@ -418,5 +425,10 @@ class LocalCorrection(AbstractPlacing):
         return InterpolatedField(u)
 
     def _radius(self, extent: Extent, surface):
-        width = layer_width(self.radius, extent, surface)
-        return width if self.radius is not None else SPACING * width
+        xp = namespace(surface)
+        if self.radius is not None:
+            return xp.full(len(surface), xp.asarray(self.radius, surface.dtype))
+        missed = norm(surface[extent.pairs[:, 0]] - surface[extent.pairs[:, 1]])
+        span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
+        alone = HALF * extent.share.astype(surface.dtype) * span
+        return xp.maximum(missed, alone)[extent.wall]

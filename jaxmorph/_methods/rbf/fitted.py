@@ -37,9 +37,7 @@ SOURCES_ALONE = 64
 
 ELL = {2: 0.03, 3: 0.03}
 MU = {2: 0.1, 3: 0.4}
-"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall. A body that
-twists in 3-D pays for every large rotation, so less of it is asked for there.
-"""
+"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall."""
 
 BEHIND = 0.02
 BEYOND_TIP = 0.2
@@ -209,11 +207,10 @@ class FittedRBF(AbstractMethod):
         c_v|^2
 
     d/ds is the derivative along an edge, and dev sym grad the deviatoric strain at its middle. The
-    first two terms follow value and slope along the wall. The third term lets the field carry the
-    body as rigidly as the first two allow. So grid lines stay at right angles to the wall, and a
-    change of one side of a thin body does not go on beyond its other side. The change of the skin
-    itself is left to the correction. An affine motion of the whole surface is reproduced: strain is
-    measured from the affine motion that fits the surface's displacement best.
+    first two terms follow value and slope along the wall. The third smooths the field: a change of
+    one side of a thin body goes on less beyond its other side. The change of the skin itself is left
+    to the correction, which turns grid lines with the wall. An affine motion of the whole surface is
+    reproduced: strain is measured from the affine motion that fits the surface's displacement best.
 
     A thin plate spline carries the body's slope on to the far field: at 500 chords a bump moves
     nodes by several times its height. So where fixed sources are farther away than about 45 chords,
@@ -235,10 +232,10 @@ class FittedRBF(AbstractMethod):
     - `rbf`: basis and sources. The default takes moving sources from 16 leaves of a k-d tree, 32 if
       another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D. Each
       of several walls gets as many (up to 8 walls, 2 in 3-D; more walls share them).
-    - `ell`: the length that weighs strain, in the mesh's units. A large length keeps the wall's
-      lines at right angles, a small length follows the skin. It is nowhere more than 0.05 of the
-      distance to the nearest node that is held or of another wall. Default 0.17 of each wall's mean
-      chord, half of its perimeter. In 3-D it is 0.07 of half of the wall's area over its span.
+    - `ell`: the length that weighs strain, in the mesh's units. A large length carries the body as
+      rigidly as possible, a small length follows the skin. It is nowhere more than 0.05 of the
+      distance to the nearest node that is held or of another wall. Default 0.03 of each wall's mean
+      chord: of half of its perimeter, in 3-D of half of its area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
       each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
 
