@@ -288,11 +288,11 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.thickness": {
         "stations": Lazy(lambda: shapes.Stations.on(X, LOOP, [[0.5, 0.0]], [0.0, 1.0]))
     },
-    "shapes.trailing_edge_angle": {"upper": np.array([3, 2]), "lower": np.array([1, 2])},
     "shapes.translate": {"by": np.zeros(2)},
     "shapes.twist": {"x": PLACES, "about": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0])},
     "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
+    "shapes.upper_side": {"chord": shapes.Chord([0.0, 0.0], [1.0, 0.0])},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
     "plot.convergence": {"history": history},
@@ -300,10 +300,8 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
     "plot.mesh": {"values": np.zeros(9)},
-    "plot.page": SPACE | {"path": FOLDER / "a.html"},
     "plot.picture": {"before": MESH},
     "plot.sources": {"surface": plan},
-    "plot.sources_3d": {"surface": PLACES},
     "plot.surface": SPACE,
     "cases.bodies": {"boxes": {"a": [-1.0, 1.0, -1.0, 1.0]}},
     "cases.bricks": {"first_cell": 0.1},
@@ -326,9 +324,7 @@ EXTRA: dict[str, dict[str, Any]] = {
         "count most sources neighbours copies leaves fixed_leaves steps max_steps rows order points",
         LEAST,
     ),
-    **each(
-        "stations layers columns around mode frames dense chunk size points_per_leaf crowded", LEAST
-    ),
+    **each("stations layers columns mode frames dense chunk size points_per_leaf crowded", LEAST),
     **{
         "k": {"less": -1, "beyond": 99},
         "degree": {"less": -1, "beyond": 99},

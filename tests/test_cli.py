@@ -459,7 +459,7 @@ AT_ONCE = {
     f"deform in.su2 out.su2 {MOVE} --chunk 0": "--chunk: a whole number of 1 or more",
     f"deform in.su2 out.su2 {MOVE} --zone 0": "--zone: a whole number of 1 or more",
     f"deform in.su2 out.su2 {MOVE} --sources 9 --method graph": "graph has no sources to choose",
-    f"deform in.su2 out.su2 {MOVE} --picture a.gif": "--picture a.gif: the name should end in .png or .html",
+    f"deform in.su2 out.su2 {MOVE} --picture a.gif": "--picture a.gif: the name should end in .png",
     f"deform in.su2 out.su2 {MOVE} --picture none/a.png": "--picture none/a.png: there is no folder none",
     f"deform in.su2 out.su2 {MOVE} --save-job out.su2": "--save-job out.su2 is the file of OUT",
     f"deform in.su2 out.su2 {MOVE} --save-job no/a.toml": "--save-job no/a.toml: there is no folder no.",

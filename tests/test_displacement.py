@@ -4,11 +4,9 @@ import meshio
 import numpy as np
 import pytest
 from meshes import ring, wedges
-from runs import refused
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.cli import main
 
 
 def sphere(count=400, seed=1):
@@ -74,7 +72,7 @@ def test_the_closest_place_is_the_one_that_vtk_finds(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
+def test_a_curve_carries_a_mesh_in_2d(tmp_path):
     mesh = ring(12, (1, 1.5, 2))
     nodes = mesh.patch("wall")
     lines = np.stack([nodes, np.roll(nodes, -1)], axis=1)
@@ -87,29 +85,8 @@ def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
     np.testing.assert_allclose(u, mesh.points[nodes] * [0.1, -0.1], atol=1e-15)
     u = io.read_displacement(tmp_path / "d.npz", mesh, nodes, before=tmp_path / "a.obj")
     np.testing.assert_allclose(u, mesh.points[nodes] * [0.1, -0.1], atol=1e-15)
-    io.write(tmp_path / "ring.su2", mesh)
-    files = [
-        "--displacement",
-        str(tmp_path / "d.npz"),
-        "--displacement-from",
-        str(tmp_path / "a.obj"),
-    ]
-    deform = [
-        "deform",
-        str(tmp_path / "ring.su2"),
-        str(tmp_path / "out.su2"),
-        "--moving",
-        "wall",
-        "--fixed",
-        "far",
-    ]
-    assert main([*deform, *files]) == 0
-    moved = io.read(tmp_path / "out.su2").points
-    np.testing.assert_allclose(moved[nodes], mesh.points[nodes] * [1.1, 0.9], atol=1e-12)
-    refused(capsys, [*deform, *files[:1], files[3]], "give the surface before the motion too")
-    refused(
-        capsys, [*deform, *files[2:], "--rotate", "3"], "--displacement-from without --displacement"
-    )
+    with pytest.raises(ValueError, match="give the surface before the motion too"):
+        io.read_displacement(tmp_path / "a.obj", mesh, nodes)
 
 
 def test_arrays_by_node_id(tmp_path):

@@ -17,7 +17,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "jaxmorph"
 FILES = sorted(PACKAGE.rglob("*.py"))
 OPTIONAL = (
-    *("meshio", "h5py", "matplotlib", "pyvista", "vtk", "vtkmodules", "k3d", "gmsh"),
+    *("meshio", "h5py", "matplotlib", "pyvista", "vtk", "vtkmodules", "gmsh"),
     *("rich", "platformdirs", "openmdao", "pyamg", "mphys", "mpi4py"),
 )
 

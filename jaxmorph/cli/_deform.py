@@ -17,7 +17,6 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 from jaxmorph.extend import complete, quickly_compiled
 
-from ._early import lattice_files
 from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Distances, Motion, distances, motion
@@ -106,7 +105,7 @@ def deform(request: Deform, out: Output) -> int:
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     io.check_output(request.output, mesh)
-    check_picture(request.picture, mesh)
+    check_picture(request.picture)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
     patches = patches_of(request, mesh)
     attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
@@ -158,7 +157,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
         out.say(
             wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()}
         )
-    write_job(request, attempt.motion, out)
+    write_job(request, out)
     picture = request.picture
     draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
     if picture is not None:
@@ -280,18 +279,11 @@ def say_motion(
     out.say(moving=moving, largest=float(way.max()), sources=sources)
 
 
-def write_job(request: Deform, moves: Motion, out: Output) -> None:
+def write_job(request: Deform, out: Output) -> None:
     if request.save_job is not None:
         with complete(request.save_job) as partial:
             partial.write_bytes(text_of(request, request.save_job.parent).encode())
         out.say(f"job      {request.save_job}")
-    for name, group in moves.groups.items():
-        if group.flags.lattice is not None:
-            box: Any = dict(zip(group.shape.names, group.shape.shapes, strict=True))["box"]
-            states = (None, moves.parameters[name]["box"])
-            for file, values in zip(lattice_files(group.flags.lattice), states, strict=True):
-                io.write_lattice(file, box.lattice(values))
-                out.say(f"lattice  {file}")
 
 
 def _advice(attempt: Attempt, out: Output) -> str:

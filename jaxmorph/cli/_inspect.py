@@ -19,7 +19,7 @@ def quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
         mesh = mesh_of(request.file, request.zone)
         points = None if request.moved is None else _same_mesh(request, mesh, request.moved).points
-    check_picture(request.picture, mesh)
+    check_picture(request.picture)
     with out.progress("judging the cells"):
         verdict = jm.judge(mesh, points, request.gates.limits, is_straight=False)
         proof = jm.proof(mesh, points) if request.proof else None
@@ -71,7 +71,7 @@ def info(request: Info, out: Output) -> int:
             f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 "
             "--picture ..."
         )
-    check_picture(request.picture, meshes[0])
+    check_picture(request.picture)
     zones: list[dict[str, Any]] = []
     for number, mesh in enumerate(meshes, start=1):
         facts = _facts(mesh)

@@ -17,7 +17,6 @@ from ._parser import (
     Angle,
     Fields,
     Folder,
-    Lattice,
     MeshFile,
     NewMesh,
     Picture,
@@ -38,7 +37,7 @@ ZONE = (
     "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 )
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
-BY_SKEWNESS = "draw the mesh by its skewness: .png, in 3-D also a page (.html)"
+BY_SKEWNESS = "draw the mesh by its skewness: .png"
 
 AUTO = "auto"  # as many steps as it takes
 OUTPUT = ("--output", "-o")
@@ -134,9 +133,6 @@ class MotionFlags:
     displacement: Path | None = flag(
         "new positions: node id, x, y[, z]; .npz, .stl, .obj", everyday=True
     )
-    displacement_from: Path | None = flag(
-        "the undeformed surface (.stl, .obj, .npz) of a deformed one"
-    )
     displacement_is: str = flag(
         "whether x, y[, z] of the file are new positions (default) or displacements",
         choices=("position", "displacement"),
@@ -150,15 +146,6 @@ class MotionFlags:
         default=(),
     )
     box: Path | Table | None = flag("a free-form deformation box, see below", **TABLE)
-    hicks_henne: Path | Table | None = flag(
-        "bumps of Hicks and Henne on an airfoil's sides, see below", **TABLE
-    )
-    cst: Path | Table | None = flag(
-        "class and shape functions to add to its sides, see below", **TABLE
-    )
-    lattice: Lattice | None = flag(
-        "the box's lattice for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts"
-    )
     scale: list[float] | None = flag("factor, or a factor for each coordinate", metavar="S")
     twist: Angle | None = flag(
         "degrees by which the end of the line --along turns about the line, 3-D only"
@@ -196,8 +183,6 @@ MOTIONS = (
     "displacement",
     "onto",
     "box",
-    "hicks_henne",
-    "cst",
 )
 """The fields of a group that move something."""
 
@@ -297,9 +282,7 @@ class Deform(Spoken):
     )
     job: Path | None = flag("read the flags from a TOML file")
     save_job: Written | None = flag("write a TOML file with the flags of this run")
-    picture: Picture | None = flag(
-        "draw the mesh before and after: .png, in 3-D also a page (.html)", everyday=True
-    )
+    picture: Picture | None = flag("draw the mesh before and after: .png", everyday=True)
     zone: int | None = flag(ZONE)
     groups: tuple[MotionFlags, ...] = dataclasses.field(
         default=(), metadata={"fields": MotionFlags}
@@ -399,9 +382,7 @@ class SU2(Spoken):
     )
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
     zone: int | None = flag(ZONE)
-    picture: Picture | None = flag(
-        "def: draw the mesh before and after: .png, in 3-D also .html", everyday=True
-    )
+    picture: Picture | None = flag("def: draw the mesh before and after: .png", everyday=True)
     method: MethodFlags = part(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
 

@@ -69,7 +69,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
     output = request.output or config.output
     bad = []
     io.check_output(output, mesh)
-    check_picture(request.picture, mesh)
+    check_picture(request.picture)
     moved = mesh
     verdict = None
     if config.names:

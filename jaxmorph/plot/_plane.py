@@ -183,7 +183,7 @@ def graph(
 
     **Raises:** `ValueError` for a plan in 3-D, and when the shape of `u` is not (m, 2).
     """
-    points = in_dimension(plan.points)
+    points = in_2d(plan.points)
     moving = np.asarray(plan.moving)
     fixed = np.asarray(plan.fixed)
     nodes = np.concatenate([moving, fixed])
@@ -372,13 +372,11 @@ def show(ax: Axes, window: Window) -> Axes:
     return ax
 
 
-def in_dimension(points: Any, dimension: int = 2) -> Places:
+def in_2d(points: Any) -> Places:
     points = finite(points)
-    if points.ndim != 2 or points.shape[1] != dimension:
+    if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(
-            f"this is for points in {dimension}-D, not of shape {points.shape}; `plot.sources_3d` "
-            "and `plot.surface` "
-            "are for 3-D, `plot.sources` and `plot.mesh` for 2-D."
+            f"this is for points in 2-D, not of shape {points.shape}; `plot.surface` is for 3-D."
         )
     return points
 
@@ -389,7 +387,7 @@ def whole(points: Float[Any, "n 2"]) -> Window:
 
     **Raises:** `ValueError` for points that are not in 2-D.
     """
-    points = in_dimension(points)
+    points = in_2d(points)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return (left, right), (bottom, top)
 

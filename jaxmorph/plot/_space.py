@@ -1,6 +1,5 @@
 """Pictures in 3-D, with pyvista, off screen: cells, cameras, bars, legends, axes and scales."""
 
-import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,9 +39,6 @@ VIEWER = (
     -2.5,
     1.8,
 )  # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
-
-AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
-"""The view that `aim` gave each plotter, its direction, and the window."""
 
 WINDOW = (1200, 900)
 TEXT = 30  # width and largest height of a picture, height of letters in pixels
@@ -370,18 +366,6 @@ def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
     plotter.camera_position = [tuple(vector.tolist()) for vector in (position, middle, axes[2])]
     plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, scale * share / 2
     plotter.renderer.reset_camera_clipping_range()
-    AIMED[plotter] = viewer, _view(plotter)
-
-
-def aim_again(plotter: Any) -> None:
-    """Makes room for what was added to a plotter, unless its camera has moved since `aim`."""
-    viewer, view = AIMED.get(plotter, (VIEWER, None))
-    if view == _view(plotter):
-        aim(plotter, viewer)
-
-
-def _view(plotter: Any) -> tuple[Any, float]:
-    return plotter.camera_position.to_list(), plotter.camera.parallel_scale
 
 
 def view_axes(viewer: Direction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -24,9 +24,7 @@ from ._arguments import (
     check_parameters,
     positions,
 )
-from ._curves import CST
-from ._section import Chord, upper_side
-from ._shape import AbstractLinearShape, Part, Together
+from ._shape import AbstractLinearShape
 
 AnyShape = Callable[[Any, Any], Any]
 
@@ -313,48 +311,4 @@ def fit(
     flat = flat + change if is_linear else flat
     return Fit(
         unravel(flat), jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1), rank, len(flat)
-    )
-
-
-@checked
-def fit_cst(
-    points: Numbers,
-    order: int,
-    exponents: tuple[float, float] = (0.5, 1.0),
-    *,
-    chord: Chord | None = None,
-    wall: Any = None,
-) -> tuple[Together, Fit]:
-    """Fits class and shape functions to the upper and the lower side of an airfoil, from its chord.
-
-    **Arguments:**
-
-    - `points`: (m, 2) nodes of the airfoil, in any order.
-    - `order`, `exponents`: of `CST`.
-    - `chord`: `Chord.along` by default. A nose between two nodes shows in the residual there.
-    - `wall`: as `upper_side` takes it; it names all points.
-
-    **Returns:** the shape and the `Fit`, whose parameters (upper, lower) describe this airfoil.
-    Changes to them move it: `shape(points, (d_upper, d_lower))`.
-
-    **Raises:** `ValueError` for fewer nodes than unknowns, and an airfoil without two sides.
-    """
-    whole("order", order)
-    points = positions(points, "points")
-    chord = Chord.along(points) if chord is None else chord
-    cst = CST(order, exponents, chord=chord)
-    upper = upper_side(points, chord, wall=wall)
-    if wall is not None and len(wall) != len(points):
-        raise ValueError(
-            f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil."
-        )
-    if min(upper.sum(), (~upper).sum()) < order + 2:
-        raise ValueError(
-            f"{upper.sum()} nodes above and {(~upper).sum()} below do not determine {order + 2} "
-            "numbers a side."
-        )
-    shape = Together(*(Part(cst, side) for side in (upper, ~upper)))
-    _, height = chord.coordinates(points)
-    return shape, fit(
-        shape, points - height[:, None] * chord.up.astype(points.dtype)[None, :], points
     )

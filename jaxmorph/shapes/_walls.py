@@ -6,7 +6,6 @@ first. A wall in 3-D is a set of triangles (k, 3) or quads (k, 4), outward from 
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -14,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import depth_first_order
 
 from jaxmorph import Mesh, boundary_faces
-from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known, norm
+from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known
 
 from ._arguments import (
     Numbers,
@@ -25,7 +24,6 @@ from ._arguments import (
     known_positions,
     positions,
     rows_of,
-    slack,
     vector,
 )
 
@@ -176,72 +174,6 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
     return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
 
 
-@checked
-def curvature(x: Numbers, loop: Any) -> Vector:
-    """Computes the curvature at each node of a loop (2-D), positive where convex: that of the
-    circle through the node and its neighbours. Arguments and errors as `area`.
-    """
-    x = positions(x)
-    here, after = _segments(x, loop)
-    before = jnp.roll(here, 1, axis=0)
-    a = here - before
-    b = after - here
-    c = after - before
-    return 2 * _cross(a, b) / (norm(a) * norm(b) * norm(c))
-
-
-@checked
-def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Scalar:
-    """Computes the radius of the nose of an airfoil (2-D).
-
-    The circle is fitted to the node farthest from the tail and `around` nodes on each side, 1 or
-    more: the osculating circle to second order in their spacing. `x` and `loop` are as `area` takes
-    them; `tail` is a node of the trailing edge.
-
-    **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
-    """
-    x, loop = _loop_in(x, loop)
-    if tail not in loop or not 1 <= around < len(loop) // 2:
-        raise ValueError(
-            f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in "
-            f"{len(loop)}."
-        )
-    away = jnp.sum((x[loop] - x[tail][None, :]) ** 2, axis=1)
-    farthest = jnp.argmax(
-        away >= (1 - slack(x.dtype)) * away.max()
-    )  # of nodes as far the first in the loop
-    order = (farthest + jnp.arange(-around, around + 1)) % len(loop)
-    near = x[jnp.asarray(loop)[order]]
-    arms = near - near[around][None, :]
-    size = jax.lax.stop_gradient(jnp.max(norm(arms)))  # the result does not depend on it
-    arms = arms / size
-    # |p|^2 = 2 p . c + e: linear least squares for the centre c
-    system = jnp.pad(2 * arms, ((0, 0), (0, 1)), constant_values=1)
-    *centre, rest = jnp.linalg.solve(system.T @ system, system.T @ jnp.sum(arms**2, axis=1))
-    return size * jnp.sqrt(centre[0] ** 2 + centre[1] ** 2 + rest)
-
-
-@checked
-def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Scalar:
-    """Computes the angle between the two sides at the trailing edge: radians, 0 or more.
-
-    `x` are positions (n, 2), `upper` and `lower` two nodes (ahead, at the edge) of each side.
-
-    **Raises:** `ValueError` for anything but two nodes.
-    """
-    x = positions(x)
-    upper, lower = (
-        rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower))
-    )
-    if upper.shape != (2,) or lower.shape != (2,):
-        raise ValueError(
-            f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge)."
-        )
-    a = x[upper[1]] - x[upper[0]]
-    b = x[lower[1]] - x[lower[0]]
-    return jnp.abs(jnp.arctan2(_cross(a, b), a @ b))
-
-
 def _cross(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
@@ -305,31 +237,52 @@ class Stations(Module):
 
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """
-        x = known_positions(x).astype(float)
-        points = known_positions(points, "points").astype(float)
-        if x.shape[1] != points.shape[1]:
+        wall = known_positions(x).astype(float)
+        own = known_positions(points, "points").astype(float)
+        if wall.shape[1] != own.shape[1]:
             raise ValueError(
-                f"`x` has shape {x.shape}, `points` {points.shape}; expected (n, d) and (s, d)."
+                f"`x` has shape {wall.shape}, `points` {own.shape}; expected (n, d) and (s, d)."
             )
-        known = finite_array("direction", direction, points.shape, points.shape[1:])
-        lengths = np.linalg.norm(known, axis=-1, keepdims=True)
+        along = finite_array("direction", direction, own.shape, own.shape[1:])
+        lengths = np.linalg.norm(along, axis=-1, keepdims=True)
         if not lengths.all():
             raise ValueError("`direction` has length 0; it must be a direction.")
-        lines = np.broadcast_to(known / lengths, points.shape)
-        ids = simplices_of(faces, x.shape)
-        same = 1e-9 * np.ptp(x, axis=0).max()
-        found = [_first_and_last(x, ids, *line, same) for line in zip(points, lines, strict=True)]
-        missed = [s for s, ends in enumerate(found) if not ends]
+        lines = np.broadcast_to(along / lengths, own.shape)
+        ids = simplices_of(faces, wall.shape)
+        same = 1e-9 * np.ptp(wall, axis=0).max()
+        ends = [
+            _first_and_last(_places_on(wall[ids], *line), same)
+            for line in zip(own, lines, strict=True)
+        ]
+        missed = [row for row, faces in enumerate(ends) if not faces]
         if missed:
             raise ValueError(
-                f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at "
-                f"{points[missed[0]]}."
+                f"{len(missed)} of {len(own)} lines miss the body, first row {missed[0]} at "
+                f"{own[missed[0]]}."
             )
-        return Stations(
-            jnp.asarray(points),
-            jnp.asarray(lines),
-            jnp.asarray(ids[np.array(found, int).reshape(-1, 2)]),
-        )
+        return Stations(jnp.asarray(own), jnp.asarray(lines), jnp.asarray(ids[np.array(ends)]))
+
+
+def _first_and_last(place: Float[np.ndarray, " k"], same: float) -> list[int]:
+    """The faces that are met first and last: of those at one place, as around a node, the first."""
+    if np.isnan(place).all() or not np.nanmax(place) - np.nanmin(place) > same:
+        return []
+    return [int(np.argmax(s <= np.nanmin(s) + same)) for s in (place, -place)]
+
+
+def _places_on(
+    corners: Float[np.ndarray, "k d d"], point: np.ndarray, line: np.ndarray
+) -> Float[np.ndarray, " k"]:
+    """Where a line meets each face, as distances from its point; NaN where it does not."""
+    # point + s line = first corner + weights times edges
+    first = corners[:, 0]
+    edges = np.moveaxis(first[:, None] - corners[:, 1:], 1, 2)
+    system = np.concatenate([np.broadcast_to(line, first.shape)[:, :, None], edges], axis=2)
+    regular = np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14
+    system[~regular] = np.eye(len(line))
+    s, *weights = np.linalg.solve(system, (first - point)[:, :, None])[:, :, 0].T
+    is_hit = (np.min(weights, axis=0) >= -1e-9) & (np.sum(weights, axis=0) <= 1 + 1e-9)
+    return np.where(regular & is_hit, s, np.nan)
 
 
 @checked
@@ -354,25 +307,3 @@ def thickness(x: Numbers, stations: Stations) -> Vector:
     arm = first - own.points[:, None, :]
     place = jnp.sum(normal * arm, axis=-1) / jnp.sum(normal * line, axis=-1)
     return place[:, 1] - place[:, 0]
-
-
-def _first_and_last(
-    x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray, same: float
-) -> list[int]:
-    # point + s line = first corner + weights times edges
-    first = x[ids[:, 0]]
-    system = np.stack(
-        [np.broadcast_to(line, first.shape), *(first - x[other] for other in ids.T[1:])], axis=2
-    )
-    regular = np.flatnonzero(np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14)
-    place, *weights = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[
-        :, :, 0
-    ].T
-    is_hit = (np.min(weights, axis=0) >= -1e-9) & (np.sum(weights, axis=0) <= 1 + 1e-9)
-    place = place[is_hit]
-    hits = regular[is_hit]
-    if len(hits) < 2 or np.ptp(place) <= same:
-        return []
-    # of faces that are met at one place, such as around a node, the first counts
-    ends = place <= place.min() + same, place >= place.max() - same
-    return [int(hits[end.argmax()]) for end in ends]
