@@ -275,7 +275,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.Modes": {"fields": np.zeros((1, 4, 2))},
     "shapes.NACA4": {"camber": 0.02, "place": 0.4, "thickness": 0.12},
     "shapes.OnRows": {"rows": np.array([0, 1])},
-    "shapes.Part": {"kept": np.ones(4, bool)},
+    "shapes.Part": {"mask": np.ones(4, bool)},
     "shapes.ReferenceAxis": {"points": np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])},
     **each("shapes.Smoother shapes.Smoother.on", {"held": np.array([0])}),
     "shapes.Stations.on": {"points": np.array([[0.5, 0.0]]), "direction": np.array([0.0, 1.0])},
@@ -556,7 +556,7 @@ SENSE = {
     "shapes.HicksHenne.widths": "list",
     **each("shapes.Linked.matrix shapes.Modes.fields", "wide"),
     "shapes.OnRows.rows": "beyond huge",
-    "shapes.Part.kept": "mask",
+    "shapes.Part.mask": "mask",
     "shapes.Stations.on.direction": "axis",
     **each("shapes.chord.nose shapes.chord.tail", "list array less"),
     **each(

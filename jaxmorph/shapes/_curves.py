@@ -14,8 +14,8 @@ from ._arguments import (
     Positions,
     Vector,
     cast,
-    check_finite,
-    clipped,
+    check_known,
+    clamp,
     known_positions,
     positions,
     slack,
@@ -120,7 +120,7 @@ class CST(AbstractLinearShape):
         a, b = self.exponents
         class_function = jnp.where(inside, _power(within, a) * _power(1 - within, b), 0)
         functions = class_function[:, None] * bernstein(within, self.order)
-        weights = chord.length * jnp.concatenate([functions, clipped(t, 0, 1)[:, None]], axis=1)
+        weights = chord.length * jnp.concatenate([functions, clamp(t, 0, 1)[:, None]], axis=1)
         return lambda numbers: (weights @ self._numbers(numbers, x))[:, None] * chord.up[None, :]
 
 
@@ -185,7 +185,7 @@ class Modes(AbstractLinearShape):
     @checked
     def __init__(self, fields: Numbers):
         self.fields = jnp.asarray(fields, float)
-        check_finite(fields=self.fields)
+        check_known(fields=self.fields)
         if self.fields.ndim != 3:
             raise ValueError(f"`fields` has shape {self.fields.shape}; expected (k, m, d).")
 

@@ -20,7 +20,7 @@ from ._arguments import (
     Numbers,
     Positions,
     Scalar,
-    check_finite,
+    check_known,
     check_parameters,
     positions,
 )
@@ -284,7 +284,7 @@ def fit(
     whole("max_steps", max_steps)
     points = positions(points, "points")
     targets = positions(targets, "targets")
-    check_finite(points=points, targets=targets)
+    check_known(points=points, targets=targets)
     if points.shape != targets.shape:
         raise ValueError(
             f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row."

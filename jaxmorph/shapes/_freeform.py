@@ -24,7 +24,7 @@ from ._arguments import (
     Positions,
     Vector,
     Weights,
-    check_finite,
+    check_known,
     known_positions,
     piecewise,
     positions,
@@ -107,7 +107,7 @@ class FreeForm(AbstractLinearShape):
     ):
         origin = jnp.asarray(origin, float)
         axes = jnp.asarray(axes, float)
-        check_finite(origin=origin, axes=axes)
+        check_known(origin=origin, axes=axes)
         d = origin.size
         if origin.shape not in ((2,), (3,)) or axes.shape != (d, d):
             raise ValueError(
@@ -362,7 +362,7 @@ class Hexahedron(AbstractLinearShape):
         continuity: int | None = None,
     ):
         listed = jnp.asarray(corners, float)
-        check_finite(corners=listed)
+        check_known(corners=listed)
         if listed.shape not in ((4, 2), (8, 3)):
             raise ValueError(
                 f"`corners` has shape {listed.shape}; expected (8, 3), or (4, 2) in 2-D."

@@ -16,15 +16,15 @@ from ._arguments import (
     Positions,
     Vector,
     Weights,
+    above_zero,
     arms,
     axis_for,
     cast,
-    clipped,
+    clamp,
     direction,
-    number,
+    one_number,
     piecewise,
     positions,
-    positive,
     vector,
 )
 from ._shape import AbstractShape
@@ -47,7 +47,7 @@ def rotate(
     """
     x = positions(x)
     angle = jnp.asarray(angle, x.dtype)
-    angle = angle[:, None] if angle.shape == x.shape[:1] else number("angle", angle, x)
+    angle = angle[:, None] if angle.shape == x.shape[:1] else one_number("angle", angle, x)
     return x + _turn(arms(x, about), angle, axis_for(axis, x))
 
 
@@ -93,9 +93,9 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
         raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
     arm = arms(x, about)
     along = direction("axis", axis, x)
-    span = positive("length", length, x)
-    share = clipped(arm @ along, 0, span) / span
-    return x + _turn(arm, number("angle", angle, x) * share[:, None], along)
+    span = above_zero("length", length, x)
+    share = clamp(arm @ along, 0, span) / span
+    return x + _turn(arm, one_number("angle", angle, x) * share[:, None], along)
 
 
 @checked
@@ -126,7 +126,7 @@ def bend(
     x = positions(x)
     arm = arms(x, about)
     along = direction("along", along, x)
-    span = positive("length", length, x)
+    span = above_zero("length", length, x)
     normal = axis_for(axis, x)
     if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
         raise ValueError(
@@ -134,10 +134,10 @@ def bend(
             f"{float(normal @ along):.3g}."
         )
     up = jnp.cross(normal, jnp.pad(along, (0, 3 - len(along))))[: len(along)]
-    curvature = number("angle", angle, x) / span
+    curvature = one_number("angle", angle, x) / span
     reach = arm @ along
     height = arm @ up
-    s = clipped(reach, 0, span)
+    s = clamp(reach, 0, span)
     turned = curvature * s
     beyond = reach - s
     versine = 2 * jnp.sin(turned / 2) ** 2
@@ -273,5 +273,5 @@ class ReferenceAxis(AbstractShape):
     def weights(self, x: Positions) -> Weights:
         """Computes the weight of each station at each position, by its place along the span."""
         stations = (self.points @ self.spanwise).astype(x.dtype)
-        y = clipped(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
+        y = clamp(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
         return piecewise(y, stations, self.coefficients)

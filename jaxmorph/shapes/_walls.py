@@ -23,7 +23,7 @@ from ._arguments import (
     cast,
     known_positions,
     positions,
-    rows_of,
+    rows_like,
     vector,
 )
 
@@ -67,7 +67,7 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     points = np.asarray(mesh.points, float)
     normals = np.zeros_like(points)
     for ids in wall_faces(mesh, *patches).values():
-        np.add.at(normals, ids, -_areas(points[ids])[:, None] / ids.shape[1])
+        np.add.at(normals, ids, -area_vectors(points[ids])[:, None] / ids.shape[1])
     return normals[nodes]
 
 
@@ -80,19 +80,12 @@ def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     return faces
 
 
-def _areas(corners: Float[np.ndarray, "f c d"]) -> Float[np.ndarray, "f d"]:
-    """Area vectors outward from the mesh, of the edge's length in 2-D."""
-    if corners.shape[2] == 2:
-        return (corners[:, 1] - corners[:, 0])[:, ::-1] * [1.0, -1.0]
-    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
-
-
 WIDTHS = {2: (2,), 3: (3, 4)}  # corners of a wall's faces, by the dimension of its positions
 
 
 def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
-    arrays = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])]
+    arrays = [rows_like("faces", ids, shape[0]) for ids in (faces if is_list else [faces])]
     widths = WIDTHS[shape[1]]
     for ids in arrays:
         if ids.ndim != 2 or ids.shape[1] not in widths or not ids.size:
@@ -169,7 +162,8 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
     """
     x = positions(x)
     nose, tail = (
-        np.atleast_1d(rows_of(name, ids, len(x))) for name, ids in (("nose", nose), ("tail", tail))
+        np.atleast_1d(rows_like(name, ids, len(x)))
+        for name, ids in (("nose", nose), ("tail", tail))
     )
     return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
 
@@ -187,7 +181,7 @@ def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray
     x = positions(x)
     if x.shape[1] != 2:
         raise ValueError(f"`x` has shape {x.shape}; expected (n, 2).")
-    loop = rows_of("loop", loop, len(x))
+    loop = rows_like("loop", loop, len(x))
     if loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"`loop` has shape {loop.shape}; expected three nodes or more.")
     return x, loop
@@ -298,7 +292,7 @@ def thickness(x: Numbers, stations: Stations) -> Vector:
             f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D."
         )
     if is_known(stations.faces):
-        rows_of("stations.faces", stations.faces, len(x))
+        rows_like("stations.faces", stations.faces, len(x))
     own = cast(stations, x)
     corners = x[stations.faces]
     first = corners[:, :, 0]
