@@ -14,7 +14,17 @@ from jaxmorph.extend import checked, complete, output_path, rows_of
 from . import _plane
 from ._plane import Figure, plt
 from ._space import before_after_3d, surface
-from ._style import BLUE, STILL, WIDTH, Column, Ids, Places, bodies, check_cells, finite
+from ._style import (
+    BLUE,
+    STILL,
+    WIDTH,
+    Column,
+    Ids,
+    Places,
+    body_patches,
+    check_cells,
+    finite_points,
+)
 
 FLAT = 0.45  # height over width of a window below which two of them stand one above the other
 
@@ -45,7 +55,9 @@ def picture(
     **Raises:** `ValueError` for another ending.
     """
     check_cells(before)
-    places = finite(before.points if points is None else before.moved(np.asarray(points)).points)
+    places = finite_points(
+        before.points if points is None else before.moved(np.asarray(points)).points
+    )
     path = output_path(path, ".png")
     nodes = (
         _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))
@@ -68,7 +80,7 @@ def _moved(mesh: jm.Mesh, places: Places) -> Ids:
 
 
 def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: np.ndarray) -> None:
-    nodes = np.union1d(moving, mesh.patch(*bodies(mesh)))
+    nodes = np.union1d(moving, mesh.patch(*body_patches(mesh)))
     only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
     _save(path, before_after_3d(only, places, patch="drawn" if len(nodes) else None))
 

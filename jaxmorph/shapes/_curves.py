@@ -56,7 +56,8 @@ class HicksHenne(AbstractLinearShape):
         bumps = np.column_stack([known, np.broadcast_to(powers, known.shape)])
         if twice := len(bumps) - len(np.unique(bumps, axis=0)):
             raise ValueError(f"{twice} of {len(bumps)} bumps stand twice.")
-        self.centres, self.widths = (jnp.asarray(column) for column in bumps.T)
+        self.centres = jnp.asarray(bumps[:, 0])
+        self.widths = jnp.asarray(bumps[:, 1])
         self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Vector:
@@ -67,11 +68,9 @@ class HicksHenne(AbstractLinearShape):
         own = cast(self, x)
         t = own.chord.coordinates(x)[0][:, None]
         inside = (t > 0) & (t < 1)
-        power = (
-            jnp.where(inside, t, 0.5)
-            ** (jnp.log(0.5) / jnp.log(own.centres)).astype(x.dtype)[None, :]
-        )
-        bumps = jnp.where(inside, jnp.sin(jnp.pi * power) ** own.widths[None, :], 0)
+        exponent = (jnp.log(0.5) / jnp.log(own.centres)).astype(x.dtype)
+        wave = jnp.sin(jnp.pi * jnp.where(inside, t, 0.5) ** exponent[None, :])
+        bumps = jnp.where(inside, wave ** own.widths[None, :], 0)
         return lambda heights: (bumps @ self._numbers(heights, x))[:, None] * own.chord.up[None, :]
 
 
@@ -101,11 +100,9 @@ class CST(AbstractLinearShape):
             raise ValueError(
                 f"order {order} and exponents {exponents} must be 1 or more, and above 0."
             )
-        self.order, self.exponents, self.chord = (
-            order,
-            exponents,
-            Chord() if chord is None else chord,
-        )
+        self.order = order
+        self.exponents = exponents
+        self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Vector:
         return jnp.zeros(self.order + 2)
@@ -118,13 +115,13 @@ class CST(AbstractLinearShape):
         inside = (t >= -beyond) & (t <= 1 + beyond)
         within = jnp.where(inside, t, 0.5)
         a, b = self.exponents
-        class_function = jnp.where(inside, _power(within, a) * _power(1 - within, b), 0)
+        class_function = jnp.where(inside, _side_power(within, a) * _side_power(1 - within, b), 0)
         functions = class_function[:, None] * bernstein(within, self.order)
         weights = chord.length * jnp.concatenate([functions, clamp(t, 0, 1)[:, None]], axis=1)
         return lambda numbers: (weights @ self._numbers(numbers, x))[:, None] * chord.up[None, :]
 
 
-def _power(distance: Column, exponent: float) -> Column:
+def _side_power(distance: Column, exponent: float) -> Column:
     """The derivative at the nose or tail is the one inside, or 0 where that is infinite."""
     if float(exponent).is_integer():
         return distance ** int(exponent)
@@ -162,7 +159,9 @@ class BSplineCurve(AbstractLinearShape):
                 "them out."
             )
         lengths = np.append(0, np.cumsum(steps))
-        self.shares, self.count, self.degree = jnp.asarray(lengths / lengths[-1]), count, degree
+        self.shares = jnp.asarray(lengths / lengths[-1])
+        self.count = count
+        self.degree = degree
         self.dimension = known.shape[1]
 
     def neutral(self) -> Float[Array, "k d"]:
@@ -199,7 +198,7 @@ class Modes(AbstractLinearShape):
         )
 
 
-NEWTON_STEPS = 16  # to a node's foot on the mean line; most take four
+FOOT_STEPS = 16  # to a node's foot on the mean line; most take four
 
 # half of a thickness over the radius of the mean line from which nodes below have several feet
 BENT = 1.25
@@ -275,7 +274,7 @@ def _on_mean_line(t: Column, height: Column, airfoil: Vector) -> tuple[Column, C
         value, rate = jax.jvp(ahead, (s,), (jnp.ones_like(s),))
         return s - value / jnp.where(rate > 0.1, rate, 0.1)
 
-    s = jax.lax.fori_loop(0, NEWTON_STEPS, nearer, t)
+    s = jax.lax.fori_loop(0, FOOT_STEPS, nearer, t)
     ordinate, slope = _mean_line(s, airfoil)
     return s, ((height - ordinate) - (t - s) * slope) / jnp.sqrt(1 + slope**2)
 

@@ -187,9 +187,8 @@ class ReferenceAxis(AbstractShape):
     points: Float[Array, "k 3"]
     chordwise: Vector
     spanwise: Vector
-    coefficients: tuple[
-        Float[Array, "j k"], ...
-    ]  # of the weights of stations, by power of the distance from one
+    # of the weights of stations, by power of the distance from one
+    coefficients: tuple[Float[Array, "j k"], ...]
 
     @checked
     def __init__(
@@ -201,10 +200,8 @@ class ReferenceAxis(AbstractShape):
         cubic: bool = False,
     ):
         known = finite_array("points", points, (None, 3))
-        along = finite_array("chordwise", chordwise, (3,))
-        across = finite_array("spanwise", spanwise, (3,))
-        along = along / np.linalg.norm(along)
-        across = across / np.linalg.norm(across)
+        along = _unit_vector("chordwise", chordwise)
+        across = _unit_vector("spanwise", spanwise)
         if not abs(along @ across) <= 1e-9:
             raise ValueError(
                 "`chordwise` and `spanwise` must be directions at right angles; their cosine is "
@@ -212,28 +209,22 @@ class ReferenceAxis(AbstractShape):
             )
         if len(known) < 2:
             raise ValueError(f"`points` has shape {known.shape}; expected (k, 3), k >= 2.")
-        steps = np.diff(known @ across)
+        stations = known @ across
+        steps = np.diff(stations)
         if not (steps > 0).all():
             raise ValueError(
                 f"station {int(np.argmin(steps)) + 1} is not farther along the span than the one "
                 "before."
             )
-        self.points, self.chordwise, self.spanwise = (
-            jnp.asarray(known),
-            jnp.asarray(along),
-            jnp.asarray(across),
-        )
-        from scipy.interpolate import CubicSpline, make_interp_spline  # not before they are needed
+        self.points = jnp.asarray(known)
+        self.chordwise = jnp.asarray(along)
+        self.spanwise = jnp.asarray(across)
+        from scipy.interpolate import make_interp_spline  # not before it is needed
 
-        stations = known @ across
-        values = np.eye(len(known))
-        is_cubic = cubic and len(known) > 2
-        spline = (
-            CubicSpline(stations, values, bc_type="natural")
-            if is_cubic
-            else make_interp_spline(stations, values, 1)
-        )
-        terms = [spline(stations[:-1], p) / math.factorial(p) for p in range(4 if is_cubic else 2)]
+        degree = 3 if cubic else 1
+        ends = "natural" if cubic else None
+        spline = make_interp_spline(stations, np.eye(len(known)), degree, bc_type=ends)
+        terms = [spline(stations[:-1], p) / math.factorial(p) for p in range(degree + 1)]
         self.coefficients = tuple(map(jnp.asarray, terms))
 
     def neutral(self) -> dict[str, Vector]:
@@ -242,16 +233,11 @@ class ReferenceAxis(AbstractShape):
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Positions:
         x = positions(x)
         needed = self.points.shape[:1]
-        shapes = {
-            name: np.shape(values)
-            for name, values in parameters.items()
-            if np.shape(values) != needed
-        }
-        if x.shape[1] != 3 or shapes or not set(parameters) <= set(NEUTRAL):
+        shapes = {name: np.shape(values) for name, values in parameters.items()}
+        if x.shape[1] != 3 or set(shapes.values()) - {needed} or not set(shapes) <= set(NEUTRAL):
             raise ValueError(
-                f"`x` has shape {x.shape}, parameters {', '.join(parameters)} of shapes "
-                f"{shapes or needed}: expected (m, 3), and "
-                f"{needed} for any of {', '.join(NEUTRAL)}."
+                f"`x` has shape {x.shape}, parameters have {shapes}: expected (m, 3), and {needed} "
+                f"for any of {', '.join(NEUTRAL)}."
             )
         own = cast(self, x)
         weights = self.weights(x)
@@ -264,14 +250,18 @@ class ReferenceAxis(AbstractShape):
         spanwise = own.spanwise[None, :]
         arm = x - weights @ own.points
         arm = arm - (arm @ own.spanwise)[:, None] * spanwise
-        added = chord * arm
-        added = added + _turn(arm + added, twist, own.spanwise)
-        return x + (
-            added + sweep * chordwise + dihedral * jnp.cross(chordwise, spanwise) + span * spanwise
-        )
+        growth = chord * arm
+        turn = _turn(arm + growth, twist, own.spanwise)
+        upward = jnp.cross(chordwise, spanwise)
+        return x + (growth + turn + sweep * chordwise + dihedral * upward + span * spanwise)
 
     def weights(self, x: Positions) -> Weights:
         """Computes the weight of each station at each position, by its place along the span."""
         stations = (self.points @ self.spanwise).astype(x.dtype)
         y = clamp(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
         return piecewise(y, stations, self.coefficients)
+
+
+def _unit_vector(name: str, values: Numbers) -> Float[np.ndarray, " 3"]:
+    known = finite_array(name, values, (3,))
+    return known / np.linalg.norm(known)

@@ -80,30 +80,24 @@ def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     return faces
 
 
-WIDTHS = {2: (2,), 3: (3, 4)}  # corners of a wall's faces, by the dimension of its positions
+FANS = {2: [(0, 1)], 3: [(0, 1, 2)], 4: [(0, 1, 2), (0, 2, 3)]}
+"""Simplices into which a face is cut, by the number of its corners."""
 
 
 def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
+    n, d = shape
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
-    arrays = [rows_like("faces", ids, shape[0]) for ids in (faces if is_list else [faces])]
-    widths = WIDTHS[shape[1]]
+    arrays = [rows_like("faces", ids, n) for ids in (faces if is_list else [faces])]
     for ids in arrays:
-        if ids.ndim != 2 or ids.shape[1] not in widths or not ids.size:
-            expected = " or ".join(f"(k, {width})" for width in widths)
-            raise ValueError(
-                f"`faces` has shape {ids.shape}; walls in {shape[1]}-D have {expected}."
-            )
+        if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or not ids.size:
+            expected = "(k, 2)" if d == 2 else "(k, 3) or (k, 4)"
+            raise ValueError(f"`faces` has shape {ids.shape}; walls in {d}-D have {expected}.")
     return arrays
 
 
 def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
-    d = shape[1]
-    cuts = [
-        (ids, [0, *range(k, k + d - 1)])
-        for ids in faces_of(faces, shape)
-        for k in range(1, ids.shape[1] - d + 2)
-    ]
-    return np.concatenate([ids[:, corners] for ids, corners in cuts])
+    kinds = faces_of(faces, shape)
+    return np.concatenate([ids[:, cut] for ids in kinds for cut in FANS[ids.shape[1]]])
 
 
 @checked
@@ -114,19 +108,19 @@ def area(x: Numbers, loop: Any) -> Scalar:
 
     **Raises:** `ValueError` for other shapes.
     """
-    a, b = _segments(x, loop)
-    return 0.5 * jnp.sum(_cross(a, b))
+    a, b = _ends_of_loop(x, loop)
+    return 0.5 * jnp.sum(_cross_2d(a, b))
 
 
 @checked
 def centroid(x: Numbers, loop: Any) -> Vector:
     """Computes the centre (2,) of the area within a loop; arguments and errors as `area`."""
     x = positions(x)
-    a, b = _segments(x, loop)
+    a, b = _ends_of_loop(x, loop)
     origin = a[0]
     a = a - origin[None, :]
     b = b - origin[None, :]
-    twice = _cross(a, b)
+    twice = _cross_2d(a, b)
     return origin + jnp.sum((a + b) * twice[:, None], axis=0) / (3 * jnp.sum(twice))
 
 
@@ -168,11 +162,11 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
     return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
 
 
-def _cross(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:
+def _cross_2d(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _segments(x: Numbers, loop: Any) -> tuple[Positions, Positions]:
+def _ends_of_loop(x: Numbers, loop: Any) -> tuple[Positions, Positions]:
     x, loop = _loop_in(x, loop)
     return x[loop], x[np.roll(loop, -1)]
 
