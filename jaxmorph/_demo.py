@@ -154,7 +154,7 @@ def outcome_of(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
         points=points,
         reports=reports,
         change=float(change[near_wall(mesh)].mean()),
-        error=float(np.abs(points[moving] - turned[-1]).max()),
+        error=float(np.abs(points[moving] - wall - path[-1]).max()),
         first=times[1] - times[0],
         again=times[2] - times[1],
     )
