@@ -212,9 +212,8 @@ class NACA4(AbstractShape):
     `place` and `thickness` are those of the given airfoil, `chord` its chord; from (0, 0) to (1, 0)
     by default.
 
-    **Raises:** `ValueError` for a thickness that is not above 0, a place outside of 0 to 1, and an
-    airfoil whose mean line bends within its thickness: 6 % camber at a tenth of the chord with 21 %
-    thickness.
+    **Raises:** `ValueError` for a thickness that is not above 0, a place outside of 0 to 1, and a
+    mean line that bends within the thickness, as from 6 % camber at 0.1 with 21 % thickness on.
     """
 
     original: Vector
