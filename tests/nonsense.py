@@ -292,7 +292,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.twist": {"x": PLACES, "about": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0])},
     "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
-    "shapes.upper_side": {"chord": shapes.Chord([0.0, 0.0], [1.0, 0.0])},
+    "shapes.upper_side": {"*": "wall", "chord": shapes.Chord([0.0, 0.0], [1.0, 0.0])},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
     "plot.convergence": {"history": history},
