@@ -245,6 +245,19 @@ def test_options_of_jax_belong_to_the_user():
                 assert not ast.unparse(node.value).endswith("config"), file
 
 
+def test_trees_of_points_are_those_that_end_in_callbacks():
+    for file in FILES:
+        if module_of(file) != "jaxmorph._host.package.rounding":
+            named = {name for each in imports(file) for name in (each.name, each.module)}
+            words = {
+                node.attr for node in ast.walk(tree_of(file)) if isinstance(node, ast.Attribute)
+            }
+            of_scipy = any(each.module.startswith("scipy.spatial") for each in imports(file))
+            assert not ({"cKDTree"} & (named | words)), file
+            assert not (of_scipy and "KDTree" in named), file
+            assert "spatial" not in named, file
+
+
 def test_no_test_imports_a_test():
     """What several need stands in `meshes`, `oracles`, `cases` and the writers of formats."""
     tests = [file for folder in ("tests", "benchmarks") for file in (ROOT / folder).rglob("*.py")]

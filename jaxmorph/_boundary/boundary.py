@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Int, Integer, Real
 
 from .._host.cells.topology import solid
-from .._host.package.arguments import real_array, rows_of, shown
+from .._host.package.arguments import freeze, real_array, rows_of, shown
 from .._host.package.errors import MeshError, check_none, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
@@ -52,8 +52,8 @@ _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 class Boundary:
     """What moves, stays, slides and repeats on the boundary of a mesh, checked once.
 
-    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. It is immutable; several plans may
-    share it.
+    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. Its arrays are its own, and
+    read-only; several plans may share it.
 
     **Arguments:**
 
@@ -226,7 +226,8 @@ def changed(boundary: Boundary, **fields: Any) -> Boundary:
 def boundary_of_lists(points: np.ndarray, **fields: Any) -> Boundary:
     """Makes a boundary of lists that were checked before; a list that is not given is empty."""
     boundary = object.__new__(Boundary)
-    vars(boundary).update(_EMPTY | {"points": points} | fields)
+    fields = _EMPTY | {"points": points} | fields
+    vars(boundary).update({name: jax.tree.map(freeze, part) for name, part in fields.items()})
     return boundary
 
 

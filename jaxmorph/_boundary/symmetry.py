@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from .._host.linear.products import normals, unit_rows
-from .._host.package.arguments import checked, finite_array, rows_of
+from .._host.package.arguments import checked, finite_array, freeze, rows_of
 from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
@@ -41,7 +41,8 @@ class Plane(Module):
                 "a plane needs a normal that is not zero and an origin of as many components, "
                 f"got {normal}, {origin}."
             )
-        self.normal, self.origin = normal / length, origin
+        self.normal = freeze(normal / length)
+        self.origin = freeze(origin)
 
     @staticmethod
     def through(points: Points, nodes: Ids) -> "Plane":
@@ -167,7 +168,7 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list
 
 
 def optional(name: str, value: Any, *shapes: tuple[int | None, ...]) -> np.ndarray | None:
-    return None if value is None else finite_array(name, value, *shapes).astype(float)
+    return None if value is None else freeze(finite_array(name, value, *shapes).astype(float))
 
 
 def tolerance(points: np.ndarray) -> float:

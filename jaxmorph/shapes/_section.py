@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
-from jaxmorph.extend import Module, checked, finite_array
+from jaxmorph.extend import Module, Tree, checked, finite_array
 
 from ._arguments import Column, Numbers, Positions, Scalar, Vector, known_positions, rows_of
 from ._walls import simplices_of
@@ -186,7 +185,7 @@ def _by_loop(places: Places) -> Mask:
 
 
 def _by_tour(places: Places) -> Mask:
-    near = KDTree(places).query_pairs(SAME, output_type="ndarray")
+    near = Tree(places).query_pairs(SAME, output_type="ndarray")
     pairs = coo_array((np.ones(len(near), bool), near.T), (len(places), len(places)))
     spot = connected_components(pairs, directed=False)[1]
     different = places[np.unique(spot, return_index=True)[1]]
