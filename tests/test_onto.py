@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 import jaxmorph as jm
 from jaxmorph import io, shapes
 from jaxmorph.cli import main
+from jaxmorph.shapes import _onto
 
 Z = [jm.Plane([0, 0, 1], [0, 0, place]) for place in (0.0, 1.0)]
 
