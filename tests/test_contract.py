@@ -423,19 +423,17 @@ def small(monkeypatch):
     """Lowers all of these sizes to 10; code that was compiled with others is dropped."""
 
     def lowered(value):
-        if isinstance(value, tuple | dict):
-            return (
-                {k: lowered(v) for k, v in value.items()}
-                if isinstance(value, dict)
-                else tuple(map(lowered, value))
-            )
-        return min(value, 10) if isinstance(value, int) else value
+        if isinstance(value, dict):
+            return {key: lowered(each) for key, each in value.items()}
+        return tuple(map(lowered, value)) if isinstance(value, tuple) else min(value, 10)
 
     count = 0
     for name, module in list(sys.modules.items()):
         for word in SIZES & {*vars(module)} if name.startswith("jaxmorph.") else ():
-            count += lowered(vars(module)[word]) != vars(module)[word]
-            monkeypatch.setattr(module, word, lowered(vars(module)[word]))
+            value = vars(module)[word]
+            if all(isinstance(each, int) for each in jax.tree.leaves(value)):
+                count += lowered(value) != value
+                monkeypatch.setattr(module, word, lowered(value))
     assert count > 15
     drop_compiled_code()
     yield

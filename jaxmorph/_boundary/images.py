@@ -72,12 +72,12 @@ class Images(eqx.Module):
         return u
 
     def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
-        for is_on, normal in self.sides(on_plane):
+        for is_on, normal in self.normals_of(on_plane):
             normal = normal.astype(u.dtype)
             u = jnp.where(is_on[:, None], u - (u @ normal)[:, None] * normal[None], u)
         return u
 
-    def sides(self, on_plane: Bool[Array, "n p"]) -> list[tuple[Bool[Array, " n"], Array]]:
+    def normals_of(self, on_plane: Bool[Array, "n p"]) -> list[tuple[Bool[Array, " n"], Array]]:
         """Lists rows (n,), and the unit normal along which they do not move, to apply in turn."""
         sides = [(on_plane[:, k], normal) for k, normal in enumerate(self.normals)]
         for first, second in self.edges:  # the second normal would bring back some of the first

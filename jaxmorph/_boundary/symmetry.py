@@ -175,7 +175,7 @@ def tolerance(points: np.ndarray) -> float:
     return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
 
 
-PARALLEL = 1e-9  # difference of a cosine from that of parallel planes, or of a right angle
+ALIGNED = 1e-9  # difference of a cosine from that of parallel planes, or of a right angle
 NARROWEST = 180  # mirrors at an angle of 180 / n degrees have 2 n images
 ANGLE = 1e-6  # radians by which the angle of two mirrors may be off
 
@@ -241,11 +241,11 @@ def _cosines(planes: Sequence[Plane]) -> Float[np.ndarray, "p p"]:
 
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
-    return (_cosines(planes) > 1 - PARALLEL).sum(axis=1) > 1
+    return (_cosines(planes) > 1 - ALIGNED).sum(axis=1) > 1
 
 
 def edges_of(planes: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
     """Lists pairs of planes that are neither parallel nor at right angles: they meet in an edge."""
     cosines = np.triu(_cosines(planes), 1)
-    first, second = np.nonzero((cosines > PARALLEL) & (cosines < 1 - PARALLEL))
+    first, second = np.nonzero((cosines > ALIGNED) & (cosines < 1 - ALIGNED))
     return tuple(zip(first.tolist(), second.tolist(), strict=True))

@@ -165,7 +165,7 @@ def _kept(tape: Tape, own: int, images: Images) -> None:
 
 
 def _keep(tape: Tape, rows: int, images: Images, on_plane: Any) -> None:
-    for is_on, normal in images.sides(on_plane):
+    for is_on, normal in images.normals_of(on_plane):
         tape.rows_in_place("plane", rows, np.asarray(is_on), np.asarray(normal))
 
 

@@ -14,7 +14,7 @@ TIES = 4  # nearest places that are searched first; if all are equally near, mor
 FEW = 4096  # points of a search up to which threads cost more than they gain
 
 
-LEAST = 1e-290  # far above the smallest normal number, with a square that is zero
+NEAR_ZERO = 1e-290  # far above the smallest normal number, with a square that is zero
 
 
 class Tree(KDTree):
@@ -24,7 +24,7 @@ class Tree(KDTree):
         # XLA's programs, and callbacks of them, flush numbers below the smallest normal one to
         # zero. SciPy would step from zero to the next number, and never get there.
         points = np.asarray(points, dtype=float)
-        super().__init__(np.where(np.abs(points) < LEAST, LEAST, points), **options)
+        super().__init__(np.where(np.abs(points) < NEAR_ZERO, NEAR_ZERO, points), **options)
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return super().query(
