@@ -431,7 +431,11 @@ def small(monkeypatch):
     for name, module in list(sys.modules.items()):
         for word in SIZES & {*vars(module)} if name.startswith("jaxmorph.") else ():
             value = vars(module)[word]
-            if all(isinstance(each, int) for each in jax.tree.leaves(value)):
+            parts = list(value.values()) if isinstance(value, dict) else value
+            if all(
+                type(each) is int
+                for each in (parts if isinstance(parts, tuple | list) else [parts])
+            ):
                 count += lowered(value) != value
                 monkeypatch.setattr(module, word, lowered(value))
     assert count > 15

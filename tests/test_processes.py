@@ -60,7 +60,6 @@ CALLS = {
     "sides": lambda: shapes.upper_side(section),
     "inspect": lambda: jm.inspect(plan, u).offset,
     "judge": lambda: jm.judge(mesh, moved).ok,
-    "improve": lambda: jm.improve(boundary, moved).points,
 }
 
 def law(name):
@@ -123,6 +122,7 @@ def test_a_service_may_have_closed_streams(tmp_path, closed):
     )
 
 
+@pytest.mark.slow
 def test_host_code_works_in_a_callback(tmp_path):
     """Coordinates at 0, where XLA's callbacks flush small numbers, and a tree would never end."""
     tests = pathlib.Path(__file__).parent
