@@ -413,7 +413,7 @@ def test_numbering_does_not_matter_to_prepares_own_default(kind, alone):
 SIZES = {
     *("AROUND", "AT_ONCE", "BATCH", "BLOCK", "CACHED", "CELLS", "CLOSEST", "COARSEST", "DIRECT"),
     *("FEW", "KERNEL_BLOCK", "LEAST", "MANY", "MOST", "NEIGHBOURS", "RESORT", "ROOM", "ROWS"),
-    *("SAMPLE", "SIDES", "SQUARE", "TOGETHER", "WALLS", "WIDER", "WIDTH"),
+    *("SAMPLE", "SIDES", "SQUARE", "STEP", "TOGETHER", "WALLS", "WIDER", "WIDTH"),
 }
 """Names of constants that divide work into blocks, or decide how many of many are looked at."""
 
