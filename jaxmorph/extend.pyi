@@ -20,6 +20,7 @@ from ._host.package.files import (
     output_path as output_path,
 )
 from ._host.package.ranks import Agreement as Agreement, Alone as Alone, together as together
+from ._host.package.rounding import Tree as Tree, spacing as spacing
 from ._host.package.text import decoded as decoded, patch_names as patch_names
 from ._host.surface.gaps import closest as closest, fans as fans
 from ._kernels.callback import host_call as host_call

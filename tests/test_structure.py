@@ -245,6 +245,20 @@ def test_options_of_jax_belong_to_the_user():
                 assert not ast.unparse(node.value).endswith("config"), file
 
 
+def test_trees_of_points_are_those_that_end_in_callbacks():
+    for file in FILES:
+        trees = [
+            each
+            for each in imports(file)
+            if each.module.startswith("scipy")
+            and (each.name in ("KDTree", "cKDTree", "spatial") or each.module == "scipy.spatial")
+        ]
+        trees = [
+            each for each in trees if each.name not in ("ConvexHull", "Delaunay", "QhullError")
+        ]
+        assert len(trees) == (module_of(file) == "jaxmorph._host.package.rounding"), file
+
+
 def test_no_test_imports_a_test():
     """What several need stands in `meshes`, `oracles`, `cases` and the writers of formats."""
     tests = [file for folder in ("tests", "benchmarks") for file in (ROOT / folder).rglob("*.py")]

@@ -178,29 +178,39 @@ def _ended(
     mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum
 ) -> tuple[Improvement, QualityReport]:
     distortion = plain.distortion
-    energy, slope, improved, fixed = judged(distortion, minimum, start.astype(minimum.y.dtype))
+    (energy, unmoved), slope, improved, fixed = judged(
+        distortion, minimum, start.astype(minimum.y.dtype)
+    )
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     moved = distortion.ways.matched(start, moved)
     report = quality(mesh, moved)
-    margin = proven_margin(mesh, moved, depth=1)
     with jax.ensure_compile_time_eval():
         own = proven_margin(mesh, mesh.points, depth=1)
         owner = owners(jax.tree.map(np.asarray, mesh.cells))
         old = quality(mesh).is_inverted  # these are judged by the mesh on the new points alone
+    first = quality(mesh, start)
     before, is_inverted = (
         jnp.where(old, quality(mesh.moved(x)).is_inverted, judgement.is_inverted)
         & judgement.counted
-        for x, judgement in ((start, quality(mesh, start)), (moved, report))
+        for x, judgement in ((start, first), (moved, report))
     )
+    # where held nodes coincide, a cell may have no target that does not fold another
+    is_worse = jnp.sum(is_inverted) > jnp.sum(before)
+    moved, report, is_inverted = jax.tree.map(
+        lambda new, old: jnp.where(is_worse, old, new),
+        (moved, report, is_inverted),
+        (start, first, before),
+    )
+    margin = proven_margin(mesh, moved, depth=1)
     lost = jnp.zeros_like(is_inverted)
     for kind, is_fixed in fixed.items():
         lost = lost.at[owner[kind]].max(is_fixed)
     unproven = ~(margin > 0)
     as_before = (own <= 0) & (margin >= own - SAME)
     steps = jnp.asarray(minimum.steps)
-    residual = jnp.max(jnp.abs(slope))
+    residual = jnp.where(is_worse, jnp.inf, jnp.max(jnp.abs(slope)))
     counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & is_inverted)
     was = jnp.sum(before)
     now = jnp.sum(is_inverted)
-    energy = energy / sum(map(len, distortion.cells.values()))
+    energy = jnp.where(is_worse, unmoved, energy) / sum(map(len, distortion.cells.values()))
     return Improvement(moved, was, now, *counts, energy, residual, steps, report.count), report

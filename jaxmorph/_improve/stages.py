@@ -162,7 +162,7 @@ _least = compiled(Distortion.least)
 @compiled
 def judged(plain: Distortion, minimum: Minimum, base: Nodal):
     distortion, y, _ = minimum
-    value = plain(y, base)
+    values = plain(y, base), plain(jnp.zeros_like(y), base)
     slope = jax.grad(distortion)(y, base)
     points = distortion.points(y, base)
     ways = distortion.ways
@@ -176,7 +176,7 @@ def judged(plain: Distortion, minimum: Minimum, base: Nodal):
         )
         least = jnp.min(along, where=distortion.free, initial=1.0)
         slope = jnp.where(least > QUARTER**2, slope, jnp.inf)
-    return value, slope, points, plain.lost(points)
+    return values, slope, points, plain.lost(points)
 
 
 # largest derivative (order one) at which the whole Hessian is taken: quadratic convergence

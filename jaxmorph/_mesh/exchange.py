@@ -20,7 +20,7 @@ from .._host.cells.topology import (
     canonical_type,
     solid,
 )
-from .._host.package.arguments import has_type, native, real_array, shown
+from .._host.package.arguments import freeze, has_type, native, real_array, shown
 
 # point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere
 PREFIX = "patch:"
@@ -414,9 +414,9 @@ def checked_parts(
         if canonical in names:
             twice = ", ".join(sorted((kind, names[canonical])))
             raise ValueError(f"cells of one type have several names ({twice}): join them.")
-        ids[canonical] = ids_of(corners)
+        ids[canonical] = freeze(ids_of(corners))
         names[canonical] = kind
-    nodes = {name: np.unique(ids_of(members)) for name, members in (patches or {}).items()}
+    nodes = {name: freeze(np.unique(ids_of(members))) for name, members in (patches or {}).items()}
     _check_parts(points, ids, nodes)
     return Parts(points, ids, nodes, source)
 
@@ -441,9 +441,9 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
 
 
 def floats(points) -> Any:
-    """Returns coordinates as floats; a JAX array stays one, for quality traces through points."""
+    """Returns coordinates as read-only floats; a JAX array stays one: quality traces through it."""
     if isinstance(points, np.ndarray) or not has_type(points):
-        return native(real_array("points", points, (None, 2), (None, 3)))
+        return freeze(native(real_array("points", points, (None, 2), (None, 3))))
     if points.dtype.kind not in "fiuV":  # JAX's short floats have no letter of their own
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
     return points.astype(float) if points.dtype.kind in "iu" else points

@@ -158,4 +158,4 @@ def surface_of(
 def _parallel(planes: Sequence[jm.Plane]) -> list[jm.Plane]:
     """Selects the planes that are not the only one of their direction."""
     cosines = np.abs([[plane.normal @ other.normal for other in planes] for plane in planes])
-    return [plane for plane, row in zip(planes, cosines, strict=True) if (row > 0.5).sum() > 1]
+    return [plane for plane, row in zip(planes, cosines, strict=True) if (row > 1 - 1e-9).sum() > 1]

@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.spatial import KDTree
 
 from jaxmorph import Facets, Mesh
-from jaxmorph.extend import between, checked, finite_array, host_call, norm, rows_of
+from jaxmorph.extend import Tree, between, checked, finite_array, host_call, norm, rows_of
 
 from ._arguments import Column, Numbers, Positions, known_positions, positions
 from ._features import Borders, Planes, borders_of
@@ -258,7 +257,7 @@ class Offset(AbstractShape):
 def _touching(x: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     """Finds the node that the largest ball at each node touches; the node itself without one."""
     # A ball shrinks onto the node that is nearest to its centre, until none is inside.
-    tree = KDTree(x)
+    tree = Tree(x)
     found = np.arange(len(x))
     radius = np.full(len(x), 10 * np.ptp(x, axis=0).max())
     for _ in range(BALLS):

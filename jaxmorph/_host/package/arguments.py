@@ -51,6 +51,18 @@ def native(value: Any) -> Any:
     return value.astype(float if value.dtype == np.longdouble else value.dtype.newbyteorder("="))
 
 
+def freeze(array: Any) -> Any:
+    """Returns a read-only array: itself if nobody can write into it, else a copy; others as is."""
+    base = array
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            array = array.copy()
+            array.flags.writeable = False
+            return array
+        base = base.base
+    return array
+
+
 def check_fields(instance: Any) -> None:
     for name, field in instance.__dataclass_fields__.items():
         if field.init:

@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.extend import closest, fans, float64_mode
+from jaxmorph.extend import Tree, closest, fans, float64_mode, spacing
 
 from .. import mpi
 from ._grid import Points
@@ -52,7 +51,7 @@ class Definition:
         returned: each node's distance (k,) from the surface, and the largest distance (k,) of a
         node on it.
         """
-        same = KDTree(self.points).query_pairs(
+        same = Tree(self.points).query_pairs(
             SAME * np.ptp(self.points, axis=0).max(), output_type="ndarray"
         )
         graph = csr_array((np.ones(len(same)), same.T), (len(self.points), len(self.points)))
@@ -67,7 +66,7 @@ class Definition:
         else:
             count = min(3, len(place))
             near, columns = (
-                np.reshape(answer, (-1, count)) for answer in KDTree(place).query(x, k=count)
+                np.reshape(answer, (-1, count)) for answer in Tree(place).query(x, k=count)
             )
             inverse = 1 / np.maximum(near, np.finfo(float).tiny ** 0.25) ** 2
             shares = inverse / inverse.sum(axis=1, keepdims=True)
@@ -79,11 +78,6 @@ class Definition:
             (1 / np.bincount(at)[at], (at, np.arange(len(at)))), (len(place), len(at))
         )
         return of_places @ means, away, limit
-
-
-def spacing(points: np.ndarray) -> np.ndarray:
-    """Each point's distance (n,) from its nearest neighbour; infinite for one point."""
-    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
 def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
