@@ -5,13 +5,14 @@ import importlib.metadata
 import pathlib
 import types
 
+import decks
 import fluent
 import meshio
 import numpy as np
 import pytest
 from exodus import CELLS
 from foam import mixed
-from formats import ENDINGS, OTHERS, assert_same, rewritten, written
+from formats import ENDINGS, OTHERS, assert_same, floor_of, rewritten, written
 from meshes import bricks, gmsh_session
 from plot3d import box
 from plot3d import write as write_plot3d
@@ -38,12 +39,10 @@ PATCHES = {
     "Exodus": "side sets, node sets, blocks of shells",
     "PLOT3D": "sides, or `.patches`",
     "Medit": "references",
-    "Abaqus": "sets of elements and of nodes",
-    "I-deas": "groups",
-    "Nastran": "properties",
+    "Abaqus": "sets of elements and of nodes, surfaces",
+    "I-deas": "groups, or properties",
     "XDMF": "arrays of numbers",
     "AFLR": "numbers of surfaces",
-    "Netgen": "named faces",
     "OpenFOAM": "patches, with kinds",
 }
 """What becomes patches; all else of the table is found out."""
@@ -89,7 +88,7 @@ def by_another_reader(path: pathlib.Path) -> np.ndarray:
         return places.reshape(-1, 3)[np.argsort(tags)]
 
 
-@pytest.mark.parametrize("ending", [ending for ending in OTHERS if ending != ".bdf"])
+@pytest.mark.parametrize("ending", OTHERS)
 def test_another_reader_finds_the_moved_points(tmp_path, ending, capsys):
     """And all that the file says beside them: text around coordinates is the same."""
     path = written(tmp_path, ending)
@@ -119,12 +118,12 @@ SHAPES = {
         jm.Mesh(mixed()[0], {"tetra": CELLS["tetra"], "wedge": CELLS["wedge"]}), 2
     ),
 }
-LINEAR = (".su2", ".vol", ".cas", ".h5", ".mesh", ".xdmf")  # as meshio writes them
+LINEAR = (".su2", ".cas", ".h5", ".mesh", ".xdmf")  # as meshio writes them
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize(
-    "ending", [".su2", ".vtu", ".vtk", ".msh", ".cas", ".h5", ".mesh", ".inp", ".xdmf", ".vol"]
+    "ending", [".su2", ".vtu", ".vtk", ".msh", ".cas", ".h5", ".mesh", ".inp", ".xdmf"]
 )
 def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
     """Cells of all types, in 2-D and 3-D, of order 1 and 2: the same nodes, none folded, and moved points to the last bit."""
@@ -140,7 +139,7 @@ def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
             {"low": [0, 1]},
             "h5" if ending == ".h5" else "text",
         )
-    elif ending in (".mesh", ".inp", ".xdmf", ".vol"):
+    elif ending in (".mesh", ".inp", ".xdmf"):
         try:
             meshio.write(path, jm.Mesh(mesh.points, cells).to_meshio())
         except (KeyError, meshio.WriteError) as error:
@@ -156,6 +155,42 @@ def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
     assert not np.asarray(jm.quality(read).is_inverted).any()
     moved = read.moved(np.asarray(read.points) / 3 + 0.123456789)
     assert_same(rewritten(tmp_path / f"b{ending}", moved), moved)
+
+
+@pytest.mark.parametrize("order", decks.ORDERS)
+@pytest.mark.parametrize("ending", decks.WRITERS)
+def test_each_coordinate_goes_back_to_the_place_of_its_node(tmp_path, ending, order):
+    """Whatever copies of nodes stand where in the file: another reader finds what moved, and bytes alone change there."""
+    if order in ("falling", "twice") and ending not in decks.LABELLED:
+        pytest.skip("nodes have no labels")
+    points = np.asarray(bricks(2).points) + 0.1
+    corners = np.asarray(bricks(2).cells["hexahedron"])
+    faces = floor_of(corners, bricks(2).patch("floor"))
+    deck = decks.in_order(order, points, corners, faces)
+    path, out = tmp_path / f"in{ending}", tmp_path / f"out{ending}"
+    decks.WRITERS[ending](path, deck)
+    if order == "twice":
+        with pytest.raises(ValueError, match=r"1 numbers of nodes come a second time, first 1"):
+            io.read(path)
+        return
+    mesh = io.read(path)
+    np.testing.assert_allclose(mesh.points, deck.points, atol=1e-7 * (ending in decks.SINGLE))
+    used = np.asarray(mesh.points)[mesh.cells["hexahedron"]]
+    np.testing.assert_allclose(used, points[corners], atol=1e-7)
+    np.testing.assert_array_equal(np.unique(used[..., 2][used[..., 2] < 0.2]), used.min())
+    assert np.ptp(np.asarray(mesh.points)[next(iter(mesh.patches.values()))][:, 2]) == 0
+    io.write(out, mesh)
+    assert out.read_bytes() == path.read_bytes()
+    moved = mesh.moved(
+        np.asarray(mesh.points)
+        + 0.01 * np.arange(points.size * len(mesh.points) // len(points)).reshape(-1, 3) / 7
+    )
+    expected = io.as_written(out, moved)
+    np.testing.assert_allclose(expected, moved.points, atol=1e-6 * (ending in decks.SINGLE))
+    np.testing.assert_array_equal(rewritten(out, moved).points, expected)
+    assert_same(io.read(out), moved.moved(expected))
+    found = decks.places(out) if path.suffix in decks.TEXTS else meshio.read(out).points
+    np.testing.assert_array_equal(found, expected.astype(found.dtype))
 
 
 def test_numbers_in_columns_stay_in_them(tmp_path):
@@ -202,7 +237,6 @@ def test_a_packed_file_is_what_is_in_it(tmp_path, ending):
 
 HOSTILE = {
     "a.mesh": "MeshVersionFormatted 2\nDimension 3\nVertices\n9999999999\n0 0 0 1\n",
-    "a.vol": "mesh3d\npoints\n99999999999\n0 0 0\n",
     "a.cas": "(2 3)(10 (0 1 ffffffff 0 3))(10 (1 1 ffffffff 1 3)(0 0 0))(13 (1 1 2 3 3)(1 2 3 1 0))",
     "a.unv": "    -1\n  2411\n         1         1         1        11\n   0.0D+00   0.0D+00   1.0D+00\n",
 }

@@ -35,9 +35,10 @@ FORMATS = (
     Format("MED", "_med"),
     Format("Exodus", "_exodus", magic=(b"CDF", b"\x89HDF")),
     Format("PLOT3D", "_plot3d"),
-    Format("Medit", "_others", magic=(b"MeshVersion", b"#")),
-    Format("Abaqus", "_others", magic=(b"*",)),
-    *(Format(name, "_others") for name in ("I-deas", "Nastran", "XDMF", "AFLR", "Netgen")),
+    Format("Medit", "_medit", magic=(b"MeshVersion", b"#", b"\1\0\0\0", b"\0\0\0\1")),
+    Format("Abaqus", "_abaqus", magic=(b"*",)),
+    Format("I-deas", "_ideas"),
+    Format("AFLR", "_aflr"),
     Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
 
