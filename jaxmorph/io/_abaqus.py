@@ -12,10 +12,10 @@ from numpy import ndarray
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
-from jaxmorph._mesh.exchange import Grid, Parts, Patch
+from jaxmorph._mesh.exchange import Parts
 
 from ._format import Source, of_grid
-from ._places import KINDS, CoordinatePart, Labels, PlacedPoints, members
+from ._places import KINDS, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, blanked, decoded, parse
 
 NAME = "Abaqus"
@@ -37,6 +37,7 @@ SIDES = {
 CHANGING = ("SYSTEM", "INCLUDE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "PARAMETER")
 """Keywords that make or move nodes and elements."""
 SILENT = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
+LEVEL_NAMES = ("PART", "INSTANCE", "ASSEMBLY")
 SHOWN = 12
 """Keywords that a note lists."""
 
@@ -62,159 +63,155 @@ class Card(NamedTuple):
             yield words if words[-1] else words[:-1]
 
 
-class Elements(NamedTuple):
-    kind: str
-    labels: ndarray
-    corners: ndarray
-
-
-class Surface(NamedTuple):
-    """Labels of elements and the name of their face, or labels of nodes without one."""
-
-    name: str
-    parts: list[tuple[ndarray, str | None]]
-
-
 @dataclasses.dataclass
 class _Deck:
-    """What the keywords say: nodes and where they stand, elements, sets by kind, level and name."""
+    """What the keywords say: nodes and where they stand, elements, sets by kind and name.
+
+    `part` are the sets from before an *ASSEMBLY, which may have others of their names.
+    """
 
     labels: list[ndarray] = dataclasses.field(default_factory=list)
     points: list[ndarray] = dataclasses.field(default_factory=list)
     parts: list[CoordinatePart] = dataclasses.field(default_factory=list)
-    blocks: list[Elements] = dataclasses.field(default_factory=list)
-    sets: dict[tuple[str, bool, str], ndarray] = dataclasses.field(default_factory=dict)
-    names: dict[tuple[str, bool, str], str] = dataclasses.field(default_factory=dict)
-    surfaces: list[Surface] = dataclasses.field(default_factory=list)
-    seen: dict[str, None] = dataclasses.field(default_factory=dict)
+    cells: list[LabelledCells] = dataclasses.field(default_factory=list)
+    sets: dict[tuple[str, str], tuple[str, ndarray]] = dataclasses.field(default_factory=dict)
+    part: set[tuple[str, str]] = dataclasses.field(default_factory=set)
+    level: str = ""
+    seen: set[str] = dataclasses.field(default_factory=set)
     left: dict[str, None] = dataclasses.field(default_factory=dict)
-    in_assembly: bool = False
 
     def take(self, card: Card) -> None:
+        name = card.name
         readers = {"NODE": self._nodes, "ELEMENT": self._elements, "SURFACE": self._surface}
         readers |= {"NSET": self._set, "ELSET": self._set}
-        if card.name in CHANGING or (card.name in readers and "INPUT" in card.options):
-            raise card.section.error(
-                f"*{card.name} changes the mesh, and is not read: write nodes and elements in one "
-                "file, in the global system of coordinates."
-            )
-        if card.name in ("PART", "INSTANCE", "ASSEMBLY", "END INSTANCE"):
-            self._level(card)
-        elif self.in_assembly and card.name in ("NODE", "ELEMENT"):
-            raise card.section.error("nodes and elements of an *ASSEMBLY are not read, of a part.")
-        elif card.name in readers:
-            readers[card.name](card)
-        elif card.name not in SILENT:
-            self.left[f"*{card.name}"] = None
-
-    def _level(self, card: Card) -> None:
-        name = card.name
-        if name in self.seen and not name.startswith("END"):
-            raise card.section.error(f"a second *{name}: decks of one part and instance are read.")
-        if name == "INSTANCE" and card.section.content.strip():
-            raise card.section.error("an *INSTANCE that is moved: write the part where it stands.")
-        self.in_assembly = name in ("ASSEMBLY", "END INSTANCE")
-        self.seen[name] = None
+        wrong = ""
+        if name in CHANGING or (name in readers and "INPUT" in card.options):
+            wrong = f"*{name} changes the mesh, and is not read: write all of it in one file."
+        elif name in LEVEL_NAMES and name in self.seen:
+            wrong = f"a second *{name}: decks of one part and instance are read."
+        elif name == "INSTANCE" and card.section.content.strip():
+            wrong = "an *INSTANCE that is moved: write the part where it stands."
+        elif name in ("NODE", "ELEMENT") and self.level == "ASSEMBLY":
+            wrong = f"a *{name} of an *ASSEMBLY: decks of one part are read."
+        if wrong:
+            raise card.section.error(wrong)
+        self.seen.add(name)
+        if name in (*LEVEL_NAMES, "END INSTANCE"):
+            self.level = name.replace("END INSTANCE", "ASSEMBLY")
+        if name == "ASSEMBLY":
+            self.part = {*self.sets}
+        if name in readers:
+            readers[name](card)
+        elif name not in (*LEVEL_NAMES, *SILENT):
+            self.left[f"*{name}"] = None
 
     def _nodes(self, card: Card) -> None:
         section = card.section
         if card.options.get("SYSTEM", "R").upper() != "R":
-            raise section.error("*NODE, SYSTEM: nodes in polar coordinates; write Cartesian ones.")
+            raise section.error("*NODE, SYSTEM: polar coordinates; write Cartesian ones.")
         rows = section.rows(np.float64)
-        width = int(rows.counts[:1].sum())
-        is_bad = (rows.counts != width) | (width < 3)
-        rows.refuse(is_bad, "a node's number and 2 or 3 coordinates on all rows expected.")
+        width = max(int(rows.counts[:1].sum()), 3)
+        rows.refuse(rows.counts != width, "a node's number and 2 or 3 coordinates expected.")
         if _EMPTY.search(card.text, section.start, section.stop):
             raise section.error("a coordinate without a number between commas.")
-        table = rows.values.reshape(-1, max(width, 3))
+        table = rows.values.reshape(-1, width)
         rows.refuse(table[:, 0] != np.floor(table[:, 0]), "a whole number of a node expected.")
-        d = min(max(width, 3) - 1, 3)
+        d = min(width - 1, 3)
         first = sum(map(len, self.labels))
         at = (width * np.arange(len(table))[:, None] + np.arange(1, d + 1)).ravel()
         here = slice(first, first + len(table))
         self.parts.append(CoordinatePart(section.start, section.stop, here, at))
         self.labels.append(table[:, 0].astype(np.int64))
         self.points.append(table[:, 1 : d + 1])
-        self._add("NSET", card, self.labels[-1])
+        self._add("NSET", card.options.get("NSET"), self.labels[-1])
 
     def _elements(self, card: Card) -> None:
-        section = card.section
         name = card.options.get("TYPE", "").upper()
         if re.fullmatch(LOOSE, name):
             self.left[f"elements {name}"] = None
             return
-        rows = section.rows(np.int64)
-        kind, size = _kind_of(section, name)
+        rows = card.section.rows(np.int64)
+        kind, size = _kind_of(card.section, name)
         width = int(rows.counts[:1].sum()) if DIMENSION[kind] == 1 else 1 + size
-        ends = np.cumsum(rows.counts)
-        whole = np.arange(width, len(rows.values) + width, max(width, 1))
-        broken = whole[~np.isin(whole, ends)]
-        if len(broken) or width < 1 + size:
-            row = int(np.searchsorted(ends, broken[0])) if len(broken) else 0
-            message = f"an element of type {name}: its number and {size} nodes expected."
-            raise section.error(message, min(row, len(ends) - 1))
+        # rows of a long element go on in the next line: each element ends where a line ends
+        ends = np.arange(width, len(rows.values) + width, max(width, 1))
+        if width < 1 + size or not np.isin(ends, np.cumsum(rows.counts)).all():
+            raise card.section.error(f"elements {name}: a number and {size} nodes expected.")
         table = rows.values.reshape(-1, width)
         corners = reordered(kind, table[:, 1 : 1 + size], VTK_ORDER, None)
-        self.blocks.append(Elements(kind, table[:, 0], corners))
-        self._add("ELSET", card, table[:, 0])
+        self.cells.append(LabelledCells(kind, table[:, 0], corners))
+        self._add("ELSET", card.options.get("ELSET"), table[:, 0])
 
     def _set(self, card: Card) -> None:
         what = card.name
-        if not card.options.get(what):
+        name = card.options.get(what)
+        if not name:
             raise card.section.error(f"*{what} without a name ({what}=...).")
+        values = parse(card.section.content, np.int64)
         if "GENERATE" in card.options:
-            known = self._known(what)
-            rows = [[*map(_whole, row), 1] for row in card.rows()]
-            found = [
-                known[(a <= known) & (known <= b) & ((known - a) % max(step, 1) == 0)]
-                for a, b, step, *_ in rows
-            ]
+            labels = self.labels if what == "NSET" else [block.labels for block in self.cells]
+            known = np.concatenate([np.zeros(0, np.int64), *labels])
+            found = []
+            for first, last, *step in (map(int, row) for row in card.rows()):
+                inside = known[(first <= known) & (known <= last)]
+                found.append(inside[(inside - first) % max(1, *step) == 0])
         elif what == "NSET" and "ELSET" in card.options:
-            rows = self._labels(card, "ELSET", card.options["ELSET"])
-            found = [block.corners[np.isin(block.labels, rows)].ravel() for block in self.blocks]
-        else:
-            values = parse(card.section.content, np.int64)
-            words = card.section.content.split()
+            elements = self._labels(card, "ELSET", card.options["ELSET"])
+            found = [block.corners[np.isin(block.labels, elements)] for block in self.cells]
+        elif len(values) == len(card.section.content.split()):
             found = [values]
-            if len(values) != len(words):
-                found = [self._labels(card, what, word) for row in card.rows() for word in row]
-        self._add(what, card, np.concatenate([np.zeros(0, np.int64), *found]))
+        else:
+            found = [self._labels(card, what, word) for row in card.rows() for word in row]
+        self._add(what, name, *found)
 
     def _surface(self, card: Card) -> None:
+        """Adds the nodes of a surface. One without faces by number, or of surfaces, is left."""
         name = card.options.get("NAME", "")
         kind = card.options.get("TYPE", "ELEMENT").upper()
-        what = {"ELEMENT": "ELSET", "NODE": "NSET"}.get(kind)
-        rows = list(card.rows())
-        if what is None or "COMBINE" in card.options:
+        found = None
+        if "COMBINE" not in card.options and kind == "NODE":
+            found = [self._labels(card, "NSET", row[0]) for row in card.rows()]
+        elif "COMBINE" not in card.options and kind == "ELEMENT":
+            found = [
+                self._of_faces(self._labels(card, "ELSET", row[0]), "".join(row[1:2]).upper())
+                for row in card.rows()
+            ]
+        if found is None or any(ids is None for ids in found):
             self.left[f"the surface {name}"] = None
-            return
-        words = [(*row, "")[:2] for row in rows]
-        parts = [
-            (self._labels(card, what, who), face.upper() if what == "ELSET" else None)
-            for who, face in words
-        ]
-        self.surfaces.append(Surface(name, parts))
+        else:
+            self._add("SURFACE", name, *found)
 
-    def _known(self, what: str) -> ndarray:
-        labels = self.labels if what == "NSET" else [block.labels for block in self.blocks]
-        return np.concatenate([np.zeros(0, np.int64), *labels])
+    def _of_faces(self, elements: ndarray, face: str) -> ndarray | None:
+        """Finds the nodes of faces S1, S2, ..., or of whole shells; None for others."""
+        top = max(DIMENSION[block.kind] for block in self.cells)
+        found = []
+        for block in self.cells:
+            corners = block.corners[np.isin(block.labels, elements)]
+            sides = SIDES.get(SHAPES[block.kind], FACES[SHAPES[block.kind]])
+            if re.fullmatch("[SE][1-6]", face) and int(face[1]) <= len(sides):
+                corners = corners[:, lagrange_types()[block.kind].side(sides[int(face[1]) - 1])]
+            elif len(corners) and (
+                face not in ("", "SPOS", "SNEG") or DIMENSION[block.kind] == top
+            ):
+                return None
+            found.append(corners.ravel())
+        return np.concatenate(found)
 
-    def _add(self, what: str, card: Card, labels: ndarray) -> None:
-        name = card.options.get(what)
+    def _add(self, what: str, name: str | None, *labels: ndarray) -> None:
         if name:
-            key = (what, self.in_assembly, name.upper())
-            hidden = self.in_assembly and (what, False, name.upper()) in self.sets
-            self.names.setdefault(key, f"{name}_assembly" if hidden else name)
-            self.sets[key] = np.concatenate([self.sets.get(key, labels[:0]), labels])
+            shown = f"{name}_assembly" if (what, name.upper()) in self.part else name
+            shown, old = self.sets.get((what, shown.upper()), (shown, np.zeros(0, np.int64)))
+            new = np.concatenate([old, *map(np.ravel, labels)])
+            self.sets[what, shown.upper()] = shown, new
 
     def _labels(self, card: Card, what: str, word: str) -> ndarray:
         """Finds the members of a set, or takes a label; an instance's name may stand before."""
-        for name in (word, word.rpartition(".")[2]):
-            if name.isdecimal():
-                return np.array([int(name)])
-            for level in (self.in_assembly, False):
-                if (what, level, name.upper()) in self.sets:
-                    return self.sets[what, level, name.upper()]
+        last = word.rpartition(".")[2]
+        if last.isdecimal():
+            return np.array([int(last)])
+        for name in (f"{last}_assembly", word, last):
+            if (what, name.upper()) in self.sets:
+                return self.sets[what, name.upper()][1]
         raise card.section.error(f"{word!r} is no number, and no *{what} before this line.")
 
 
@@ -224,41 +221,22 @@ def read(path: Path) -> Parts:
     deck = _Deck()
     for card in _cards(path, raw):
         deck.take(card)
-    if not deck.labels or not deck.blocks:
-        raise ValueError("no *NODE or no *ELEMENT in this deck.")
-    if len({points.shape[1] for points in deck.points}) > 1:
-        raise ValueError("nodes of 2 and of 3 coordinates in one deck.")
+    if len({points.shape[1] for points in deck.points}) != 1:
+        raise ValueError("nodes of 2 or of 3 coordinates (*NODE) expected.")
     content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _plain)
-    nodes = Labels(np.concatenate(deck.labels), "nodes")
-    elements = Labels(np.concatenate([block.labels for block in deck.blocks]), "elements")
-    blocks = [
-        block._replace(corners=nodes.find(block.corners, f"a {block.kind}"))
-        for block in deck.blocks
-    ]
-    sets = {"NSET": {}, "ELSET": {}}
-    for key, labels in deck.sets.items():
-        sets[key[0]][deck.names[key]] = labels
-    of_nodes = {name: _among(nodes, labels) for name, labels in sets["NSET"].items()}
-    grid = Grid(
-        content.points,
-        [(block.kind, block.corners) for block in blocks],
-        {},
-        {},
-        members(sets["ELSET"], [block.labels for block in blocks]),
-        point_sets=of_nodes,
-        own=("elements", "nodes"),
-    )
-    patches = []
-    for surface in deck.surfaces:
-        found = [_nodes_of(part, nodes, blocks) for part in surface.parts]
-        if any(ids is None for ids in found):
-            deck.left[f"the surface {surface.name}"] = None
-        else:
-            ids = np.concatenate([np.zeros(0, np.int64), *found])
-            patches.append(Patch(surface.name, "surface", ids))
-    notes = tuple(_notes(deck, nodes, elements))
-    source = Source(path, NAME, content, notes=notes, **content.known)
-    return of_grid(path, grid, source, patches)
+    words = {"NSET": "nodes", "ELSET": "elements"}
+    sets = {"nodes": {}, "elements": {}}
+    for (what, _), (name, labels) in deck.sets.items():
+        while name in sets[words.get(what, "nodes")]:
+            name += "_surface"
+        sets[words.get(what, "nodes")][name] = labels
+    labels = np.concatenate(deck.labels)
+    grid, notes = labelled_grid(content.points, labels, deck.cells, sets)
+    left = [*deck.left]
+    if left:
+        more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
+        notes += (f"{', '.join(left[:SHOWN])}{more} are not read, and stay in the file.",)
+    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
 
 
 def _plain(text: bytes) -> bytes:
@@ -267,12 +245,6 @@ def _plain(text: bytes) -> bytes:
 
 def _uncommented(text: bytes) -> bytes:
     return blanked(text, rb"(?m)^[ \t]*\*\*[^\r\n]*") if b"**" in text else text
-
-
-def _whole(word: str) -> int:
-    if not word.isdecimal():
-        raise ValueError(f"GENERATE: first, last and step expected, found {word[:40]!r}.")
-    return int(word)
 
 
 def _cards(path: Path, raw: bytes) -> Iterator[Card]:
@@ -303,39 +275,3 @@ def _kind_of(section: Section, name: str) -> tuple[str, int]:
         f"elements of type {name[:40]!r} are not read; C3D4 to C3D20, plane, axisymmetric, shell, "
         "membrane and line elements are."
     )
-
-
-def _nodes_of(
-    part: tuple[ndarray, str | None], nodes: Labels, blocks: list[Elements]
-) -> ndarray | None:
-    """Finds the nodes of a part of a surface; None for a face that is not told by its number."""
-    labels, face = part
-    if face is None:
-        return _among(nodes, labels)
-    top = max(DIMENSION[block.kind] for block in blocks)
-    found = [np.zeros(0, np.int64)]
-    for block in blocks:
-        corners = block.corners[np.isin(block.labels, labels)]
-        sides = SIDES.get(SHAPES[block.kind], FACES[SHAPES[block.kind]])
-        if re.fullmatch("[SE][1-6]", face) and int(face[1]) <= len(sides):
-            corners = corners[:, lagrange_types()[block.kind].side(sides[int(face[1]) - 1])]
-        elif len(corners) and (face not in ("", "SPOS", "SNEG") or DIMENSION[block.kind] == top):
-            return None
-        found.append(corners.ravel())
-    return np.concatenate(found)
-
-
-def _among(labels: Labels, ids: ndarray) -> ndarray:
-    rows = labels.rows(ids)
-    return rows[rows >= 0]
-
-
-def _notes(deck: _Deck, nodes: Labels, elements: Labels) -> Iterator[str]:
-    left = [*deck.left]
-    if left:
-        more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
-        yield f"{', '.join(left[:SHOWN])}{more} are not read, and stay in the file."
-    for (what, *_), ids in deck.sets.items():
-        lost = int(((nodes if what == "NSET" else elements).rows(ids) < 0).sum())
-        if lost:
-            yield f"{lost} members of a set (*{what}) are not in the mesh."

@@ -4,21 +4,21 @@ A dataset stands between lines of -1, its number first. Nodes are in 2411 and 78
 groups in eight datasets, systems of coordinates in 2420 (SDRC's "Universal Dataset Number ...").
 """
 
+import dataclasses
 import functools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import numbers
-from jaxmorph._mesh.exchange import Grid, Parts, gathered
+from jaxmorph._mesh.exchange import Parts, gathered
 
 from ._format import Source, of_grid
-from ._places import KINDS, CoordinatePart, Labels, PlacedPoints, members
+from ._places import KINDS, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, decoded, parse
 
 NAME = "I-deas"
@@ -47,15 +47,6 @@ _END = re.compile(rb"^[ \t]{0,4}-1[ \t]*\r?$", re.MULTILINE)
 _NUMBER = re.compile(rb"\s*(\d{1,6})(?:b[^\n]*)?[ \t\r]*\n")
 
 
-class Elements(NamedTuple):
-    """Elements of one type: their labels, corners (k, c) by label, and numbers of properties."""
-
-    kind: str
-    labels: ndarray
-    corners: ndarray
-    properties: ndarray
-
-
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of nodes and of elements of lower dimension.
 
@@ -66,32 +57,26 @@ def read(path: Path) -> Parts:
     old = [f"{OLDER[n]} of dataset {n}" for n, _ in sections if n in OLDER]
     if old:
         raise ValueError(f"{', '.join(old)} are not read; those of 2411, 2412 and 2420 are.")
-    content, nodes = _nodes(text, sections)
-    systems = {system for n, section in sections if n == 2420 for system in _systems(section)}
-    _check_systems(nodes[:, 1], systems)
-    labels = Labels(nodes[:, 0], "nodes")
-    blocks = [block for n, section in sections if n == 2412 for block in _elements(section)]
-    if not blocks:
-        raise ValueError("no elements (dataset 2412).")
-    of_elements = Labels(np.concatenate([block.labels for block in blocks]), "elements")
-    found = [
-        group for n, section in sections if n in GROUPS for group in _groups(section, GROUPS[n])
-    ]
-    cells = gathered((name, ids[ids[:, 0] == 8, 1]) for name, ids in found)
-    points = gathered((name, ids[ids[:, 0] == 7, 1]) for name, ids in found)
-    for name, ids in cells.items():
-        of_elements.find(ids, f"the group {name}")
-    ids = [(block, labels.find(block.corners, f"a {block.kind}")) for block in blocks]
-    grid = Grid(
-        content.points,
-        [(block.kind, _in_order(block.kind, corners)) for block, corners in ids],
-        {},
-        {} if found else {"patch": [block.properties for block in blocks]},
-        members(cells, [block.labels for block in blocks]),
-        point_sets={name: labels.find(ids, name) for name, ids in points.items() if len(ids)},
-        own=("elements", "nodes"),
-    )
-    notes = tuple(_notes([n for n, _ in sections], found))
+    content, nodes = _nodes(text, [section for n, section in sections if n in (2411, 781)])
+    _check_systems(nodes[:, 1], [section for n, section in sections if n == 2420])
+    elements = [each for n, section in sections if n == 2412 for each in _elements(section)]
+    groups = [each for n, section in sections if n in GROUPS for each in _groups(section, n)]
+    sets = {
+        what: gathered((name, ids[ids[:, 0] == code, 1]) for name, ids in groups)
+        for code, what in ((7, "nodes"), (8, "elements"))
+    }
+    sets["nodes"] = {name: ids for name, ids in sets["nodes"].items() if len(ids)}
+    grid, notes = labelled_grid(content.points, nodes[:, 0], [cells for cells, _ in elements], sets)
+    if not groups:
+        grid = dataclasses.replace(
+            grid, cell_data={"patch": [properties for _, properties in elements]}
+        )
+    known = (2411, 781, 2412, 2420, *GROUPS, *SILENT)
+    left = dict.fromkeys(str(n) for n, _ in sections if n not in known)
+    if left:
+        notes += (f"datasets {', '.join(left)} are not read, and stay in the file.",)
+    if others := sum(int((~np.isin(ids[:, 0], (7, 8))).sum()) for _, ids in groups):
+        notes += (f"{others} members of groups are no nodes or elements, and are not read.",)
     return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
 
 
@@ -109,13 +94,12 @@ def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
         yield int(number[1]), Section(path, text, number.end(), end.start())
 
 
-def _nodes(text: bytes, sections: Sequence[tuple[int, Section]]) -> tuple[PlacedPoints, ndarray]:
+def _nodes(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]:
     """Reads points, and labels and systems of coordinates (n, 2)."""
     parts = []
-    tables = []
+    tables = [np.zeros((0, 7))]
     first = 0
-    is_fixed = True
-    for _, section in (each for each in sections if each[0] in (2411, 781)):
+    for section in sections:
         rows = section.rows(np.float64)
         k = np.arange(len(rows.counts))
         rows.refuse(rows.counts != np.where(k % 2, 3, 4), "a node: 4 numbers, then x, y and z.")
@@ -127,12 +111,11 @@ def _nodes(text: bytes, sections: Sequence[tuple[int, Section]]) -> tuple[Placed
         parts.append(CoordinatePart(section.start, section.stop, here, at))
         tables.append(table)
         first += len(table)
-        is_fixed = is_fixed and _is_fixed(section)
-    table = np.concatenate(tables or [np.zeros((0, 7))])
-    if not len(table):
-        raise ValueError("no nodes (dataset 2411) in this file.")
-    letter = "E" if b"E" in text[parts[0].start : parts[0].start + 200] else "D"
-    form = {"form": functools.partial(_in_columns, letter), "columns": COLUMNS} if is_fixed else {}
+    table = np.concatenate(tables)
+    letter = "E" if any(b"E" in section.content[:200] for section in sections) else "D"
+    form = {}
+    if all(map(_is_fixed, sections)):
+        form = {"form": functools.partial(_in_columns, letter), "columns": COLUMNS}
     return PlacedPoints(table[:, 4:].copy(), text, parts, **form), table[:, :2].astype(np.int64)
 
 
@@ -147,27 +130,26 @@ def _in_columns(letter: str, values: ndarray) -> bytes:
     return rows.replace("E", letter).encode()
 
 
-def _systems(section: Section) -> Iterator[tuple[int, bool]]:
-    """Yields each system's label, and whether it is the global Cartesian one."""
-    lines = section.content.rstrip().split(b"\n")[2:]  # the part's number and name come first
-    for at in range(0, len(lines), 6):
-        label, kind, *_ = parse(lines[at], np.int64).tolist() or [0, -1]
-        matrix = parse(b" ".join(lines[at + 2 : at + 6]), np.float64)
-        yield label, kind == 0 and np.array_equal(matrix, np.eye(4, 3).ravel())
-
-
-def _check_systems(used: ndarray, systems: set[tuple[int, bool]]) -> None:
-    good = {0, 1, *(label for label, _ in systems)} - {label for label, same in systems if not same}
-    wrong = np.flatnonzero(~np.isin(used, [*good]))
+def _check_systems(used: ndarray, sections: list[Section]) -> None:
+    """Refuses nodes in a system of coordinates that is not the global Cartesian one, 0 or 1."""
+    good = {0, 1}
+    for section in sections:
+        lines = section.content.rstrip().split(b"\n")[2:]  # behind number and name of the part
+        for at in range(0, len(lines), 6):
+            label, kind, *_ = parse(lines[at], np.int64).tolist() or [0, -1]
+            matrix = parse(b" ".join(lines[at + 2 : at + 6]), np.float64)
+            is_global = kind == 0 and np.array_equal(matrix, np.eye(4, 3).ravel())
+            good = good | {label} if is_global else good - {label}
+    wrong = used[~np.isin(used, [*good])]
     if len(wrong):
         raise ValueError(
-            f"{len(wrong)} nodes are in the system of coordinates {used[wrong[0]]} (dataset 2420), "
-            "which is not the global Cartesian one: write them in that one."
+            f"{len(wrong)} nodes are in the system of coordinates {wrong[0]} (dataset 2420), which "
+            "is not the global Cartesian one: write them in that one."
         )
 
 
-def _elements(section: Section) -> Iterator[Elements]:
-    """Yields the elements of each type.
+def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
+    """Yields the elements of each type, and their numbers of properties.
 
     An element is a row of label, type, property, material, colour and its number of nodes. Of a
     beam a row of three numbers follows. Then come the nodes, eight a row.
@@ -203,19 +185,15 @@ def _elements(section: Section) -> Iterator[Elements]:
         if kind is None:
             raise section.error(f"elements of type {table[0, 1]} with {n} nodes are not read.")
         corners = rows.values[start[chosen, None] + np.arange(n)]
-        yield Elements(kind, table[:, 0], corners, table[:, 2])
+        if kind in ORDER:
+            corners = reordered(kind, corners[:, *numbers(ORDER[kind])], VTK_ORDER, None)
+        yield LabelledCells(kind, table[:, 0], corners), table[:, 2]
 
 
-def _in_order(kind: str, corners: ndarray) -> ndarray:
-    if kind not in ORDER:
-        return corners
-    (places,) = numbers(ORDER[kind])
-    return reordered(kind, corners[:, places], VTK_ORDER, None)
-
-
-def _groups(section: Section, width: int) -> Iterator[tuple[str, ndarray]]:
+def _groups(section: Section, dataset: int) -> Iterator[tuple[str, ndarray]]:
     """Yields name, and kinds (7: node, 8: element) and labels (k, 2) of members of each group."""
     lines = section.content.rstrip().split(b"\n")
+    width = GROUPS[dataset]
     at = 0
     while at < len(lines):
         head = parse(lines[at], np.int64).tolist()
@@ -227,13 +205,3 @@ def _groups(section: Section, width: int) -> Iterator[tuple[str, ndarray]]:
         name = decoded(lines[at + 1].strip()) or f"group_{head[0]}"
         yield name, ids[: count * width].reshape(-1, width)[:, :2]
         at = stop
-
-
-def _notes(datasets: list[int], groups: list[tuple[str, ndarray]]) -> Iterator[str]:
-    known = (2411, 781, 2412, 2420, *GROUPS, *SILENT)
-    left = dict.fromkeys(str(n) for n in datasets if n not in known)
-    if left:
-        yield f"datasets {', '.join(left)} are not read, and stay in the file."
-    for name, ids in groups:
-        if others := int((~np.isin(ids[:, 0], (7, 8))).sum()):
-            yield f"{others} members of the group {name} are no nodes or elements."

@@ -1,13 +1,15 @@
 """Numbers of a file by their places: words of a text, or bytes; and nodes by their labels."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, NODES
+from jaxmorph._mesh.exchange import ByName, Grid
 
 from ._format import FilePoints
 from ._text import Pieces, Section, lines, replaced
@@ -240,10 +242,48 @@ class Stream:
         return PlacedPoints(self.points(places, d), raw, [part], plain, singles=singles)
 
 
-def members(sets: Mapping[str, ndarray], labels: Iterable[ndarray]) -> dict[str, list[ndarray]]:
-    """Finds the rows of each set's members in each block of elements with `labels`."""
-    blocks = list(labels)
-    return {
-        name: [np.flatnonzero(np.isin(block, numbers)) for block in blocks]
-        for name, numbers in sets.items()
+class LabelledCells(NamedTuple):
+    """Elements of one type: their labels, and the labels (k, c) of their nodes."""
+
+    kind: str
+    labels: ndarray
+    corners: ndarray
+
+
+def labelled_grid(
+    points: ndarray, labels: ndarray, cells: Sequence[LabelledCells], sets: Mapping[str, ByName]
+) -> tuple[Grid, tuple[str, ...]]:
+    """Makes a grid of what has labels, and notes on members of `sets` that it has not.
+
+    `sets` are labels by the name of each set, of `elements` and of `nodes`. Raises `ValueError` for
+    labels that come twice, and for elements between nodes that are none.
+    """
+    if not len(labels) or not cells:
+        raise ValueError("no nodes, or no elements.")
+    known = {
+        "elements": Labels(np.concatenate([block.labels for block in cells]), "elements"),
+        "nodes": Labels(labels, "nodes"),
     }
+    rows = {
+        what: {name: known[what].rows(ids) for name, ids in sets[what].items()} for what in known
+    }
+    lost = {(what, name): (ids < 0).sum() for what in known for name, ids in rows[what].items()}
+    starts = np.cumsum([0, *(len(block.labels) for block in cells)])
+    grid = Grid(
+        points,
+        [(block.kind, known["nodes"].find(block.corners, f"a {block.kind}")) for block in cells],
+        {},
+        {},
+        {
+            name: [ids[(a <= ids) & (ids < b)] - a for a, b in itertools.pairwise(starts)]
+            for name, ids in rows["elements"].items()
+        },
+        point_sets={name: ids[ids >= 0] for name, ids in rows["nodes"].items()},
+        own=("elements", "nodes"),
+    )
+    notes = (
+        f"{count} {what} of the set {name} are not in the mesh."
+        for (what, name), count in lost.items()
+        if count
+    )
+    return grid, tuple(notes)
