@@ -15,30 +15,40 @@ from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
 from jaxmorph._mesh.exchange import Parts
 
 from ._format import Source, of_grid
-from ._places import KINDS, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
+from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, blanked, decoded, parse
 
 NAME = "Abaqus"
-LEVELS = {
+ELEMENT_NAMES = {
     3: r"(?:[A-Z]*C3D|F3D|COH3D|SC)(\d+)[A-UW-Z]*",
     2: r"(?:CP[ES]G?|[A-Z]*C(?:G?AX|2D)|(?:SF)?M3D|R3D|D?S|STRI)(\d)[A-Z0-9]*",
     1: r"(?:T[23]D|R2D|RAX|[A-Z]*C1D|B[23]|PIPE[23]|[SM]AX)(\d)[A-Z]*",
 }
 """Names of elements by their dimension; the number is that of their nodes, or of a beam's order."""
-LOOSE = r"(?:MASS|ROTARYI|HEATCAP|SPRING|DASHPOT|CONN|GAP|DCOUP)\w*"
+LOOSE_ELEMENTS = r"(?:MASS|ROTARYI|HEATCAP|SPRING|DASHPOT|CONN|GAP|DCOUP)\w*"
 """Elements that are no cells."""
-SIDES = {
+ABAQUS_SIDES = {
     "tetra": numbers("012 013 123 023"),
     "pyramid": numbers("0123 014 124 234 034"),
     "wedge": numbers("012 345 0143 1254 0253"),
     "hexahedron": numbers("0123 4567 0154 1265 2376 0374"),
 }
 """Corners of the faces S1, S2, ... of each shape; cells in 2-D have those of `FACES`."""
-CHANGING = ("SYSTEM", "INCLUDE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "PARAMETER")
+CHANGING_KEYWORDS = (
+    "SYSTEM",
+    "INCLUDE",
+    "NGEN",
+    "NFILL",
+    "NCOPY",
+    "NMAP",
+    "ELGEN",
+    "ELCOPY",
+    "PARAMETER",
+)
 """Keywords that make or move nodes and elements."""
-SILENT = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
+QUIET_KEYWORDS = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
 LEVEL_NAMES = ("PART", "INSTANCE", "ASSEMBLY")
-SHOWN = 12
+SHOWN_KEYWORDS = 12
 """Keywords that a note lists."""
 
 _CARD = re.compile(
@@ -85,7 +95,7 @@ class _Deck:
         readers = {"NODE": self._nodes, "ELEMENT": self._elements, "SURFACE": self._surface}
         readers |= {"NSET": self._set, "ELSET": self._set}
         wrong = ""
-        if name in CHANGING or (name in readers and "INPUT" in card.options):
+        if name in CHANGING_KEYWORDS or (name in readers and "INPUT" in card.options):
             wrong = f"*{name} changes the mesh, and is not read: write all of it in one file."
         elif name in LEVEL_NAMES and name in self.seen:
             wrong = f"a second *{name}: decks of one part and instance are read."
@@ -102,7 +112,7 @@ class _Deck:
             self.part = {*self.sets}
         if name in readers:
             readers[name](card)
-        elif name not in (*LEVEL_NAMES, *SILENT):
+        elif name not in (*LEVEL_NAMES, *QUIET_KEYWORDS):
             self.left[f"*{name}"] = None
 
     def _nodes(self, card: Card) -> None:
@@ -127,7 +137,7 @@ class _Deck:
 
     def _elements(self, card: Card) -> None:
         name = card.options.get("TYPE", "").upper()
-        if re.fullmatch(LOOSE, name):
+        if re.fullmatch(LOOSE_ELEMENTS, name):
             self.left[f"elements {name}"] = None
             return
         rows = card.section.rows(np.int64)
@@ -154,7 +164,7 @@ class _Deck:
             found = []
             for first, last, *step in (map(int, row) for row in card.rows()):
                 inside = known[(first <= known) & (known <= last)]
-                found.append(inside[(inside - first) % max(1, *step) == 0])
+                found.append(inside[(inside - first) % max([1, *step]) == 0])
         elif what == "NSET" and "ELSET" in card.options:
             elements = self._labels(card, "ELSET", card.options["ELSET"])
             found = [block.corners[np.isin(block.labels, elements)] for block in self.cells]
@@ -187,7 +197,7 @@ class _Deck:
         found = []
         for block in self.cells:
             corners = block.corners[np.isin(block.labels, elements)]
-            sides = SIDES.get(SHAPES[block.kind], FACES[SHAPES[block.kind]])
+            sides = ABAQUS_SIDES.get(SHAPES[block.kind], FACES[SHAPES[block.kind]])
             if re.fullmatch("[SE][1-6]", face) and int(face[1]) <= len(sides):
                 corners = corners[:, lagrange_types()[block.kind].side(sides[int(face[1]) - 1])]
             elif len(corners) and (
@@ -234,8 +244,8 @@ def read(path: Path) -> Parts:
     grid, notes = labelled_grid(content.points, labels, deck.cells, sets)
     left = [*deck.left]
     if left:
-        more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
-        notes += (f"{', '.join(left[:SHOWN])}{more} are not read, and stay in the file.",)
+        more = f" and {len(left) - SHOWN_KEYWORDS} more" if len(left) > SHOWN_KEYWORDS else ""
+        notes += (f"{', '.join(left[:SHOWN_KEYWORDS])}{more} are not read, and stay in the file.",)
     return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
 
 
@@ -264,13 +274,13 @@ def _cards(path: Path, raw: bytes) -> Iterator[Card]:
 
 def _kind_of(section: Section, name: str) -> tuple[str, int]:
     """Finds the type of cells of an element's name, and how many nodes it has."""
-    for level, pattern in LEVELS.items():
+    for level, pattern in ELEMENT_NAMES.items():
         if match := re.fullmatch(pattern, name):
             size = int(match[1])
             if level == 1 and re.match("B|P|SAX|MAX", name):  # the number is the order of a beam
                 size = {2: 3}.get(size, 2)
-            if (level, size) in KINDS:
-                return KINDS[level, size], size
+            if (level, size) in KIND_BY_NODES:
+                return KIND_BY_NODES[level, size], size
     raise section.error(
         f"elements of type {name[:40]!r} are not read; C3D4 to C3D20, plane, axisymmetric, shell, "
         "membrane and line elements are."

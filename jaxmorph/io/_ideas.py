@@ -18,17 +18,19 @@ from jaxmorph._host.cells.topology import numbers
 from jaxmorph._mesh.exchange import Parts, gathered
 
 from ._format import Source, of_grid
-from ._places import KINDS, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
+from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, decoded, parse
 
 NAME = "I-deas"
-GROUPS = dict.fromkeys((2417, 2429, 2430, 2432), 2) | dict.fromkeys((2435, 2452, 2467, 2477), 4)
+GROUP_DATASETS = dict.fromkeys((2417, 2429, 2430, 2432), 2) | dict.fromkeys(
+    (2435, 2452, 2467, 2477), 4
+)
 """Datasets of groups, and how many numbers each of their members has."""
-OLDER = {15: "nodes", 18: "systems of coordinates", 71: "elements", 780: "elements"}
+OLD_DATASETS = {15: "nodes", 18: "systems of coordinates", 71: "elements", 780: "elements"}
 """Older datasets of what changes the mesh."""
-SILENT = (151, 164)
+QUIET_DATASETS = (151, 164)
 """Datasets of the file's author and units."""
-ORDER = {
+IDEAS_PLACES = {
     "line3": "021",
     "triangle6": "024135",
     "quad8": "02461357",
@@ -37,9 +39,9 @@ ORDER = {
     "hexahedron20": "0246cegi1357dfhj89ab",
 }
 """The places of I-deas's nodes in VTK's order: I-deas goes around, from corner to middle."""
-LEVELS = ((11, 39, 1), (41, 109, 2), (111, 118, 3))
+ELEMENT_RANGES = ((11, 39, 1), (41, 109, 2), (111, 118, 3))
 """First and last type of the elements of each dimension; others are springs, masses and rods."""
-COLUMNS = 25
+IDEAS_COLUMNS = 25
 """Columns of a coordinate, 1P3D25.16."""
 
 _END = re.compile(rb"^[ \t]{0,4}-1[ \t]*\r?$", re.MULTILINE)
@@ -54,13 +56,15 @@ def read(path: Path) -> Parts:
     """
     text = path.read_bytes()
     sections = list(_sections(path, text))
-    old = [f"{OLDER[n]} of dataset {n}" for n, _ in sections if n in OLDER]
+    old = [f"{OLD_DATASETS[n]} of dataset {n}" for n, _ in sections if n in OLD_DATASETS]
     if old:
         raise ValueError(f"{', '.join(old)} are not read; those of 2411, 2412 and 2420 are.")
     content, nodes = _nodes(text, [section for n, section in sections if n in (2411, 781)])
     _check_systems(nodes[:, 1], [section for n, section in sections if n == 2420])
     elements = [each for n, section in sections if n == 2412 for each in _elements(section)]
-    groups = [each for n, section in sections if n in GROUPS for each in _groups(section, n)]
+    groups = [
+        each for n, section in sections if n in GROUP_DATASETS for each in _groups(section, n)
+    ]
     sets = {
         what: gathered((name, ids[ids[:, 0] == code, 1]) for name, ids in groups)
         for code, what in ((7, "nodes"), (8, "elements"))
@@ -71,7 +75,7 @@ def read(path: Path) -> Parts:
         grid = dataclasses.replace(
             grid, cell_data={"patch": [properties for _, properties in elements]}
         )
-    known = (2411, 781, 2412, 2420, *GROUPS, *SILENT)
+    known = (2411, 781, 2412, 2420, *GROUP_DATASETS, *QUIET_DATASETS)
     left = dict.fromkeys(str(n) for n, _ in sections if n not in known)
     if left:
         notes += (f"datasets {', '.join(left)} are not read, and stay in the file.",)
@@ -115,18 +119,18 @@ def _nodes(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]
     letter = "E" if any(b"E" in section.content[:200] for section in sections) else "D"
     form = {}
     if all(map(_is_fixed, sections)):
-        form = {"form": functools.partial(_in_columns, letter), "columns": COLUMNS}
+        form = {"form": functools.partial(_in_columns, letter), "columns": IDEAS_COLUMNS}
     return PlacedPoints(table[:, 4:].copy(), text, parts, **form), table[:, :2].astype(np.int64)
 
 
 def _is_fixed(section: Section) -> bool:
     """Finds whether coordinates fill their columns, which programs read by place."""
     rows = [row.rstrip() for row in section.content.split(b"\n")][1::2]
-    return all(len(row) == 3 * COLUMNS and row[24:25].isdigit() for row in rows)
+    return all(len(row) == 3 * IDEAS_COLUMNS and row[24:25].isdigit() for row in rows)
 
 
 def _in_columns(letter: str, values: ndarray) -> bytes:
-    rows = "\n".join([f"{value:{COLUMNS}.16E}" for value in values.tolist()])
+    rows = "\n".join([f"{value:{IDEAS_COLUMNS}.16E}" for value in values.tolist()])
     return rows.replace("E", letter).encode()
 
 
@@ -162,7 +166,7 @@ def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
     head = rows.values[np.minimum(rows.first[:, None] + np.arange(6), len(rows.values) - 1)]
     size = np.clip(head[:, 5], 1, len(rows.values))
     level = np.zeros(total, np.int64)
-    for first, last, dimension in LEVELS:
+    for first, last, dimension in ELEMENT_RANGES:
         level[(first <= head[:, 1]) & (head[:, 1] <= last)] = dimension
     has_axis = (level == 1) & (counts[1:-1] == 3) & ((size == 2) | (counts[2:] == 3))
     # Each row, taken for an element's first, tells how many rows the element has: from the first
@@ -181,19 +185,19 @@ def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
     for dimension, n in np.unique(np.stack([level[which], size[which]]), axis=1).T.tolist():
         chosen = (level[which] == dimension) & (size[which] == n)
         table = head[which[chosen]]
-        kind = KINDS.get((dimension, n))
+        kind = KIND_BY_NODES.get((dimension, n))
         if kind is None:
             raise section.error(f"elements of type {table[0, 1]} with {n} nodes are not read.")
         corners = rows.values[start[chosen, None] + np.arange(n)]
-        if kind in ORDER:
-            corners = reordered(kind, corners[:, *numbers(ORDER[kind])], VTK_ORDER, None)
+        if kind in IDEAS_PLACES:
+            corners = reordered(kind, corners[:, *numbers(IDEAS_PLACES[kind])], VTK_ORDER, None)
         yield LabelledCells(kind, table[:, 0], corners), table[:, 2]
 
 
 def _groups(section: Section, dataset: int) -> Iterator[tuple[str, ndarray]]:
     """Yields name, and kinds (7: node, 8: element) and labels (k, 2) of members of each group."""
     lines = section.content.rstrip().split(b"\n")
-    width = GROUPS[dataset]
+    width = GROUP_DATASETS[dataset]
     at = 0
     while at < len(lines):
         head = parse(lines[at], np.int64).tolist()

@@ -18,7 +18,7 @@ from ._places import PlacedPoints, Stream
 from ._text import Section, blanked
 
 NAME = "Medit"
-CELLS = {
+MEDIT_CELLS = {
     "Edges": "line",
     "Triangles": "triangle",
     "Quadrilaterals": "quad",
@@ -28,7 +28,7 @@ CELLS = {
     "Hexahedra": "hexahedron",
     "Hexaedra": "hexahedron",
 }
-CODES = {
+MEDIT_KEYWORDS = {
     3: "Dimension",
     4: "Vertices",
     5: "Edges",
@@ -41,9 +41,9 @@ CODES = {
     54: "End",
 }
 """Keywords by their numbers in binary files; others are told by number."""
-CURVED = {f"Keyword{code}" for code in (24, 25, 27, 30, 33, 86, 87)}
+CURVED_KEYWORDS = {f"Keyword{code}" for code in (24, 25, 27, 30, 33, 86, 87)}
 """Cells of order 2 in binary files; in a text their keywords end in P2, Q2, P3 ..."""
-KNOWN = {*CELLS, *CODES.values(), "MeshVersionFormatted"}
+READ_KEYWORDS = {*MEDIT_CELLS, *MEDIT_KEYWORDS.values(), "MeshVersionFormatted"}
 
 
 class MeditFile(NamedTuple):
@@ -72,7 +72,7 @@ class MeditFile(NamedTuple):
     def elements(self, name: str) -> tuple[ndarray, ndarray]:
         """Reads ids of corners (k, c), and the reference of each element."""
         stream = Stream(self.sections[name], self.types)
-        rows = stream.table(stream.one("n"), CORNERS[CELLS[name]] + 1)
+        rows = stream.table(stream.one("n"), CORNERS[MEDIT_CELLS[name]] + 1)
         stream.check_end(name)
         return rows[:, :-1] - 1, rows[:, -1]
 
@@ -85,15 +85,19 @@ def read(path: Path) -> Parts:
     missing = [name for name in ("Dimension", "Vertices", "End") if name not in file.sections]
     if missing:
         raise ValueError(f"no {', '.join(missing)}: no mesh of Medit, or one that is cut short.")
-    curved = [name for name in file.sections if re.search("[PQ][2-9]$", name) or name in CURVED]
+    curved = [
+        name for name in file.sections if re.search("[PQ][2-9]$", name) or name in CURVED_KEYWORDS
+    ]
     if curved:
         raise ValueError(f"curved cells ({', '.join(curved)}) are not read; gmsh makes a .msh.")
     content, of_nodes = file.vertices()
-    names = [name for name in file.sections if name in CELLS]
+    names = [name for name in file.sections if name in MEDIT_CELLS]
     tables = [file.elements(name) for name in names]
-    blocks = [(CELLS[name], corners) for name, (corners, _) in zip(names, tables, strict=True)]
+    blocks = [
+        (MEDIT_CELLS[name], corners) for name, (corners, _) in zip(names, tables, strict=True)
+    ]
     arrays = {"medit:ref": [numbers for _, numbers in tables]}
-    others = [name for name in file.sections if name not in KNOWN]
+    others = [name for name in file.sections if name not in READ_KEYWORDS]
     notes = (f"sections {', '.join(others)} are not read, and stay in the file.",) if others else ()
     grid = Grid(content.points, blocks, {"medit:ref": of_nodes}, arrays)
     return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
@@ -136,7 +140,7 @@ def _of_binary(path: Path, raw: bytes, order: str) -> MeditFile:
     while not found or found[-1][0] != "End":
         code = stream.one("i")
         stop = stream.one("p")
-        name = CODES.get(code, f"Keyword{code}")
+        name = MEDIT_KEYWORDS.get(code, f"Keyword{code}")
         stop = stream.at if name == "End" else stop
         if not stream.at <= stop <= len(raw):
             raise ValueError(f"{name} ends at byte {stop} of {len(raw)}: a damaged file.")

@@ -14,7 +14,7 @@ from jaxmorph._mesh.exchange import ByName, Grid
 from ._format import FilePoints
 from ._text import Pieces, Section, lines, replaced
 
-KINDS = {(0, 1): "vertex", (0, 2): "line"} | {
+KIND_BY_NODES = {(0, 1): "vertex", (0, 2): "line"} | {
     (DIMENSION[kind], NODES[kind]): kind
     for kind in (
         *CORNERS,
