@@ -22,11 +22,7 @@ from jaxmorph.cli import main
 APART = (
     ".vtu",
     ".vtk",
-    ".meshb",
     ".xdmf",
-    ".unv",
-    ".inp",
-    ".ugrid",
 )  # read in a process of its own
 
 
@@ -242,9 +238,7 @@ def decide(tmp_path, capsys, mesh, moved, source, to):
             )
             assert next(lists) == next(lists)
     one_way = (".cgns", ".cas", ".h5", "", ".med", ".e", ".xyz", ".mesh", *OTHERS)
-    assert bool(refusal) == (
-        to in one_way and source != to and (source, to) != (".meshb", ".mesh")
-    )  # of Medit both
+    assert bool(refusal) == (to in one_way and source != to)
 
 
 @pytest.mark.parametrize(

@@ -135,14 +135,11 @@ def _sides(kind: str, is_shell: bool) -> list[ndarray]:
     """Lists the nodes of each side in a cell; a shell has two faces before its edges."""
     cell = lagrange_types()[kind]
     shape = SHAPES[kind]
-    places = {
-        frozenset(face): nodes for face, (_, nodes) in zip(FACES[shape], cell.sides, strict=True)
-    }
     whole = np.arange(len(cell.lattice))
     if shape == "line":
         return [whole, whole]
     return [whole, whole] * is_shell + [
-        places[frozenset(corners)] for corners in _SIDES.get(shape, FACES[shape])
+        cell.side(corners) for corners in _SIDES.get(shape, FACES[shape])
     ]
 
 

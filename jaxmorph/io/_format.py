@@ -128,7 +128,6 @@ class Format(NamedTuple):
     - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
       `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
       not at all. Without it, `moved(points)` of a source's content yields the bytes of a copy;
-    - or a class `Codec` of the format's name, for a module of several, with these methods;
     - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
       points. Without it the format takes back only meshes that came from it.
     """
@@ -150,8 +149,7 @@ class Format(NamedTuple):
     def codec(self) -> Any:
         if not isinstance(self.module, str):
             return self.module
-        module = importlib.import_module(f"{__package__}.{self.module}")
-        return module.Codec(self.name) if hasattr(module, "Codec") else module
+        return importlib.import_module(f"{__package__}.{self.module}")
 
 
 def source_of(mesh: MeshLike, format_name: str) -> Source | None:
@@ -187,6 +185,16 @@ def own_source(mesh: MeshLike, format_name: str) -> Source:
             f"{source.path} has changed since the mesh was read from it; read it again."
         )
     return source
+
+
+def check_form(path: Path, mesh: MeshLike, name: str, form_of: Callable[[Path], str]) -> None:
+    """Refuses a path by whose name numbers are written otherwise than in the file that was read."""
+    own = own_source(mesh, name).path
+    if form_of(path) != form_of(own):
+        raise ValueError(
+            f"only a mesh that was read from a file of this form can be written to one; end it as "
+            f"{own.name} ends, or write .vtu or .msh."
+        )
 
 
 @contextlib.contextmanager

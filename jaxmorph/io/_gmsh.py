@@ -1,7 +1,6 @@
 """gmsh's .msh, versions 1, 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
 
 import codecs
-import dataclasses
 import pathlib
 import re
 from collections.abc import Iterator
@@ -14,8 +13,9 @@ from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from ._format import FilePoints, MeshLike, Source, content_of, faults_of, of_grid, patch_faces
-from ._text import Section, decoded, replaced
+from ._format import MeshLike, Source, content_of, faults_of, of_grid, patch_faces
+from ._places import Labels, Stream
+from ._text import Section, decoded
 
 NAME = "gmsh"
 NODES = ("Nodes", "ParametricNodes", "NOD")
@@ -91,6 +91,11 @@ class MeshFormat(NamedTuple):
     size: int = 8
     has_levels: bool = True
 
+    def stream(self, section: Section, dtype: type) -> Stream:
+        kinds = {"i": "i4", "n": f"u{self.size}", "d": "f8"}
+        types = {letter: self.order + kind for letter, kind in kinds.items()}
+        return Stream(section, None if self.is_text else types, dtype, self.version)
+
 
 class ElementBlock(NamedTuple):
     """Elements of one type: node tags (k, corners), and the rows of each physical group."""
@@ -100,56 +105,28 @@ class ElementBlock(NamedTuple):
     groups: dict[int, Any]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class GmshPoints(FilePoints):
-    """A file's points, its section of nodes, the place of each node's x (`Stream`), and its tag."""
-
-    section: Section
-    form: MeshFormat
-    places: np.ndarray
-    tags: np.ndarray
-
-    def moved(self, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
-        data = self.section.text
-        if self.form.is_text:
-            words = (self.places[:, None] // 8 + np.arange(3)).ravel()
-            return replaced(
-                data, slice(self.section.start, self.section.stop), points.ravel(), at=words
-            )
-        copy = bytearray(data)
-        triples(copy)[self.places] = points.astype(f"{self.form.order}f8").view("V24").ravel()
-        return iter([copy])
-
-
-def triples(data: Any) -> np.ndarray:
-    """Views 24 bytes, three doubles, at every byte where they may begin, as one element each."""
-    return np.ndarray((max(memoryview(data).nbytes - 23, 0),), "V24", data, strides=(1,))
-
-
 class _Found:
     def __init__(self, form: MeshFormat):
-        self.form, self.content = form, None
+        self.form, self.content, self.labels = form, None, None
         self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
             self.names = physical_names(section, self.form)
         elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
-            self.groups |= entities(Stream(section, self.form, np.float64), name != "Entities")
+            self.groups |= entities(self.form.stream(section, np.float64), name != "Entities")
         elif name in NODES:
             if self.content is not None:
                 raise ValueError(
                     "a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh "
                     "is 0"
                 )
-            stream = Stream(section, self.form, np.float64)
+            stream = self.form.stream(section, np.float64)
             tags, places = nodes(stream, name == "ParametricNodes")
-            points = (
-                triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
-            )
-            self.content = GmshPoints(points, section, self.form, places, tags)
+            self.content = stream.content(places)
+            self.labels = Labels(tags, "nodes") if len(tags) else None
         elif name in ELEMENTS:
-            self.blocks = elements(Stream(section, self.form, np.int64), self.groups)
+            self.blocks = elements(self.form.stream(section, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
             self.others[f"${name[:40]}"] = None
 
@@ -173,12 +150,16 @@ def read(path: pathlib.Path) -> Parts:
                 f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error})."
             ) from error
     content = found.content
-    if content is None or not len(content.tags) or not found.blocks:
+    labels = found.labels
+    if content is None or labels is None or not found.blocks:
         raise ValueError(
             f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them."
         )
     with faults_of(path):
-        blocks = _numbered(found.blocks, content.tags)
+        blocks = [
+            block._replace(corners=labels.find(block.corners, f"a {block.kind}"))
+            for block in found.blocks
+        ]
     grid, patches, notes = grid_of(content.points, blocks, found.names)
     notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(
         found.others
@@ -278,88 +259,6 @@ def physical_names(section: Section, form: MeshFormat) -> Names:
     return names
 
 
-def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock]:
-    """Replaces the tags of nodes by their places: by a table, by a search if tags are sparse."""
-    # Either way a tag that is none gives some place, so the tag at the place is compared.
-    least = int(tags.min())
-    most = int(tags.max())
-    is_dense = most - least <= 10 * len(tags)
-    order = np.argsort(tags)
-    table = np.zeros(most - least + 1 if is_dense else 0, np.int64)
-    if is_dense:
-        table[tags - least] = np.arange(len(tags))
-    numbered = []
-    for block in blocks:
-        corners = np.clip(block.corners, least, most)
-        ids = (
-            table[corners - least]
-            if is_dense
-            else order[np.searchsorted(tags, corners, sorter=order)]
-        )
-        wrong = block.corners[tags[ids] != block.corners]
-        if len(wrong):
-            raise ValueError(
-                f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in "
-                "$Nodes."
-            )
-        numbered.append(block._replace(corners=ids))
-    return numbered
-
-
-class Stream:
-    """Goes through a section's numbers; those of a text are taken as bytes of `dtype`."""
-
-    def __init__(self, section: Section, form: MeshFormat, dtype: type):
-        self.section, self.version, self.rows = section, form.version, None
-        self.data, self.at, self.stop = section.text, section.start, section.stop
-        kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
-        self.types = {key: np.dtype(form.order + kind) for key, kind in kinds.items()}
-        if form.is_text:
-            self.rows = section.rows(dtype)
-            self.data, self.at, self.stop = self.rows.values, 0, self.rows.values.nbytes
-            self.types = dict.fromkeys(kinds, np.dtype(dtype))
-
-    def width(self, kinds: str) -> int:
-        return sum(self.types[kind].itemsize for kind in kinds)
-
-    def skip(self, count: int, kinds: str) -> int:
-        """Goes over records of numbers of some kinds; returns where they begin."""
-        start = self.at
-        size = count * self.width(kinds)
-        if count < 0 or size > self.stop - start:
-            raise ValueError(f"the section ends before the {count} entries that it announces")
-        self.at += size
-        return start
-
-    def take(self, kind: str, count: int, records: str = "") -> np.ndarray:
-        """Reads whole numbers, the first of each of the `records`, or side by side."""
-        dtype = self.types[kind]
-        start = self.skip(count, records or kind)
-        values = np.ndarray((count,), dtype, self.data, start, (self.width(records or kind),))
-        if (
-            dtype.kind == "f"
-            and not ((values == np.floor(values)) & (np.abs(values) < 2.0**53)).all()
-        ):
-            raise ValueError("a number that is not whole where a tag or a count is expected")
-        return values.astype(np.int64)
-
-    def one(self, kind: str) -> int:
-        return int(self.take(kind, 1)[0])
-
-    def announced(self) -> int:
-        if self.rows is not None:
-            return self.one("n")
-        start = self.at
-        self.at = self.section.text.index(b"\n", self.at, self.stop) + 1
-        return int(self.section.text[start : self.at])
-
-    def end(self) -> None:
-        """Raises `ValueError` where there is more: a binary section ends by one line end."""
-        rest = self.section.text[self.at : self.stop]
-        if self.at != self.stop if self.rows is not None else rest.strip() or not rest:
-            raise ValueError("there is more, or less, than the section announces")
-
-
 def entities(stream: Stream, is_partitioned: bool) -> Groups:
     """Reads the physical groups of entities, or of the pieces into which a partition cuts them."""
     groups: Groups = {}
@@ -398,8 +297,6 @@ def nodes(stream: Stream, is_parametric: bool) -> Nodes:
     )
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
-    if (np.diff(tags) <= 0).any() and (again := total - len(np.unique(tags))):
-        raise ValueError(f"{again} tags of nodes come a second time")
     return tags, places
 
 
@@ -570,11 +467,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2."""
     content = content_of(mesh, NAME)
     with path.open("wb") as file:
-        file.writelines(
-            _new(mesh)
-            if content is None
-            else content.moved(content.in_file(np.asarray(mesh.points)))
-        )
+        file.writelines(_new(mesh) if content is None else content.moved(np.asarray(mesh.points)))
 
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:

@@ -35,9 +35,10 @@ FORMATS = (
     Format("MED", "_med"),
     Format("Exodus", "_exodus", magic=(b"CDF", b"\x89HDF")),
     Format("PLOT3D", "_plot3d"),
-    Format("Medit", "_others", magic=(b"MeshVersion", b"#")),
-    Format("Abaqus", "_others", magic=(b"*",)),
-    *(Format(name, "_others") for name in ("I-deas", "Nastran", "XDMF", "AFLR", "Netgen")),
+    Format("Medit", "_medit", magic=(b"MeshVersion", b"#", b"\1\0\0\0", b"\0\0\0\1")),
+    Format("Abaqus", "_abaqus", magic=(b"*",)),
+    Format("I-deas", "_ideas"),
+    Format("AFLR", "_aflr"),
     Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
 
@@ -126,19 +127,18 @@ def read(path: PathLike) -> Mesh:
 
     Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), Fluent (.msh,
     .cas, .cas.h5), CGNS (.cgns), MFEM (.mesh), MED (.med). Others are Exodus (.e, .exo, .ex2,
-    .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt). By meshio come Medit
-    (.mesh, .meshb), Abaqus (.inp), XDMF (.xdmf), AFLR (.ugrid) and Netgen (.vol), by gmsh I-deas
-    (.unv) and Nastran (.bdf). Any may end in .gz. For an OpenFOAM case `path` is its folder or a
-    time folder. I-deas and Nastran need the extra `cases`, others `io`. SU2, gmsh, Fluent's text,
-    MFEM, PLOT3D and OpenFOAM need none.
+    .exoii, .g), PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt), Medit (.mesh, .meshb), Abaqus
+    and CalculiX (.inp), XDMF (.xdmf), I-deas (.unv) and AFLR (.ugrid). Any may end in .gz. For an
+    OpenFOAM case `path` is its folder or a time folder. VTK, XDMF, CGNS, MED, Exodus and .cas.h5
+    need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
 
     - SU2's markers, gmsh's physical groups, Fluent's zones of faces, CGNS's families or boundary
       conditions, MED's groups, OpenFOAM's patches, VTK's point arrays called `patch:NAME`;
-    - sets of Abaqus, groups of I-deas, names of Netgen, references and numbers of others,
-      `medit:ref_3`;
+    - sets and surfaces of Abaqus, groups of I-deas, references of Medit, `medit:ref_3`, and numbers
+      of AFLR's surfaces, `ugrid:ref_3`;
     - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
     - Exodus's side sets and node sets, and its blocks of lower dimension;
     - the sides of PLOT3D's blocks, or patches from a file beside the grid, with its name and the
@@ -196,7 +196,7 @@ def write(
     except for rounding to single precision (`as_written`), and round-off in MFEM's files of order 3
     and 4. Other meshes, and other formats, get points, cells and patches. SU2 and gmsh express a
     patch by the boundary faces between its nodes. Other formats take back only meshes that came
-    from them, Nastran none. A file that ends in .gz is packed.
+    from them. A file that ends in .gz is packed.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
     `polyMesh/points`), or into a new folder. That is a copy of the case's `constant`, `system`, `0`

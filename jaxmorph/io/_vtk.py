@@ -181,7 +181,7 @@ def _read_apart(path: Path, size: int) -> list[tuple[str, Any]]:
     """Reads data sets and their names in another process, which a damaged file may end."""
     generic = vtk.vtk("vtkIOXML").vtkXMLGenericDataObjectReader
     with tempfile.TemporaryDirectory(prefix="jaxmorph-") as folder:
-        names, said = json.loads(run_apart("vtk", path, size, folder))
+        names, said = json.loads(run_apart(path, size, folder))
         errors = [" ".join(sentence.split())[:200] for sentence in TOLD.findall(said)]
         if errors or not names:
             raise ValueError(

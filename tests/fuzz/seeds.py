@@ -10,6 +10,7 @@ import numpy as np
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
 import adf
+import decks
 import exodus
 import fluent
 import foam
@@ -17,7 +18,7 @@ import meshio
 import vtk_files
 from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split, strip
-from formats import write
+from formats import floor_of, write
 from meshes import bricks, gmsh_session
 from mfem_meshes import SOLID2, straight
 from plot3d import box
@@ -155,6 +156,20 @@ def plot3d(folder: pathlib.Path) -> list[Seed]:
     return [*seeds, (io.read, folder / "0.xyz", [beside])]
 
 
+def deck_files(kind: str) -> Callable[[pathlib.Path], list[Seed]]:
+    def make(folder: pathlib.Path) -> list[Seed]:
+        points = np.asarray(bricks(2).points) + 0.1
+        corners = np.asarray(bricks(2).cells["hexahedron"])
+        faces = floor_of(corners, np.flatnonzero(points[:, 2] == 0.1))
+        files = []
+        for ending in (each for each in decks.WRITERS if each.endswith(kind)):
+            files.append(folder / f"a{ending}")
+            decks.WRITERS[ending](files[-1], decks.in_order("plain", points, corners, faces))
+        return [single(file) for file in files]
+
+    return make
+
+
 def openfoam(folder: pathlib.Path) -> list[Seed]:
     for name, form in foam.FORMS.items():
         for make in (mixed, split):
@@ -250,6 +265,11 @@ FORMATS = {
     "MFEM": mfem_files,
     "MED": med,
     "PLOT3D": plot3d,
+    "Abaqus": deck_files(".inp"),
+    "I-deas": deck_files(".unv"),
+    "Medit": deck_files(".meshb"),
+    "Medit's text": deck_files(".mesh"),
+    "AFLR": deck_files(".ugrid"),
     "OpenFOAM": openfoam,
     "tables": tables,
     "surfaces": surfaces,

@@ -33,6 +33,11 @@ FORMATS = (
     "MFEM",
     "MED",
     "PLOT3D",
+    "Abaqus",
+    "I-deas",
+    "Medit",
+    "Medit's text",
+    "AFLR",
     "OpenFOAM",
 )
 FORMATS += ("tables", "surfaces", "plans", "boxes", "fields")

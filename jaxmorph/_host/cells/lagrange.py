@@ -14,6 +14,7 @@ pyramid as x / (1 - z), y / (1 - z), z, by which its apex has directions.
 import dataclasses
 import functools
 import itertools
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,11 @@ class Lagrange:
             at = self.order * corners[face[0]] + side.lattice @ along
             sides.append((side.name, self.nodes_at(at)))
         return sides
+
+    def side(self, corners: Iterable[int]) -> np.ndarray:
+        """Finds the nodes of the face between some corners."""
+        faces = [{*face} for face in FACES[self.shape]]
+        return self.sides[faces.index({*corners})][1]
 
     def completion(self) -> tuple[str, np.ndarray]:
         """The type with all lattice nodes, and the matrix (nodes, k) that makes them. The cell
