@@ -84,6 +84,7 @@ class Source:
     - `periodic`, `symmetry`, `kinds`: periodic pairs of patches, patches in symmetry planes, and
       the type of each patch.
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
+    - `labels` (n,): the file's own numbers of the nodes, None where they count from 0.
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
     - `held`: the content, where the file does not keep all digits of the points, else None. Its
@@ -102,6 +103,7 @@ class Source:
     periodic: tuple[Periodic, ...] = ()
     between: ndarray | None = None
     node_ids: ndarray | None = None
+    labels: ndarray | None = None
     symmetry: tuple[str, ...] = ()
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
     file_nodes: ndarray | None = None

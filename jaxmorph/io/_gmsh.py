@@ -183,7 +183,8 @@ def read(path: pathlib.Path) -> Parts:
     notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(
         found.others
     )
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known), patches)
+    source = Source(path, NAME, content, labels=content.tags, notes=notes, **content.known)
+    return of_grid(path, grid, source, patches)
 
 
 def grid_of(
