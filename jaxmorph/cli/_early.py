@@ -138,7 +138,7 @@ def is_given(group: MotionFlags, name: str) -> bool:
 
 
 def _check_deform(request: Deform, *_: Files) -> None:
-    for name in ("picture", "chunk", "zone"):
+    for name in ("picture", "chunk", "zone", "tags"):
         if request.decomposed and getattr(request, name) is not None:
             raise ValueError(
                 f"--{name} and --decomposed cannot be combined. Remove one of the two."

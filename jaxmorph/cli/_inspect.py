@@ -17,7 +17,7 @@ from ._way import check_picture, draw, faults
 
 def quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
-        mesh = mesh_of(request.file, request.zone)
+        mesh = mesh_of(request.file, request.zone, request.tags)
         points = None if request.moved is None else _same_mesh(request, mesh, request.moved).points
     check_picture(request.picture, mesh)
     with out.progress("judging the cells"):
@@ -47,7 +47,7 @@ def quality(request: Quality, out: Output) -> int:
 
 
 def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
-    moved = mesh_of(file, request.zone)
+    moved = mesh_of(file, request.zone, request.tags)
     ours = _ids(mesh)
     theirs = _ids(moved)
     if ours.keys() != theirs.keys() or not all(
@@ -65,7 +65,9 @@ def _ids(mesh: Mesh) -> Mapping[str, Any]:
 def info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
-        meshes = list(io.read_zones(request.file) if is_su2 else [io.read(request.file)])
+        meshes = list(
+            io.read_zones(request.file) if is_su2 else [mesh_of(request.file, tags=request.tags)]
+        )
     if len(meshes) > 1 and request.picture is not None:
         raise ValueError(
             f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 "
@@ -85,7 +87,7 @@ def info(request: Info, out: Output) -> int:
 
 def convert(request: Convert, out: Output) -> int:
     with out.progress("reading"):
-        mesh = io.read(request.file)
+        mesh = mesh_of(request.file, tags=request.tags)
     lost = list(io.losses(request.output, mesh))
     for sentence in lost:
         out.warn(sentence)

@@ -37,7 +37,8 @@ FORMATS = (
     Format("PLOT3D", "_plot3d"),
     Format("Medit", "_others", magic=(b"MeshVersion", b"#")),
     Format("Abaqus", "_others", magic=(b"*",)),
-    *(Format(name, "_others") for name in ("I-deas", "Nastran", "XDMF", "AFLR", "Netgen")),
+    *(Format(name, "_others") for name in ("I-deas", "Nastran", "AFLR", "Netgen")),
+    Format("XDMF", "_xdmf"),
     Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
 
@@ -121,13 +122,13 @@ def check_nodes(path: Path, mesh: Parts) -> None:
 
 
 @checked
-def read(path: PathLike) -> Mesh:
+def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
     Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), Fluent (.msh,
     .cas, .cas.h5), CGNS (.cgns), MFEM (.mesh), MED (.med). Others are Exodus (.e, .exo, .ex2,
-    .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt). By meshio come Medit
-    (.mesh, .meshb), Abaqus (.inp), XDMF (.xdmf), AFLR (.ugrid) and Netgen (.vol), by gmsh I-deas
+    .exoii, .g), XDMF (.xdmf, .xmf) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt). By meshio
+    come Medit (.mesh, .meshb), Abaqus (.inp), AFLR (.ugrid) and Netgen (.vol), by gmsh I-deas
     (.unv) and Nastran (.bdf). Any may end in .gz. For an OpenFOAM case `path` is its folder or a
     time folder. I-deas and Nastran need the extra `cases`, others `io`. SU2, gmsh, Fluent's text,
     MFEM, PLOT3D and OpenFOAM need none.
@@ -143,10 +144,17 @@ def read(path: PathLike) -> Mesh:
     - Exodus's side sets and node sets, and its blocks of lower dimension;
     - the sides of PLOT3D's blocks, or patches from a file beside the grid, with its name and the
       ending `.patches`. Its lines are `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
+    - XDMF's numbers of facets, `facet_tags_3`, in the same file or in `tags`;
     - the one patch `boundary` for a file that names none.
 
     Of two patches with one name but different nodes, the second gets a suffix, `wall_nodes_20`.
     `mesh.source.notes` lists these, and what the mesh leaves out of the file.
+
+    **Arguments:**
+
+    - `path`: the file or folder.
+    - `tags`: an XDMF file of numbered facets of an XDMF mesh, as FEniCS has them. Their corners
+      are nodes of the mesh, by place. Default: none.
 
     **Returns:** a `Mesh` with its source, so that `write` can give the file back with other
     coordinates.
@@ -158,7 +166,7 @@ def read(path: PathLike) -> Mesh:
     with files.unpacked(path) as file:
         try:
             with faults_of(file):
-                mesh = format_of(file).codec().read(file)
+                mesh = _read(file, tags)
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
@@ -179,6 +187,15 @@ def read(path: PathLike) -> Mesh:
     notes = (*mesh.source.notes, *hidden)
     source = dataclasses.replace(mesh.source, cells=numbers_of_cells(mesh.cells), notes=notes)
     return Mesh(*mesh._replace(source=source))
+
+
+def _read(file: Path, tags: PathLike | None) -> Parts:
+    chosen = format_of(file)
+    if tags is None:
+        return chosen.codec().read(file)
+    if chosen.name != "XDMF":
+        raise ValueError(f"`tags` are for XDMF; patches of {chosen.name} are in the file itself.")
+    return chosen.codec().read(file, files.input_path(tags))
 
 
 @checked
