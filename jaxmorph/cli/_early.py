@@ -87,7 +87,7 @@ def _paths(value: Any) -> list[Path]:
 
 
 def _check_mesh(path: Path) -> None:
-    if is_folder(input_path(path)) and not path.is_dir():
+    if not input_path(path).is_file() and is_folder(path) and not path.is_dir():
         raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
     path.stat()
 
