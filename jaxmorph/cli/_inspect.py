@@ -115,6 +115,7 @@ def _facts(mesh: Mesh) -> dict[str, Any]:
         "kinds": dict(mesh.kinds),
         "of_no_cell": np.setdiff1d(np.arange(len(points)), np.concatenate([[], *corners])).tolist(),
         "groups": {group: list(names) for group, names in mesh.groups.items()},
+        "periodic": [pair.patches for pair in io.periodic(mesh)],
         "boxes": {box.name: [number - 1 for number in box.shape.counts] for box in io.boxes(mesh)},
         "notes": list(getattr(mesh.source, "notes", ())),
     }
@@ -135,6 +136,7 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     yield from _list(
         "groups", [f"{group}: {', '.join(names)}" for group, names in facts["groups"].items()]
     )
+    yield from _list("periodic", [f"--periodic {' '.join(pair)}" for pair in facts["periodic"]])
     yield from _list("boxes", list(map(_line_of_box, io.boxes(mesh))))
     yield from _list("notes", facts["notes"])
 

@@ -1,7 +1,10 @@
 """gmsh's .msh, versions 1, 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
 
 import codecs
+import collections
+import contextlib
 import dataclasses
+import itertools
 import pathlib
 import re
 from collections.abc import Iterator
@@ -9,13 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
 from ._format import FilePoints, MeshLike, Source, content_of, faults_of, of_grid, patch_faces
-from ._text import Section, decoded, replaced
+from ._text import Section, blanked, decoded, replaced
 
 NAME = "gmsh"
 NODES = ("Nodes", "ParametricNodes", "NOD")
@@ -130,6 +134,7 @@ class _Found:
     def __init__(self, form: MeshFormat):
         self.form, self.content = form, None
         self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
+        self.links: list[tuple[int, np.ndarray]] = []
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
@@ -151,6 +156,9 @@ class _Found:
         elif name in ELEMENTS:
             self.blocks = elements(Stream(section, self.form, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
+            if name == "Periodic":
+                with contextlib.suppress(ValueError):
+                    self.links = list(links(section, self.form))
             self.others[f"${name[:40]}"] = None
 
 
@@ -180,11 +188,46 @@ def read(path: pathlib.Path) -> Parts:
     with faults_of(path):
         blocks = _numbered(found.blocks, content.tags)
     grid, patches, notes = grid_of(content.points, blocks, found.names)
-    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(
-        found.others
-    )
-    source = Source(path, NAME, content, labels=content.tags, notes=notes, **content.known)
-    return of_grid(path, grid, source, patches)
+    top = max(DIMENSION.get(kind, 0) for kind, _ in grid.blocks)
+    sides = [pairs for level, pairs in found.links if level == top - 1]
+    periodic = tuple(_periodic(sides, content.tags, patches))
+    unread = [name for name in found.others if name != "$Periodic" or not periodic]
+    if unread:
+        notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
+    known = content.known | {"labels": content.tags, "periodic": periodic}
+    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **known), patches)
+
+
+def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, np.ndarray]]:
+    """Yields the dimension of each periodic pair of entities, and tags (k, 2): node, its origin."""
+    if form.version <= 4:  # of the transform there are words
+        text = blanked(section.content, rb"(?m)^[ \t]*Affine[^\n]*")
+        section = section._replace(text=text, start=0, stop=len(text))
+    # before version 4 the section is text in a binary file, too
+    stream = Stream(section, form._replace(is_text=form.is_text or form.version < 4), np.float64)
+    for _ in range(stream.one("n")):
+        level = int(stream.take("i", 3)[0])
+        if form.version > 4:
+            stream.skip(stream.one("n"), "d")
+        yield level, stream.take("n", 2 * stream.one("n")).reshape(-1, 2)
+    stream.end()
+
+
+def _periodic(
+    sides: list[np.ndarray], tags: np.ndarray, patches: list[Patch]
+) -> Iterator[Periodic]:
+    """Yields pairs of patches: for each pair of entities the smallest patches that hold them."""
+    names = collections.Counter(patch.name for patch in patches)
+    own = sorted((p for p in patches if names[p.name] == 1), key=lambda patch: len(patch.nodes))
+    pairs = {}
+    for side in sides:
+        found = [
+            next((patch.name for patch in own if np.isin(nodes, tags[patch.nodes]).all()), None)
+            for nodes in side.T
+        ]
+        if None not in found and found[0] != found[1]:
+            pairs[found[1], found[0]] = None
+    return itertools.starmap(Periodic, pairs)
 
 
 def grid_of(

@@ -396,7 +396,7 @@ def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
 
 @checked
 def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
-    """Lists a file's periodic patches: OpenFOAM's `cyclic`, CGNS's periodic interfaces.
+    """Lists a file's periodic patches: of OpenFOAM `cyclic`, of CGNS interfaces, of gmsh groups.
 
     **Arguments:**
 
