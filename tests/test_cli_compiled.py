@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from meshes import bricks
 
 import jaxmorph as jm
 from jaxmorph._kernels.compile import compiled, quickly_compiled
@@ -69,3 +70,32 @@ def test_code_that_is_compiled_quickly_computes_the_same():
     for is_quick in (True, False):
         with quickly_compiled(is_quick):
             np.testing.assert_allclose(squares(x), x**2 * np.log(x), rtol=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", ["cut", "changed", "without a time"])
+def test_a_damaged_entry_is_replaced(tmp_path, damage):
+    """A command says nothing of it, and the next one reads a new entry in its place."""
+    words = ["quality", str(tmp_path / "a.su2")]
+    jm.io.write(words[1], bricks(2))
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path)}
+
+    def run():
+        command = [sys.executable, "-m", "jaxmorph", *words]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return done.stdout, done.stderr, {p: p.read_bytes() for p in tmp_path.rglob("*-cache")}
+
+    said, _, entries = run()
+    for file, content in entries.items():
+        if damage == "without a time":
+            file.with_name(file.name.replace("-cache", "-atime")).unlink()
+        else:
+            file.write_bytes(content[:20] if damage == "cut" else b"damaged" + content[7:])
+    again, told, healed = run()
+    assert again == said
+    assert "cache" not in told
+    assert healed.keys() == entries.keys()
+    if damage != "without a time":
+        assert all(len(content) > 20 and content[:7] != b"damaged" for content in healed.values())
+    assert run()[1] == ""
