@@ -29,6 +29,7 @@ CODES |= {1: "vertex", 2: "line", 34: "line3", 35: "quad9", 36: "triangle6", 37:
 CODES |= {38: "tetra10", 39: "pyramid13", 40: "wedge15", 41: "wedge18", 48: "hexahedron20"}
 CODES |= {50: "hexahedron27"}
 """Types of cells by their numbers in a topology of mixed cells."""
+CENTERS = ("Node", "Cell", "Grid", "Face", "Edge", "Other")
 COUNTED = (1, 2)
 """Numbers that a number of nodes follows."""
 ITEM = re.compile(rb"<DataItem\b([^>]*)(?<!/)>([^<]*)</DataItem\s*>")
@@ -129,7 +130,10 @@ class Document:
         """Reads the attributes of nodes or cells, a column as an array (n,)."""
         found = {}
         for each in grid.iterfind("Attribute"):
-            if each.get("Center", "Node") == center:
+            own = each.get("Center", "Node")
+            if own not in CENTERS:
+                raise ValueError(f"an array of {own}; of {', '.join(CENTERS)} they are.")
+            if own == center:
                 values = self.values(self.item_of(each, "an Attribute"))
                 is_column = values.ndim == 2 and values.shape[1] == 1
                 found[each.get("Name", "array")] = values[:, 0] if is_column else values

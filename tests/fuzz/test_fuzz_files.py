@@ -33,6 +33,7 @@ FORMATS = (
     "MFEM",
     "MED",
     "PLOT3D",
+    "XDMF",
     "OpenFOAM",
 )
 FORMATS += ("tables", "surfaces", "plans", "boxes", "fields")
