@@ -35,7 +35,7 @@ COUNTED = (1, 2)
 ITEM = re.compile(rb"<DataItem\b([^>]*)(?<!/)>([^<]*)</DataItem\s*>")
 
 
-class Block(NamedTuple):
+class XDMFBlock(NamedTuple):
     """Cells of one type, and the row of each among all cells of its grid."""
 
     kind: str
@@ -44,7 +44,7 @@ class Block(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Document:
+class XDMFDocument:
     """The XML of a file, and the number of steps of its time series, 0 without one."""
 
     path: Path
@@ -117,7 +117,7 @@ class Document:
             raise ValueError(f"points of shape {values.shape}; (n, 2) or (n, 3) expected.")
         return values.astype(float)
 
-    def blocks(self, grid: ElementTree.Element) -> list[Block]:
+    def blocks(self, grid: ElementTree.Element) -> list[XDMFBlock]:
         found = grid.find("Topology")
         found = self.grids[0].find("Topology") if found is None else found
         if found is None:
@@ -166,7 +166,7 @@ class Document:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class XDMFContent(FilePoints):
-    document: Document
+    document: XDMFDocument
     item: ElementTree.Element
     arrays: tuple[str, ...] = ()
 
@@ -223,13 +223,13 @@ def write(path: Path, mesh: MeshLike) -> None:
         )
 
 
-def _document(path: Path) -> Document:
+def _document(path: Path) -> XDMFDocument:
     raw = path.read_bytes()
     try:
         root = ElementTree.fromstring(raw)
     except ElementTree.ParseError as error:
         raise ValueError(f"not an XDMF file, or a damaged one ({error}).") from None
-    document = Document(path, raw, root)
+    document = XDMFDocument(path, raw, root)
     if root.tag != "Xdmf" or not document.grids:
         raise ValueError("not an XDMF file with a Grid in its Domain.")
     return document
@@ -253,11 +253,11 @@ def _type(element: ElementTree.Element, what: str) -> str:
     return element.get(f"{what}Type") or element.get("Type") or "XYZ"
 
 
-def _level(blocks: Sequence[Block]) -> int:
+def _level(blocks: Sequence[XDMFBlock]) -> int:
     return max((DIMENSION.get(block.kind, 0) for block in blocks), default=0)
 
 
-def _alike(word: str, ids: ndarray, topology: ElementTree.Element) -> Block:
+def _alike(word: str, ids: ndarray, topology: ElementTree.Element) -> XDMFBlock:
     name, _, size = word.partition("_")
     if name not in SHAPES or not (size or "2").isdecimal():
         raise ValueError(f"cells of the type {word} are not read.")
@@ -268,14 +268,14 @@ def _alike(word: str, ids: ndarray, topology: ElementTree.Element) -> Block:
     return _block(kind, corners, np.arange(len(corners)))
 
 
-def _block(kind: str, corners: ndarray, rows: ndarray) -> Block:
+def _block(kind: str, corners: ndarray, rows: ndarray) -> XDMFBlock:
     if kind not in (*NODES, "vertex"):
         raise ValueError(f"cells of type {kind} are not read.")
     check_width(kind, corners.shape[1])
-    return Block(kind, reordered(kind, corners, VTK_ORDER, None), rows)
+    return XDMFBlock(kind, reordered(kind, corners, VTK_ORDER, None), rows)
 
 
-def _mixed(stream: ndarray) -> Iterator[Block]:
+def _mixed(stream: ndarray) -> Iterator[XDMFBlock]:
     """Yields the cells of each type: a number of the type, perhaps that of its nodes, the nodes."""
     heads = {code: 1 + (code in COUNTED) for code in CODES}
     steps = {code: heads[code] + NODES.get(kind, 1) for code, kind in CODES.items()}
@@ -300,7 +300,7 @@ def _mixed(stream: ndarray) -> Iterator[Block]:
 
 
 def _grid(
-    document: Document, grid: ElementTree.Element, blocks: list[Block], points: ndarray
+    document: XDMFDocument, grid: ElementTree.Element, blocks: list[XDMFBlock], points: ndarray
 ) -> Grid:
     arrays = {name: rows for name, rows in document.arrays(grid, "Cell").items() if rows.ndim}
     count = sum(len(block.rows) for block in blocks)
@@ -321,7 +321,7 @@ def _grid(
     )
 
 
-def _patches(document: Document, level: int, points: ndarray) -> Iterator[Patch]:
+def _patches(document: XDMFDocument, level: int, points: ndarray) -> Iterator[Patch]:
     """Yields the facets of each number of each array, in grids below the dimension of the mesh."""
     for grid in document.grids:
         blocks = document.blocks(grid)
@@ -355,7 +355,7 @@ def _nodes(found: ndarray, points: ndarray) -> ndarray:
     return np.where(is_one, node, -1)
 
 
-def _check_corners(blocks: Sequence[Block], nodes: ndarray) -> None:
+def _check_corners(blocks: Sequence[XDMFBlock], nodes: ndarray) -> None:
     for block in blocks:
         is_point = (block.corners >= 0) & (block.corners < len(nodes))
         lost = ~is_point | (nodes[np.where(is_point, block.corners, 0)] < 0)

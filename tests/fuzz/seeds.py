@@ -22,7 +22,7 @@ from meshes import bricks, gmsh_session
 from mfem_meshes import SOLID2, straight
 from plot3d import box
 from plot3d import write as write_plot3d
-from test_xdmf import Writer, in_own_grid
+from xdmf import Writer, in_own_grid
 
 import jaxmorph as jm
 from jaxmorph import io
