@@ -36,6 +36,16 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.parametrize("words", [["info", "ring.su2"], ["deform", "--help-all"]])
+def test_a_reader_that_has_enough_is_no_fault(folder, words):
+    """As `head -1`: the command ends with its own status, and says nothing of the pipe."""
+    command = [sys.executable, "-m", "jaxmorph", *words]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == 0
+
+
 def deform(out: str, *motion: str) -> int:
     return main(["deform", "ring.su2", out, "--moving", "wall", "--fixed", "far", *motion])
 

@@ -1,9 +1,12 @@
 """Displacements from files: by node id, and from one surface to another."""
 
+import exodus
+import h5py
 import meshio
 import numpy as np
 import pytest
-from meshes import ring, wedges
+from formats import written
+from meshes import bricks, ring, wedges
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -124,6 +127,54 @@ def test_arrays_by_node_id(tmp_path):
         np.savez(tmp_path / "bad.npz", **arrays)
         with pytest.raises(ValueError, match=message):
             io.read_displacement(tmp_path / "bad.npz", mesh, moving)
+
+
+def numbered(folder, ending):
+    """A file that numbers its nodes otherwise than from 0, and the numbers."""
+    path = written(folder, ending)
+    n = len(bricks(2).points)
+    if ending == ".e":
+        points, cells = bricks(2).points, bricks(2).cells["hexahedron"]
+        exodus.write(path, np.asarray(points), [("box", "hexahedron", cells)], form="netcdf4")
+    labels = 1 + np.arange(n) if ending == ".msh" else 100 + np.arange(n)[::-1]
+    if ending != ".msh":
+        with h5py.File(path, "r+") as file:
+            if ending == ".e":
+                file["node_num_map"] = labels
+            else:
+                (step,) = file["ENS_MAA"]["mesh"].values()
+                step["NOE"]["NUM"] = labels
+    return path, labels
+
+
+@pytest.mark.parametrize("form", ["txt", "npz"])
+@pytest.mark.parametrize("ending", [".msh", ".e", ".med"])
+def test_ids_are_rows_or_the_file_s_own_numbers(tmp_path, ending, form):
+    """Of displacements and of sensitivities, in any order; others are told, with both ranges."""
+    path, labels = numbered(tmp_path, ending)
+    mesh = io.read(path)
+    every = np.arange(len(labels))
+    u = np.random.default_rng(0).normal(size=(len(labels), 3))
+    floor = mesh.patch("floor") if "floor" in mesh.patches else every[::2]
+    for nodes in (floor, every):
+        for ids in (nodes, labels[nodes]):
+            order = np.random.default_rng(1).permutation(len(nodes))
+            file = tmp_path / f"a.{form}"
+            table = {"displacement": u[nodes][order], "ids": ids[order]}
+            if form == "npz":
+                np.savez(file, **table)
+            else:
+                np.savetxt(
+                    file, np.c_[table["ids"], table["displacement"]], fmt=["%d", *["%.17g"] * 3]
+                )
+            found = io.read_displacement(file, mesh, nodes, is_position=False)
+            np.testing.assert_array_equal(found, u[nodes])
+    if form == "txt":
+        np.testing.assert_array_equal(io.read_sensitivity(file, mesh), u)
+        np.savetxt(file, np.c_[5000 + every, u])
+        own = f"own, {labels.min()} to {labels.max()}"
+        with pytest.raises(ValueError, match=f"Ids count the nodes from 0, or are all .* {own}"):
+            io.read_displacement(file, mesh, every)
 
 
 def test_surfaces_that_do_not_fit(tmp_path):

@@ -21,6 +21,8 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._host.package.text import MESHES, UNREAD
 from jaxmorph.cli import main
+from jaxmorph.io import _registry
+from jaxmorph.io._format import Format
 
 PAGE = pathlib.Path(__file__).parents[1] / "docs" / "pages" / "files.md"
 FILES = {"OpenFOAM": "", "Medit": ".meshb"} | {
@@ -41,7 +43,7 @@ PATCHES = {
     "Medit": "references",
     "Abaqus": "sets of elements and of nodes, surfaces",
     "I-deas": "groups, or properties",
-    "XDMF": "arrays of numbers",
+    "XDMF": "numbers of facets",
     "AFLR": "numbers of surfaces",
     "OpenFOAM": "patches, with kinds",
 }
@@ -231,6 +233,54 @@ def test_every_ending_of_plot3d(tmp_path, ending):
     mesh = io.read(tmp_path / f"a{ending}")
     io.write(tmp_path / f"b{ending}", mesh)
     assert (tmp_path / f"b{ending}").read_bytes() == (tmp_path / f"a{ending}").read_bytes()
+
+
+def recognised(path: pathlib.Path) -> bool:
+    """Whether one format alone has files that begin so."""
+    first = path.read_bytes()[:4096].lstrip() if path.is_file() else b""
+    return sum(each.recognises(first) for each in _registry.FORMATS) == 1
+
+
+@pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending != ".xdmf"])
+def test_a_file_is_known_by_its_first_bytes(tmp_path, ending, monkeypatch):
+    """Under another's ending and under an unknown one, whatever the order of the formats; others are told."""
+    path = written(tmp_path, ending)
+    known = _registry.format_of(path).name
+    assert _registry.format_to_write(tmp_path / f"new{ending}", None).name == known
+    last = Format("Last", "_last", begins=b"last ")
+    monkeypatch.setattr(_registry, "FORMATS", (*_registry.FORMATS[::-1], last))
+    monkeypatch.setattr(Format, "suffixes", property(lambda self: MESHES.get(self.name, ())))
+    assert _registry.format_of(path).name == known
+    assert _registry.format_to_write(tmp_path / f"new{ending}", None).name == known
+    if not recognised(path):
+        return
+    for other in (".dat", ".msh", ".mesh", ".su2"):
+        renamed = path.rename(tmp_path / f"a{other}")
+        path = renamed
+        mesh = io.read(renamed)
+        assert mesh.source.format == known
+        assert_same(rewritten(tmp_path / f"b{other}", mesh), mesh) if other != ".dat" else None
+
+
+FOREIGN = {
+    "UCD": "# a comment\n9 4 0 0 0\n1 0 0 0\n",
+    "FreeFem": "4 2 4\n0 0 1\n1 0 1\n",
+    "GiD": 'MESH "a" dimension 3 ElemType Tetrahedra Nnode 4\nCoordinates\n',
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize("ending", [".msh", ".inp", ".mesh", ".dat"])
+def test_a_kind_that_is_not_read_is_told_by_its_first_bytes(tmp_path, name, ending):
+    (tmp_path / f"a{ending}").write_text(FOREIGN[name])
+    with pytest.raises(ValueError, match=f"by its first bytes this is a .*{name}"):
+        io.read(tmp_path / f"a{ending}")
+
+
+def test_an_ending_alone_tells_kinds_in_hdf5_apart(tmp_path):
+    path = written(tmp_path, ".med").rename(tmp_path / "a.dat")
+    with pytest.raises(ValueError, match=r"may be .*MED \(\.med\).*: give it that ending"):
+        io.read(path)
 
 
 def test_another_package_brings_a_format(tmp_path, monkeypatch):

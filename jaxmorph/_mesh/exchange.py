@@ -302,7 +302,7 @@ def _physical(grid: Grid) -> Iterator[Patch]:
     }
     groups = next((grid.cell_data[name] for name in GROUPS if name in grid.cell_data), ())
     nodes = gathered(
-        ((tag, level), nodes) for level, tag, nodes in _by_number(grid.of_blocks(groups)) if tag > 0
+        ((tag, level), nodes) for level, tag, nodes in by_number(grid.of_blocks(groups)) if tag > 0
     )
     for (tag, level), members in nodes.items():
         yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
@@ -311,7 +311,7 @@ def _physical(grid: Grid) -> Iterator[Patch]:
 def _marked(grid: Grid) -> tuple[str, ByName]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name, blocks in _marker_arrays(grid):
-        found = [each for each in _by_number(blocks) if each[0]]
+        found = [each for each in by_number(blocks) if each[0]]
         highest = max(
             (level for level, *_ in found), default=0
         )  # edges beside faces have numbers of their own
@@ -333,7 +333,7 @@ def _marker_arrays(grid: Grid) -> Iterator[tuple[str, Iterable[Block]]]:
             yield name, [(1, nodes[values != 0], values[values != 0])]
 
 
-def _by_number(blocks: Iterable[Block]) -> Iterator[tuple[int, int, np.ndarray]]:
+def by_number(blocks: Iterable[Block]) -> Iterator[tuple[int, int, np.ndarray]]:
     """Yields dimension, number and nodes of blocks whose values are whole numbers."""
     for level, ids, values in blocks:
         values = np.asarray(values)

@@ -98,7 +98,7 @@ class Attempt:
 
 def deform(request: Deform, out: Output) -> int:
     with out.progress(f"reading {title(request.file)}"):
-        mesh = mesh_of(request.file, request.zone)
+        mesh = mesh_of(request.file, request.zone, request.tags)
     with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):
         return _deform(request, mesh, out)
 

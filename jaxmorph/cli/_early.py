@@ -84,7 +84,7 @@ def _paths(value: Any) -> list[Path]:
 
 
 def _check_mesh(path: Path) -> None:
-    if is_folder(input_path(path)) and not path.is_dir():
+    if not input_path(path).is_file() and is_folder(path) and not path.is_dir():
         raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
     path.stat()
 
@@ -130,7 +130,7 @@ def is_given(group: MotionFlags, name: str) -> bool:
 
 
 def _check_deform(request: Deform, *_: Files) -> None:
-    for name in ("picture", "chunk", "zone"):
+    for name in ("picture", "chunk", "zone", "tags"):
         if request.decomposed and getattr(request, name) is not None:
             raise ValueError(
                 f"--{name} and --decomposed cannot be combined. Remove one of the two."

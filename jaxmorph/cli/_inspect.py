@@ -17,7 +17,7 @@ from ._way import check_picture, draw, faults
 
 def quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
-        mesh = mesh_of(request.file, request.zone)
+        mesh = mesh_of(request.file, request.zone, request.tags)
         points = None if request.moved is None else _same_mesh(request, mesh, request.moved).points
     check_picture(request.picture)
     with out.progress("judging the cells"):
@@ -47,7 +47,7 @@ def quality(request: Quality, out: Output) -> int:
 
 
 def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
-    moved = mesh_of(file, request.zone)
+    moved = mesh_of(file, request.zone, request.tags)
     ours = _ids(mesh)
     theirs = _ids(moved)
     if ours.keys() != theirs.keys() or not all(
@@ -65,7 +65,9 @@ def _ids(mesh: Mesh) -> Mapping[str, Any]:
 def info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
-        meshes = list(io.read_zones(request.file) if is_su2 else [io.read(request.file)])
+        meshes = list(
+            io.read_zones(request.file) if is_su2 else [mesh_of(request.file, tags=request.tags)]
+        )
     if len(meshes) > 1 and request.picture is not None:
         raise ValueError(
             f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 "
@@ -85,7 +87,7 @@ def info(request: Info, out: Output) -> int:
 
 def convert(request: Convert, out: Output) -> int:
     with out.progress("reading"):
-        mesh = io.read(request.file)
+        mesh = mesh_of(request.file, tags=request.tags)
     lost = list(io.losses(request.output, mesh))
     for sentence in lost:
         out.warn(sentence)
@@ -113,6 +115,7 @@ def _facts(mesh: Mesh) -> dict[str, Any]:
         "kinds": dict(mesh.kinds),
         "of_no_cell": np.setdiff1d(np.arange(len(points)), np.concatenate([[], *corners])).tolist(),
         "groups": {group: list(names) for group, names in mesh.groups.items()},
+        "periodic": [pair.patches for pair in io.periodic(mesh)],
         "boxes": {box.name: [number - 1 for number in box.shape.counts] for box in io.boxes(mesh)},
         "notes": list(getattr(mesh.source, "notes", ())),
     }
@@ -133,6 +136,7 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     yield from _list(
         "groups", [f"{group}: {', '.join(names)}" for group, names in facts["groups"].items()]
     )
+    yield from _list("periodic", [f"--periodic {' '.join(pair)}" for pair in facts["periodic"]])
     yield from _list("boxes", list(map(_line_of_box, io.boxes(mesh))))
     yield from _list("notes", facts["notes"])
 

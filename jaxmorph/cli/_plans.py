@@ -27,7 +27,7 @@ BATCH = 8
 
 def _read(request: PlanRequest, out: Output) -> Patches:
     with out.progress(f"reading {title(request.file)}"):
-        mesh = mesh_of(request.file, getattr(request, "zone", None))
+        mesh = mesh_of(request.file, getattr(request, "zone", None), request.tags)
     return patches_of(request, mesh)
 
 

@@ -60,7 +60,7 @@ def _completer(prefix: str, parsed_args: argparse.Namespace, **_: object) -> lis
             return markers(parsed_args.file)
         from jaxmorph import io
 
-        mesh = io.read(parsed_args.file)
+        mesh = io.read(parsed_args.file, tags=parsed_args.tags)
         return [*mesh.patches, *mesh.groups]
     return []
 
@@ -264,7 +264,12 @@ class Spoken:
 
 
 @dataclasses.dataclass(frozen=True)
-class Planned(Spoken):
+class Meshed(Spoken):
+    tags: Path | None = flag("an XDMF file of numbered facets of an XDMF mesh: its patches")
+
+
+@dataclasses.dataclass(frozen=True)
+class Planned(Meshed):
     file: MeshFile = positional(MESH, "IN")
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
@@ -272,7 +277,7 @@ class Planned(Spoken):
 
 
 @dataclasses.dataclass(frozen=True)
-class Deform(Spoken):
+class Deform(Meshed):
     file: MeshFile = positional(MESH, "IN")
     output: NewMesh = positional(
         "the new mesh, in the format of its ending; for a case a new folder, or CASE/TIME", "OUT"
@@ -388,7 +393,7 @@ class SU2(Spoken):
 
 
 @dataclasses.dataclass(frozen=True)
-class Quality(Spoken):
+class Quality(Meshed):
     file: MeshFile = positional(MESH, "FILE")
     moved: MeshFile | None = positional("the same mesh, deformed", "FILE2", nargs="?")
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
@@ -398,13 +403,13 @@ class Quality(Spoken):
 
 
 @dataclasses.dataclass(frozen=True)
-class Info(Spoken):
+class Info(Meshed):
     file: MeshFile = positional(MESH, "FILE")
     picture: Picture | None = flag(BY_SKEWNESS, everyday=True)
 
 
 @dataclasses.dataclass(frozen=True)
-class Convert(Spoken):
+class Convert(Meshed):
     file: MeshFile = positional(MESH, "IN")
     output: NewMesh = positional("the same mesh, in the format of its ending", "OUT")
 

@@ -246,7 +246,8 @@ def read(path: Path) -> Parts:
     if left:
         more = f" and {len(left) - SHOWN_KEYWORDS} more" if len(left) > SHOWN_KEYWORDS else ""
         notes += (f"{', '.join(left[:SHOWN_KEYWORDS])}{more} are not read, and stay in the file.",)
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
+    source = Source(path, NAME, content, labels=labels, notes=notes, **content.known)
+    return of_grid(path, grid, source)
 
 
 def _plain(text: bytes) -> bytes:

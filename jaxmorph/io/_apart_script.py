@@ -58,7 +58,9 @@ def limit_memory(most: int) -> None:
 def vtk_reader(path: Path, folder: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
-    if path.suffix.lower() != ".vtk":
+    with path.open("rb") as file:
+        is_xml = file.read(4096).lstrip().startswith(b"<")
+    if is_xml:
         reader = vtkIOXML.vtkXMLGenericDataObjectReader()
         reader.SetFileName(str(path))
         return reader

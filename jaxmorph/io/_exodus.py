@@ -85,7 +85,8 @@ def read(path: Path) -> Parts:
         ]
         patches += [patch for what, number in _SETS for patch in _sets(file, what, number, blocks)]
         notes = _notes(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
-        return of_tree(path, NAME, coordinates, grid, patches, notes)
+        labels = file["node_num_map"][()] if "node_num_map" in file else None
+        return of_tree(path, NAME, coordinates, grid, patches, notes, labels)
 
 
 def write(path: Path, mesh: MeshLike) -> None:

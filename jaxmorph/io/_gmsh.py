@@ -1,6 +1,9 @@
 """gmsh's .msh, versions 1, 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
 
 import codecs
+import collections
+import contextlib
+import itertools
 import pathlib
 import re
 from collections.abc import Iterator
@@ -8,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._host.cells.topology import NODES as CORNERS
@@ -15,7 +19,7 @@ from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, region
 
 from ._format import MeshLike, Source, content_of, faults_of, of_grid, patch_faces
 from ._places import Labels, Stream
-from ._text import Section, decoded
+from ._text import Section, blanked, decoded
 
 NAME = "gmsh"
 NODES = ("Nodes", "ParametricNodes", "NOD")
@@ -65,7 +69,7 @@ NUMBERS = {kind: number for number, kind in TYPES.items()}
 ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 
-_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
+_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"(?:\s[^"]*)?|(\S+))\s*')
 _VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
 _COMMENTS = re.compile(
     rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE
@@ -109,6 +113,7 @@ class _Found:
     def __init__(self, form: MeshFormat):
         self.form, self.content, self.labels = form, None, None
         self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
+        self.links: list[tuple[int, np.ndarray]] = []
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
@@ -128,6 +133,9 @@ class _Found:
         elif name in ELEMENTS:
             self.blocks = elements(self.form.stream(section, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
+            if name == "Periodic":
+                with contextlib.suppress(ValueError):
+                    self.links = list(links(section, self.form))
             self.others[f"${name[:40]}"] = None
 
 
@@ -161,10 +169,47 @@ def read(path: pathlib.Path) -> Parts:
             for block in found.blocks
         ]
     grid, patches, notes = grid_of(content.points, blocks, found.names)
-    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(
-        found.others
-    )
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known), patches)
+    top = max(DIMENSION.get(kind, 0) for kind, _ in grid.blocks)
+    sides = [pairs for level, pairs in found.links if level == top - 1]
+    periodic = tuple(_periodic(sides, labels.numbers, patches))
+    unread = [name for name in found.others if name != "$Periodic" or not periodic]
+    if unread:
+        notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
+    known = content.known | {"labels": labels.numbers, "periodic": periodic}
+    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **known), patches)
+
+
+def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, np.ndarray]]:
+    """Yields the dimension of each periodic pair of entities, and tags (k, 2): node, its origin."""
+    if form.version <= 4:  # of the transform there are words
+        text = blanked(section.content, rb"(?m)^[ \t]*Affine[^\n]*")
+        section = section._replace(text=text, start=0, stop=len(text))
+    # before version 4 the section is text in a binary file, too
+    form = form._replace(is_text=form.is_text or form.version < 4)
+    stream = form.stream(section, np.float64)
+    for _ in range(stream.one("n")):
+        level = int(stream.take("i", 3)[0])
+        if form.version > 4:
+            stream.skip(stream.one("n"), "d")
+        yield level, stream.take("n", 2 * stream.one("n")).reshape(-1, 2)
+    stream.end()
+
+
+def _periodic(
+    sides: list[np.ndarray], tags: np.ndarray, patches: list[Patch]
+) -> Iterator[Periodic]:
+    """Yields pairs of patches: for each pair of entities the smallest patches that hold them."""
+    names = collections.Counter(patch.name for patch in patches)
+    own = sorted((p for p in patches if names[p.name] == 1), key=lambda patch: len(patch.nodes))
+    pairs = {}
+    for side in sides:
+        found = [
+            next((patch.name for patch in own if np.isin(nodes, tags[patch.nodes]).all()), None)
+            for nodes in side.T
+        ]
+        if None not in found and found[0] != found[1]:
+            pairs[found[1], found[0]] = None
+    return itertools.starmap(Periodic, pairs)
 
 
 def grid_of(
@@ -415,18 +460,22 @@ def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
 def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c), of the blocks of version 2, binary."""
     left = stream.announced()
+    numbers = []
     while left > 0:
         number, count, tags = stream.take("i", 3).tolist()
         if count < 0 or tags < 0:
             raise ValueError(f"{count} elements with {tags} tags")
         kind, corners = _kind(number)
         rows = stream.take("i", count * (1 + tags + corners)).reshape(count, 1 + tags + corners)
+        numbers.append(rows[:, 0])
         padded = np.pad(rows[:, 1 : 1 + tags], ((0, 0), (0, 2)))
         yield kind, np.concatenate([padded[:, :2], rows[:, 1 + tags :]], axis=1)
         left -= count
     stream.end()
     if left:
         raise ValueError("more elements than announced")
+    if numbers:  # bytes that were put in or lost are mostly seen by a number that comes twice
+        Labels(np.concatenate(numbers), "elements")
 
 
 def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:

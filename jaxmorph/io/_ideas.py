@@ -81,7 +81,8 @@ def read(path: Path) -> Parts:
         notes += (f"datasets {', '.join(left)} are not read, and stay in the file.",)
     if others := sum(int((~np.isin(ids[:, 0], (7, 8))).sum()) for _, ids in groups):
         notes += (f"{others} members of groups are no nodes or elements, and are not read.",)
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
+    source = Source(path, NAME, content, labels=nodes[:, 0], notes=notes, **content.known)
+    return of_grid(path, grid, source)
 
 
 def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:

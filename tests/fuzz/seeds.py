@@ -23,6 +23,7 @@ from meshes import bricks, gmsh_session
 from mfem_meshes import SOLID2, straight
 from plot3d import box
 from plot3d import write as write_plot3d
+from xdmf import Writer, in_own_grid
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -144,6 +145,17 @@ def mfem_files(folder: pathlib.Path) -> list[Seed]:
 def med(folder: pathlib.Path) -> list[Seed]:
     write(folder / "a.med", bricks(2))
     return [single(folder / "a.med")]
+
+
+def xdmf(folder: pathlib.Path) -> list[Seed]:
+    """With arrays in the XML and beside it, and with numbers of facets in a second grid."""
+    write(folder / "a.xdmf", bricks(2))
+    seeds = [(io.read, folder / "a.xdmf", [folder / "a.xdmf", folder / "a.h5"])]
+    for name, form in (("b", "XML"), ("c", "HDF")):
+        (folder / name).mkdir()
+        path, _ = in_own_grid(Writer(folder / name, form))
+        seeds.append((io.read, path, sorted((folder / name).iterdir())))
+    return seeds
 
 
 def plot3d(folder: pathlib.Path) -> list[Seed]:
@@ -270,6 +282,7 @@ FORMATS = {
     "Medit": deck_files(".meshb"),
     "Medit's text": deck_files(".mesh"),
     "AFLR": deck_files(".ugrid"),
+    "XDMF": xdmf,
     "OpenFOAM": openfoam,
     "tables": tables,
     "surfaces": surfaces,

@@ -38,6 +38,7 @@ FORMATS = (
     "Medit",
     "Medit's text",
     "AFLR",
+    "XDMF",
     "OpenFOAM",
 )
 FORMATS += ("tables", "surfaces", "plans", "boxes", "fields")

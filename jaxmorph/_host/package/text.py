@@ -11,7 +11,7 @@ from typing import Any
 MESHES = {
     "SU2": (".su2",),
     "VTK": (".vtu", ".vtk", ".vts", ".vtp", ".pvtu", ".vtm"),
-    "gmsh": (".msh",),
+    "gmsh": (".msh", ".msh2", ".msh4"),
     "Fluent": (".cas", ".msh"),
     "Fluent HDF5": (".h5",),
     "CGNS": (".cgns",),

@@ -245,6 +245,9 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
             f"{options.path}: not honoured here, though SU2's result depends on it: "
             f"{', '.join(left_out)}."
         )
+    if "MARKER_PERIODIC" in options:
+        pairs = " ".join(options.periodic)
+        warn(f"{options.path}: jaxmorph deform moves periodic patches alike by --periodic {pairs}.")
     relaxed = options.relaxation
     cause = (
         "check DV_VALUE"

@@ -168,6 +168,12 @@ class Options:
             if _plain(text) not in map(_plain, LEFT_OUT[name])
         ]
 
+    @property
+    def periodic(self) -> list[str]:
+        """The markers of periodic pairs, one after the other; nine numbers follow each pair."""
+        words = split(self.text("MARKER_PERIODIC").replace(";", " "))
+        return [word for k, word in enumerate(words) if k % 11 < 2]
+
     def error(self, name: str, message: str) -> ValueError:
         return ValueError(f"{self.path}: {name}= {message}.")
 
