@@ -1,11 +1,12 @@
 """Displacements from files: by node id, and from one surface to another."""
 
+import decks
 import exodus
 import h5py
 import meshio
 import numpy as np
 import pytest
-from formats import written
+from formats import floor_of, written
 from meshes import bricks, ring, wedges
 
 import jaxmorph as jm
@@ -137,7 +138,11 @@ def numbered(folder, ending):
         points, cells = bricks(2).points, bricks(2).cells["hexahedron"]
         exodus.write(path, np.asarray(points), [("box", "hexahedron", cells)], form="netcdf4")
     labels = 1 + np.arange(n) if ending == ".msh" else 100 + np.arange(n)[::-1]
-    if ending != ".msh":
+    if ending in decks.WRITERS:
+        points, cells = np.asarray(bricks(2).points), np.asarray(bricks(2).cells["hexahedron"])
+        faces = floor_of(cells, np.asarray(bricks(2).patches["floor"]))
+        decks.WRITERS[ending](path, decks.Deck(labels, points, labels[cells], labels[faces]))
+    elif ending != ".msh":
         with h5py.File(path, "r+") as file:
             if ending == ".e":
                 file["node_num_map"] = labels
@@ -148,7 +153,7 @@ def numbered(folder, ending):
 
 
 @pytest.mark.parametrize("form", ["txt", "npz"])
-@pytest.mark.parametrize("ending", [".msh", ".e", ".med"])
+@pytest.mark.parametrize("ending", [".msh", ".inp", ".unv", ".e", ".med"])
 def test_ids_are_rows_or_the_file_s_own_numbers(tmp_path, ending, form):
     """Of displacements and of sensitivities, in any order; others are told, with both ranges."""
     path, labels = numbered(tmp_path, ending)

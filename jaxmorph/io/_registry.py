@@ -40,7 +40,7 @@ FORMATS = (
     Format("MED", "_med", begins=HDF),
     Format("Exodus", "_exodus", begins=HDF + rb"|CDF[\1\2\5]"),
     Format("PLOT3D", "_plot3d"),
-    Format("Medit", "_medit", begins=rb"(?:#[^\n]*\s+)*MeshVersion|\1\0\0\0|\0\0\0\1"),
+    Format("Medit", "_medit", begins=rb"(?:#[^\n]*\s+)*MeshVersion|\x01\0\0\0|\0\0\0\x01"),
     Format("Abaqus", "_abaqus", begins=rb"\*"),
     Format("I-deas", "_ideas", begins=rb"-1\s*\n\s*\d+\s*\n"),
     Format("AFLR", "_aflr"),
