@@ -9,7 +9,7 @@ from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._advice.inspect import Crossings, crossings, simplices
+from jaxmorph._advice.crossings import Crossings, crossings, simplices
 from jaxmorph._host.surface.gaps import crossing_faces, overlapping_boxes
 from jaxmorph.cli import main
 

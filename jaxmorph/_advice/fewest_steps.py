@@ -17,7 +17,7 @@ from .._plan.plan import Plan
 from .._plan.steps import march
 from .._quality.quality import quality
 from .._quality.report import QualityReport
-from .cures import Turn
+from .turn import Turn
 
 
 @dataclasses.dataclass(frozen=True)
