@@ -15,7 +15,7 @@ from .._plan.deform import deform
 from .._plan.plan import Plan
 from .._plan.prepare import plan_of, prepare
 from .._plan.steps import march
-from .._quality.quality import quality
+from .._quality.verdict import Verdict, judge
 from .largest_step import largest_step
 from .methods import METHODS, MOST_POINTS
 from .turn import Turn
@@ -84,9 +84,9 @@ def _cures(boundary: Boundary, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Itera
     yield from (Cure(method=name) for name, method in METHODS.items() if method.is_cure)
 
 
-def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: int) -> str:
-    """Says from where on a motion folds `count` cells, and what was tried and helps."""
-    said = f"one step folds {count} cells"
+def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], verdict: Verdict) -> str:
+    """Says from where on a motion folds the cells of a verdict, and what was tried and helps."""
+    said = f"one step folds {verdict.spoilt} cells"
     tried = []
     if plan.is_linear:
         said += (
@@ -98,7 +98,8 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], count: 
         # ImportError: a solver for large 3-D meshes is not installed
         with warnings.catch_warnings(), contextlib.suppress(ValueError, ImportError):
             warnings.simplefilter("ignore")
-            is_cured = not int(quality(mesh, _moved(plan, mesh, u, cure)).inverted)
+            moved = _moved(plan, mesh, u, cure)
+            is_cured = not judge(mesh, moved, before=verdict.before).spoilt
         if is_cured:
             how = ""
             if cure.steps > 1:

@@ -23,7 +23,7 @@ from .._methods.rbf.fitted import FittedRBF
 from .._plan.deform import deform
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
-from .._quality.quality import quality
+from .._quality.verdict import judge
 from .crossings import SAME, Crossings, names_of, simplices, wall_crossings
 from .cures import advice_on_folds
 
@@ -71,7 +71,8 @@ class Inspection:
     - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it. None if the plan's
       do already, or if no number does.
     - `folds`: how many cells one step folds, from where on, and what was found to help. Empty if
-      none folds, and without a mesh.
+      none folds, where walls cross, and without a mesh.
+    - `folded_before`: how many cells were folded before the motion; empty if none were.
     """
 
     offset: float
@@ -98,6 +99,12 @@ class Inspection:
     gap_node: int | None = None
     torn: tuple[str, ...] = ()
     folds: str = ""
+    folded_before: str = ""
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether walls cross, and not because they are torn from what they could slide along."""
+        return bool(self.crossings) and not self.touches.any()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -133,8 +140,7 @@ class Inspection:
         return tuple(self._advice())
 
     def _advice(self) -> Iterator[str]:
-        if self.folds:
-            yield self.folds
+        yield from filter(None, (self.folds, self.folded_before))
         if self.gap_left is not None and self.gap_left < NARROW:
             yield (
                 f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another "
@@ -266,9 +272,15 @@ def inspect(
         rows = row_of(ids[surface], len(mesh.points))
         found["touches"] = inspection.rests & share_faces(rows[torn], faces, len(surface))
     found["torn"] = tuple(names_of(mesh, torn[:1].reshape(-1, 1)))
-    if is_whole and not found["crossings"] and (inverted := int(quality(mesh, moved).inverted)):
-        found["folds"] = advice_on_folds(plan, mesh, np.asarray(u, dtype=float), inverted)
-    return dataclasses.replace(inspection, **found)
+    inspection = dataclasses.replace(inspection, **found)
+    if not is_whole:
+        return inspection
+    verdict = judge(mesh, moved)
+    if verdict.spoilt and not inspection.is_hopeless:
+        inspection = dataclasses.replace(
+            inspection, folds=advice_on_folds(plan, mesh, np.asarray(u, dtype=float), verdict)
+        )
+    return dataclasses.replace(inspection, folded_before=verdict.note)
 
 
 def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:

@@ -168,7 +168,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
             out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad:
-        bad[-1] += _advice(attempt, out)
+        bad[-1] += "" if inspection.is_hopeless else _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
 
 

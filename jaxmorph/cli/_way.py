@@ -167,6 +167,8 @@ def say_verdict(
         after=verdict.facts,
         gates=verdict.gate_facts,
     )
+    if verdict.note:
+        out.say(f"{wrapped(verdict.note)}\n", folded_before=verdict.before.inverted)
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
         valid = verdict.cells - gate.beyond
         when = instants(is_straight, steps)

@@ -247,6 +247,9 @@ def passages(
 def _passed(
     before: np.ndarray, after: np.ndarray, faces: np.ndarray, pairs: np.ndarray, node: np.ndarray
 ) -> Passages:
+    near = _come_near(before, after, faces[pairs[:, 1]], node)
+    pairs = pairs[near]
+    node = node[near]
     corners = faces[pairs[:, 1]]
     times = np.linspace(0, 1, SPLIT + 1)
     sides = np.stack([_side(*_between(before, after, t, corners, node), 0.0) for t in times])
@@ -271,6 +274,20 @@ def _passed(
     return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
 
 
+def _come_near(
+    before: np.ndarray, after: np.ndarray, corners: np.ndarray, node: np.ndarray
+) -> np.ndarray:
+    """Lists pairs of faces (k, c) and nodes (k,) that no axis separates in one order."""
+    near = np.ones(len(node), dtype=bool)
+    for start, end in zip(before.T, after.T, strict=True):
+        columns = [
+            x[corners[:, c]] - x[node] for x in (start, end) for c in range(corners.shape[1])
+        ]
+        near &= np.minimum.reduce(columns) <= 0
+        near &= np.maximum.reduce(columns) >= 0
+    return np.flatnonzero(near)
+
+
 def _between(
     before: np.ndarray, after: np.ndarray, share: Any, corners: np.ndarray, node: np.ndarray
 ) -> Pair:
@@ -284,6 +301,8 @@ def _side(corners: np.ndarray, x: np.ndarray, slack: float = BEFORE) -> np.ndarr
     """The side (k,) of faces on which points (k, d) lie: 1 outside, -1 inside, 0 on the face."""
     normal = outward(corners)
     height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
+    if not slack:
+        return np.sign(height)
     size = np.linalg.norm(normal, axis=1) * np.ptp(corners, axis=1).max(axis=1)
     return np.where(np.abs(height) > slack * size, np.sign(height), 0)
 
