@@ -108,7 +108,11 @@ def wall_crossings(
         states = [np.concatenate([u, (k + 1) / len(states) * way]) for k, u in enumerate(states)]
         ids = np.concatenate([ids, rest])
         cut = simplices(mesh, ids)
-    return crossings(cut, mesh, ids, np.stack(states), len(surface))
+    on_plane = np.asarray(plan.volume.on_plane)[: len(plan.points)].any(axis=1)
+    is_held = np.arange(len(ids)) < len(surface)
+    if len(ids) > len(surface):
+        is_held = is_held | on_plane[ids]
+    return crossings(cut, mesh, ids, np.stack(states), len(surface), is_held)
 
 
 def turned_path(
@@ -138,10 +142,12 @@ def crossings(
     nodes: np.ndarray,
     states: Float[np.ndarray, "*k o d"],
     walls: int | None = None,
+    is_held: np.ndarray | None = None,
 ) -> Crossings:
     """Finds where the boundary `cut` comes to cross itself as `nodes` (o,) move by `states`, their
     displacements (k, o, d) one after another, or at once (o, d). The first `walls` of the nodes are
-    those of walls; others follow, and may be in each other's way.
+    those of walls; others follow, and may be in each other's way. Faces of nodes that are not held
+    (o,) follow the walls that they are connected with, well or badly: these do not pass them.
     """
     assert cut is not None
     faces, ids = cut
@@ -155,6 +161,11 @@ def crossings(
     pairs, places = crossing_faces(before, ways[-1], faces[here], place)
     pairs = here[pairs]
     passed = _passages(ways, faces, place, is_solid)
+    if is_held is not None:
+        sheet = _bodies(faces, len(nodes))
+        face = faces[passed.pairs[:, 1]]
+        follows = ~is_held[face].all(axis=1) & (sheet[face[:, 0]] == sheet[passed.nodes])
+        passed = passed.at(np.flatnonzero(~follows))
     if len(pairs):
         single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
         pairs = pairs[single]

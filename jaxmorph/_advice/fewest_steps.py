@@ -74,8 +74,9 @@ def fewest_steps(
     """Marches a motion, on the host, in the fewest equal steps that leave no cell inverted.
 
     A number of steps is good when `judge` finds no cell that they spoil, and the smallest corner
-    Jacobian stays above `min_jacobian_ratio` of its initial value. When even `max_steps` steps are not good, the result
-    has the largest fraction of the motion that they reach, by bisection to 1/1000.
+    Jacobian stays above `min_jacobian_ratio` of its initial value. When even `max_steps` steps are
+    not good, the result has the largest fraction of the motion that they reach, by bisection to
+    1/1000.
 
     With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
     are the cells of `mesh`; nodes slide and repeat as the plan has them. If that is not good
