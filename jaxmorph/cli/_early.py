@@ -10,9 +10,7 @@ from jaxmorph import METHODS
 from jaxmorph._host.package.text import (
     GRADIENTS,
     LATTICES,
-    MESHES,
     SENSITIVITIES,
-    ending,
     is_folder,
 )
 from jaxmorph.extend import input_path, output_path, patch_names
@@ -33,7 +31,6 @@ from ._requests import (
     AUTO,
     MOTIONS,
     SU2,
-    Convert,
     Deform,
     ExportRequest,
     MethodFlags,
@@ -66,8 +63,6 @@ def check(request: Request) -> None:
         _check_method(method)
     if type(request) in OF_COMMAND:
         OF_COMMAND[type(request)](request, inputs, outputs)
-    if isinstance(request, Deform | Convert):
-        _check_kind(request)
     check_apart(inputs, outputs)
     if isinstance(request, Deform | Planned):
         both = [name for name in request.moving if name in request.boundary.fixed]
@@ -76,25 +71,6 @@ def check(request: Request) -> None:
         names = itertools.chain(request.moving, *vars(request.boundary).values())
         if request.file.suffix.lower() == ".su2" and (listed := markers(request.file)):
             patch_names(tuple(names), listed, {})
-
-
-def _check_kind(request: Deform | Convert) -> None:
-    """Raises `ValueError` for a kind of file that takes back only its own meshes, of which FILE is
-    none.
-    """
-    kinds, own = (
-        {kind for kind, endings in MESHES.items() if ending(path) in endings}
-        for path in (request.output, request.file)
-    )
-    if kinds and not kinds & own:
-        from jaxmorph.io._registry import format_of
-
-        chosen = format_of(request.output)
-        if not hasattr(chosen.codec(), "check"):
-            raise ValueError(
-                f"OUT {request.output}: {chosen.name} files are written from {chosen.name} files "
-                "alone. Name another kind."
-            )
 
 
 def _checked(request: Any, kinds: tuple[Any, ...]) -> Files:
