@@ -18,6 +18,7 @@ from .turn import Turn
 
 # distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
 SAME = 1e-9
+PLANAR = 1e-6  # distance of a plane's nodes from it, relative to the extent
 STRIDE = np.deg2rad(20)  # angle of a turn that is taken for a straight way
 
 Vectors = Float[np.ndarray, "o d"]
@@ -108,10 +109,9 @@ def wall_crossings(
         states = [np.concatenate([u, (k + 1) / len(states) * way]) for k, u in enumerate(states)]
         ids = np.concatenate([ids, rest])
         cut = simplices(mesh, ids)
-    on_plane = np.asarray(plan.volume.on_plane)[: len(plan.points)].any(axis=1)
     is_held = np.arange(len(ids)) < len(surface)
-    if len(ids) > len(surface):
-        is_held = is_held | on_plane[ids]
+    for plane in plan.images.planes:
+        is_held |= np.abs(plane.height(points[ids])) <= PLANAR * np.ptp(points, axis=0).max()
     return crossings(cut, mesh, ids, np.stack(states), len(surface), is_held)
 
 

@@ -199,8 +199,8 @@ def _boxes(corners: np.ndarray, is_still: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Passages:
-    """Nodes that pass through faces: `pairs` (k, 2) of the node's face and the one passed, `nodes`
-    (k,), `shares` (k,) of the way, `places` (k, d), and `senses` (k,), 1 from inside to outside.
+    """Nodes (k,) that pass through faces: `pairs` (k, 2) of the node's face and the one passed.
+    `shares` (k,) are those of the way, `places` (k, d) where. `senses` (k,) are 1 from inside out.
     """
 
     pairs: np.ndarray
