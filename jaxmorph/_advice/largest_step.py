@@ -54,7 +54,7 @@ def largest_step(
     Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
     are found. With `proven` the Bernstein coefficients of det J take the corners' place, as in
     `proof`: whole cells keep the bound, at each instant up to the step. Corners of cells that are
-    folded on the undeformed mesh end no step.
+    inverted on the undeformed mesh end no step.
 
     **Arguments:**
 
@@ -154,7 +154,7 @@ class CornerBounds:
             first = sum(len(part.ids) for part in self.parts)
             every = _Corners(kind, ids, first, standard.sign, standard.is_judged, standard.jacobian)
             # not the least one of a curved cell
-            judged = (standard.is_judged & ~standard.is_folded)[
+            judged = (standard.is_judged & ~standard.was_inverted)[
                 : len(every.jacobians(np.asarray(mesh.points)))
             ]
             self.parts.append(dataclasses.replace(every, judged=judged))

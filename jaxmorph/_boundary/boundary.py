@@ -278,6 +278,11 @@ def _listed(
     points: np.ndarray, mesh: Mesh | None, **lists: Nodes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     moving, fixed, free = (nodes_named(ids, name, mesh, len(points)) for name, ids in lists.items())
+    if names_in(lists["fixed"]) and not len(fixed):
+        raise ValueError(
+            f"the patches of `fixed`, {shown(lists['fixed'])}, have no nodes: nothing would be "
+            "fixed. Name others, or leave `fixed` out."
+        )
     unique, counts = np.unique(moving, return_counts=True)
     check_none(
         unique[counts > 1], "{count} nodes are named more than once in `moving`, first node {node}."

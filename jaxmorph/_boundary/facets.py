@@ -93,7 +93,13 @@ class Facets(Module):
                 np.zeros((0, 1), int),
             ) * 2
             return
+        count = len(faces)
         faces = faces[np.diff(np.sort(self.welded[faces], axis=1), axis=1).all(axis=1)]
+        if not len(faces):
+            raise ValueError(
+                f"each of the {count} `faces` has two corners at one place: the surface has no "
+                "extent."
+            )
         _, sign, self.part = _beside(self.welded[faces])
         sign = sign * _sense(sign, self.part, exact[faces])
         self.faces = np.where(sign[:, None] < 0, faces[:, ::-1], faces)

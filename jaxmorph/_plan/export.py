@@ -78,6 +78,8 @@ def export(
     _check(plan)
     count = len(plan.points)
     chosen = np.arange(count) if nodes is None else rows_of("nodes", nodes, count)
+    if not len(chosen):
+        raise ValueError("`nodes` is empty: a process without points needs no plan.")
     if len(np.unique(chosen)) < len(chosen):
         raise ValueError(
             f"`nodes` names {len(chosen) - len(np.unique(chosen))} points more than once."

@@ -168,7 +168,8 @@ def _signs(cells: ByType, links: Links, points: Points) -> ByType:
 
 class Standard(NamedTuple):
     """Cells of one type on the undeformed mesh, by which they are judged. `sign` is that of the
-    mesh, `is_folded` marks cells whose volume has another one.
+    mesh, `is_folded` marks cells whose volume has another one, `was_inverted` also those of which a
+    corner has.
     """
 
     sign: Ids
@@ -178,6 +179,7 @@ class Standard(NamedTuple):
     is_judged: Bool[Either, "s k"]
     is_degenerate: Marks
     is_folded: Marks
+    was_inverted: Marks
 
 
 def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str, Standard]:
@@ -211,7 +213,16 @@ def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
     none = ~xp.any(judged, axis=0)
     least = smallest(xp.where(judged, sizes, xp.inf))
     size = xp.where(flat, 1, sign * xp.abs(volume))
-    return Standard(sign, size, flat, xp.where(none, 1, least), judged, none, folded)
+    return Standard(
+        sign=sign,
+        volume=size,
+        is_flat=flat,
+        jacobian=xp.where(none, 1, least),
+        is_judged=judged,
+        is_degenerate=none,
+        is_folded=folded,
+        was_inverted=~xp.all(sign[None] * jacobians >= -noise, axis=0),
+    )
 
 
 @by_place
@@ -294,7 +305,7 @@ def _relative(volume: Either, jacobians: Either, standard: Standard) -> dict[str
         "jacobian_ratio": jacobian_ratio,
         "is_inverted": ~((volume_ratio > 0) & (jacobian_ratio > 0)),
         "is_degenerate": standard.is_degenerate,
-        "was_inverted": standard.is_folded,
+        "was_inverted": standard.was_inverted,
     }
 
 

@@ -62,6 +62,11 @@ class Report:
         return int(np.count_nonzero(self.counted))
 
     @property
+    def is_spoilt(self) -> Any:
+        """Mask of the cells that are blamed on a motion; of a mesh by itself, on the mesh."""
+        return self.is_inverted
+
+    @property
     def inverted(self) -> Any:
         """Number of inverted cells."""
         return self._over_cells(_sum, self.is_inverted)
@@ -114,10 +119,10 @@ class Report:
         return ~np.asarray(self.is_inverted)
 
     def raise_if_inverted(self) -> None:
-        """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
-        Inside `jit` it does not work: there `inverted` is a value like any other.
+        """Raises `ValueError` on the host for cells of `is_spoilt`: how many, where the first is.
+        Inside `jit` it does not work: there the mask is a value like any other.
         """
-        bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
+        bad = np.flatnonzero(np.asarray(self.is_spoilt) & self.counted)
         if len(bad):
             are = "cell is" if len(bad) == 1 else "cells are"
             raise ValueError(
@@ -184,8 +189,9 @@ class QualityReport(Report, Module):
     - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh, so
       the cell is not judged. In float32 these may be the thinnest cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
-    - `was_inverted`: the cell's volume had the wrong sign on the undeformed mesh already; False
-      without `points`.
+    - `was_inverted`: the undeformed mesh by itself has the cell inverted; False without `points`.
+    - `is_spoilt`: inverted, and not before the motion. Without `points` inverted, or flat: no
+      corner's Jacobian is beyond round-off.
     - `degenerate`, `from_start`: numbers of such cells, and of inverted cells that were so before.
 
     Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers
@@ -207,19 +213,22 @@ class QualityReport(Report, Module):
     is_inverted: Mask
     is_degenerate: Mask
     centroid: Float[Array, "k d"]
+    was_inverted: Mask
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
-    was_inverted: Mask | None = None
 
     area = property(lambda self: self.volume)
     degenerate = property(lambda self: self._over_cells(_sum, self.is_degenerate))
 
     @property
+    def is_spoilt(self) -> Mask:
+        if self.relative:
+            return self.is_inverted & ~self.was_inverted
+        return self.is_inverted | self.is_degenerate
+
+    @property
     def from_start(self) -> Int[Array, "..."]:
-        was = jnp.zeros_like(self.is_inverted) if self.was_inverted is None else self.was_inverted
-        return self._over_cells(
-            lambda xp, flags, was: xp.sum(flags & was, axis=-1), self.is_inverted, was
-        )
+        return self._over_cells(_sum, self.is_inverted & self.was_inverted)
 
     mean_skewness = _number("mean", "skewness")
     max_skewness = _number("max", "skewness")

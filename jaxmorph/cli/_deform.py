@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph.extend import complete, quickly_compiled
+from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
 from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
@@ -32,6 +32,7 @@ from ._way import (
     in_background,
     moved,
     say_verdict,
+    warn_of_size,
 )
 
 SMALL = 10_000
@@ -112,6 +113,13 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     with out.progress("preparing"):
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
+    crossed = None
+    if request.steps == AUTO:
+        with out.progress("inspecting the motion"):
+            crossed = wall_crossings(plan, mesh, attempt.path(), nodes=nodes)
+    if crossed:  # no number of steps helps
+        request = dataclasses.replace(request, steps=1)
+        attempt = dataclasses.replace(attempt, request=request)
     if request.steps == AUTO:
         with out.progress("seeking the fewest steps"):
             least = request.gates.min_jacobian_ratio or 0.0
@@ -125,7 +133,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     say_motion(request, patches, plan, attempt.path()[-1], out)
     if attempt.reached is not None:
         reach = (
-            f"keep the cells for {attempt.reached:.1%} of the motion"
+            f"keep the cells for {attempt.reached:.1%} of the motion, and not for all of it"
             if attempt.reached < 1
             else "keep the cells"
         )
@@ -167,7 +175,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
             out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad:
-        bad[-1] += _advice(attempt, out)
+        bad[-1] += "" if inspection.is_hopeless else _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
 
 
@@ -275,6 +283,8 @@ def say_motion(
         method=name,
         steps=request.step_count,
     )
+    length = float(np.ptp(np.asarray(mesh.points)[patches.nodes], axis=0).max())
+    warn_of_size(float(way.max()) / length if length else 0.0, out)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=sources)
 

@@ -24,7 +24,7 @@ def quality(request: Quality, out: Output) -> int:
         verdict = jm.judge(mesh, points, request.gates.limits, is_straight=False)
         proof = jm.proof(mesh, points) if request.proof else None
     bad = faults(verdict)
-    tables = [verdict.table()]
+    tables = [verdict.table(), *filter(None, [verdict.note])]
     out.say(gates=verdict.gate_facts, after=verdict.facts)
     if verdict.before is not None:
         out.say(before=verdict.before.facts)
@@ -91,9 +91,10 @@ def convert(request: Convert, out: Output) -> int:
     lost = list(io.losses(request.output, mesh))
     for sentence in lost:
         out.warn(sentence)
+    old = ", in place of an older file" if request.output.is_file() else ""
     with out.progress("writing"):
         io.write(request.output, mesh)
-    out.say(f"wrote {request.output}: {mesh}", output=str(request.output), lost=lost)
+    out.say(f"wrote {request.output}: {mesh}{old}", output=str(request.output), lost=lost)
     return 0
 
 

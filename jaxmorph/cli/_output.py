@@ -98,8 +98,9 @@ class Output:
     def seconds(self) -> float:
         return time.monotonic() - self.began
 
-    def wrote(self, path: Path) -> None:
-        self.say(f"wrote {path} ({self.seconds:.1f} s)", output=str(path))
+    def wrote(self, path: Path, was_there: bool = False) -> None:
+        old = ", in place of an older file" if was_there else ""
+        self.say(f"wrote {path} ({self.seconds:.1f} s){old}", output=str(path), replaced=was_there)
 
     def end(self, status: int) -> int:
         if self.is_silent:

@@ -124,7 +124,8 @@ class MovedMesh(TracedComponent):
             )
             return
         judged = jm.Mesh(mesh.points, solid(mesh))
-        self._is_inverted = jax.jit(lambda points: jm.inverted(judged, points).any())
+        old = jm.quality(judged).is_inverted
+        self._is_inverted = jax.jit(lambda points: (jm.inverted(judged, points) & ~old).any())
 
     def judge(self, value: Array) -> None:
         """Raises `AnalysisError` where cells have inverted, or points are not finite."""

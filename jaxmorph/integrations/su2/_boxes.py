@@ -12,6 +12,7 @@ import scipy.interpolate
 from jaxtyping import Array, Float
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
+from jaxmorph.extend import warn
 
 from ._motion import AbstractPart, Names, check_axis
 from ._options import KINDS, Options, Variable
@@ -266,8 +267,28 @@ def box_parts(
             length = options.number("REF_LENGTH")
             rows = tuple(row for variable in own for row in variable.rows)
             move = box.shape.box.at(jnp.asarray(places))
-            parts.append(BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move))
+            part = BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move)
+            _warn_of_held(options, part)
+            parts.append(part)
     return parts[::-1]
+
+
+def _warn_of_held(options: Options, part: BoxPart) -> None:
+    """Warns of variables whose control points are all held, so that they move nothing."""
+    word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
+    held = []
+    for variable in part.variables:
+        if variable.kind not in TURNS:
+            factors = np.zeros((variable.size, *part.control.shape))
+            ADDS[variable.kind.removesuffix("_2D")](part, variable, factors)
+            if not factors.any():
+                held.append(f"{variable.box} ({', '.join(map(str, variable.index))})")
+    if held:
+        warn(
+            f"{options.path}: {len(held)} of {len(part.variables)} design variables move nothing, "
+            f"FFD_CONTINUITY= {word} holds their control points: {', '.join(held[:5])}. Take more "
+            "degrees, a weaker FFD_CONTINUITY, or a box whose sides no wall crosses."
+        )
 
 
 def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
