@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ._host.cells.lagrange import Lagrange as Lagrange, lagrange_types as lagrange_types
+from ._host.cells.topology import solid as solid
 from ._host.package.arguments import (
     between as between,
     checked as checked,

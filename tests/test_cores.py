@@ -51,7 +51,7 @@ def few_points(monkeypatch):
     monkeypatch.setattr(slabs, "LEAST", 1024)
     monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
-    monkeypatch.setattr(face_quality, "BLOCK", 512)
+    monkeypatch.setattr(face_quality, "FACES_AT_ONCE", 512)
     monkeypatch.setattr(vector, "CACHED", 512)
 
 

@@ -43,7 +43,7 @@ IDEAL = {kind: (np.array(PLACES[kind]) @ np.array(axes)).tolist() for kind, axes
 """Corners of the ideal cell of each type, edges of length one."""
 
 
-NEAR = 0.1  # least volume of an affine target cell, over that of an ideal cell
+NEAR_AFFINE = 0.1  # least volume of an affine target cell, over that of an ideal cell
 
 
 class Target(NamedTuple):
@@ -76,7 +76,8 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     `around`. An affine image of the ideal cell that is near, such as a parallelogram, is preferred.
     Without a `sign` each cell has its own handedness.
     """
-    edges, (volume, jacobians, noise) = _edges(kind, x), sizes_of(kind, x)
+    edges = _stack_frames(kind, x)
+    volume, jacobians, noise = sizes_of(kind, x)
     sign = jnp.where(volume < 0 if sign is None else sign < 0, -1.0, 1.0).astype(volume.dtype)
     content = sign[None] * jacobians
     folded = jnp.any(content < -noise, axis=0)
@@ -88,7 +89,7 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     )
     length = size / jnp.abs(measures.volume(kind, Vector(shape)))
     length = jnp.where(length > 0, length, 1) ** (1 / DIMENSION[kind])
-    right = _edges(kind, Vector(shape.at[0].multiply(sign[None]) * length[None, None]))
+    right = _stack_frames(kind, Vector(shape.at[0].multiply(sign[None]) * length[None, None]))
     if ideal:
         edges = right
     else:
@@ -99,7 +100,8 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
         axes = jnp.einsum("sab,bcsk->ack", share, edges, precision="highest").astype(edges.dtype)
         affine = jnp.einsum("sba,ack->bcsk", frames, axes, precision="highest").astype(edges.dtype)
         is_near = (
-            jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
+            jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0)
+            > NEAR_AFFINE
         )
         edges = jnp.where(folded, jnp.where(is_near, affine, right), edges)
     counts = (content > noise) | folded[None]
@@ -110,7 +112,7 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     return Target(rows, inverse, counts.astype(inverse.dtype))
 
 
-def _edges(kind: str, x: Vector) -> Float[Array, "e d s k"]:
+def _stack_frames(kind: str, x: Vector) -> Float[Array, "e d s k"]:
     return jnp.stack([jnp.stack(edge) for edge in measures.frames(kind, x)])
 
 

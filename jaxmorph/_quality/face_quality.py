@@ -98,7 +98,10 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
     **Raises:** `ValueError` for a mesh without cells, surfaces in 3-D, and another shape of
     `points`.
     """
-    sides = Sides.of(mesh)
+    return measured(mesh, Sides.listed(mesh), points)
+
+
+def measured(mesh: Mesh, sides: "Sides", points: Float[Any, "n d"] | None) -> FaceQuality:
     base = np.asarray(mesh.points, dtype=float)
     points = base if points is None else np.asarray(points, dtype=float)
     if points.shape != base.shape:
@@ -117,10 +120,10 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
         return _quality_of(sides, shape, points, old)
 
 
-T = TypeVar("T")
+Result = TypeVar("T")
 Cells = Int[np.ndarray, " b"]
 
-BLOCK = 1 << 14  # faces in a block: their columns stay in a core's cache
+FACES_AT_ONCE = 1 << 14  # faces in a block: their columns stay in a core's cache
 
 
 class _Faces(NamedTuple):
@@ -164,7 +167,7 @@ class Sides:
     total: int
 
     @classmethod
-    def of(cls, mesh: Mesh) -> "Sides":
+    def listed(cls, mesh: Mesh) -> "Sides":
         """Lists the faces of the cells of the highest dimension, polyhedra and polygons whole.
         Raises `ValueError` for a mesh without cells, or whose cells do not fill its dimension.
         """
@@ -186,9 +189,9 @@ class Sides:
         else:
             groups = _faces_of_polyhedra(mesh.polyhedra.faces)
             total = mesh.polyhedra.faces.count
-        return cls(tuple(_blocks(groups, mesh.between)), total)
+        return cls(tuple(_cut_into_blocks(groups, mesh.between)), total)
 
-    def map(self, function: Callable[[FaceBlock], T]) -> Iterator[tuple[FaceBlock, T]]:
+    def map(self, function: Callable[[FaceBlock], Result]) -> Iterator[tuple[FaceBlock, Result]]:
         """Yields all blocks in order, each with its `function`, which all cores compute."""
         return in_order(lambda block: (block, function(block)), self.blocks)
 
@@ -240,7 +243,7 @@ def _faces_of_polyhedra(faces: Faces) -> Iterator[_Faces]:
         yield _Faces(faces.corners(rows, size).T, faces.owner[rows], behind, behind >= 0)
 
 
-def _blocks(groups: Iterable[_Faces], between: np.ndarray | None) -> Iterator[FaceBlock]:
+def _cut_into_blocks(groups: Iterable[_Faces], between: np.ndarray | None) -> Iterator[FaceBlock]:
     first = 0
     for *columns, is_shared in groups:
         for flag in (True, False):
@@ -250,8 +253,8 @@ def _blocks(groups: Iterable[_Faces], between: np.ndarray | None) -> Iterator[Fa
             is_between = np.zeros(len(owner), bool)
             if between is not None and not flag:
                 is_between = is_among(corners.T, between)
-            for at in range(0, len(owner), BLOCK):
-                some = slice(at, at + BLOCK)
+            for at in range(0, len(owner), FACES_AT_ONCE):
+                some = slice(at, at + FACES_AT_ONCE)
                 yield FaceBlock(
                     corners=corners[:, some],
                     owner=owner[some],
@@ -308,7 +311,7 @@ def _quality_of(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> Fa
     seen = np.zeros((d, total))
     cosines = np.zeros(2)  # their sum and their number
     columns = np.ascontiguousarray(points.T)
-    for block, found in sides.map(functools.partial(_across, shape, columns)):
+    for block, found in sides.map(functools.partial(_measure_across, shape, columns)):
         inner = found.cosine[block.behind >= 0]
         cosines += len(block.views) * np.array([inner.sum(), len(inner)])
         for (_, cells), height in zip(block.views, found.heights, strict=True):
@@ -349,7 +352,7 @@ def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vector
     arms = middle[:, None] - x
     after = np.roll(arms, -1, axis=1)
     normals = np.stack(cross(arms, after))  # of triangles about the mean of the corners
-    weights = _size(normals)
+    weights = _lengths(normals)
     moment = (weights * (arms + after)).sum(axis=1)
     return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
 
@@ -374,14 +377,14 @@ class _Across(NamedTuple):
     heights: list[np.ndarray]
 
 
-def _across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
+def _measure_across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
     """Measures the line between the cells of each face: from its owner to the cell behind, else
     along the normal to the face.
     """
     inside = block.behind >= 0
     centre = shape.centre[:, block.rows]
     area = shape.area[:, block.rows]
-    size = _size(area)
+    size = _lengths(area)
     middle = shape.middle.take(block.owner, axis=1)
     other = shape.middle.take(block.behind, axis=1)  # anything without a cell behind
     arm = centre - middle
@@ -393,12 +396,12 @@ def _across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
         normal = area / np.maximum(size, FLOOR)
         across = np.where(inside, across, dot(normal, arm) * normal)
     along = dot(area, across)
-    cosine = np.clip(along / np.maximum(size * _size(across), FLOOR), -1, 1)
+    cosine = np.clip(along / np.maximum(size * _lengths(across), FLOOR), -1, 1)
     by = arm - heights[0] / np.where(along == 0, FLOOR, along) * across
-    miss = _size(by)
+    miss = _lengths(by)
     x = points.take(block.corners, axis=1) - centre[:, None]
     reach = np.abs(dot(by[:, None], x)).max(axis=0) / np.maximum(miss, FLOOR)
-    least = np.where(inside, 0.2, 0.4) * _size(across)
+    least = np.where(inside, 0.2, 0.4) * _lengths(across)
     skewness = miss / np.maximum(np.maximum(reach, least), FLOOR)
     return _Across(
         size=size,
@@ -408,5 +411,5 @@ def _across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
     )
 
 
-def _size(vectors: np.ndarray) -> np.ndarray:
+def _lengths(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(dot(vectors, vectors))

@@ -45,7 +45,7 @@ def is_whole(value: Any) -> bool:
 
 
 REAL = Rule("a real number", is_real)
-ONE = {
+SINGLE = {
     bool: Rule("True or False", lambda value: isinstance(value, bool | np.bool_)),
     int: Rule("a whole number", is_whole),
     float: REAL,
@@ -83,8 +83,8 @@ def rule_of(annotation: Any) -> Rule:
         return _of_union(members)
     if hasattr(annotation, "dim_str"):
         return _of_array(annotation)
-    if cls in ONE:
-        return ONE[cls]
+    if cls in SINGLE:
+        return SINGLE[cls]
     if not isinstance(cls, type) or cls.__name__ in SILENT:
         return Rule("", lambda value: True)
     for kind in MANY if members else ():
