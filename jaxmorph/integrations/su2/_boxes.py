@@ -208,7 +208,7 @@ def _read_boxes(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
             found = " x ".join(map(str, counts))
             raise options.error(
                 "FFD_DEGREE",
-                f"{d} degrees of at most {MOST} control points expected, found {found}",
+                f"{d} degrees of at most {MOST_CONTROL_POINTS} control points expected, found {found}",
             )
         boxes.append(
             (
