@@ -205,17 +205,11 @@ def _read_boxes(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
         numbers = [options.number("FFD_DEFINITION", word) for word in corners]
         counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
         if len(counts) < d or math.prod(counts) > MOST_CONTROL_POINTS:
+            limit = f"{d} degrees of at most {MOST_CONTROL_POINTS} control points"
             found = " x ".join(map(str, counts))
-            raise options.error(
-                "FFD_DEGREE",
-                f"{d} degrees of at most {MOST_CONTROL_POINTS} control points expected, found {found}",
-            )
-        boxes.append(
-            (
-                name,
-                shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree),
-            )
-        )
+            raise options.error("FFD_DEGREE", f"{limit} expected, found {found}")
+        places = np.reshape(numbers, (8, 3))[: 2**d, :d]
+        boxes.append((name, shapes.Hexahedron(places, counts, degree=degree)))
     return boxes
 
 
