@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 from .._boundary.outer_faces import mask, outer_faces, row_of
 from .._host.cells.adjacency import parts_of
 from .._host.package.arguments import checked, finite_array, rows_of
-from .._host.package.cores import Beside
+from .._host.package.cores import beside
 from .._host.package.errors import check_none
 from .._host.package.rounding import Tree, roundoff
 from .._host.sources.reduction import KDTree, drop_close
@@ -285,7 +285,7 @@ def inspect(
         )
     if mesh is None:
         return _of_plan(plan, u, vectors, moved).renumbered(ids)
-    looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
+    looking = beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
     inspection = _of_plan(plan, u, vectors, moved).renumbered(ids)
     faces, found = looking.result()
     torn = inspection.contradictions
