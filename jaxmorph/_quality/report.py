@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.topology import DIMENSION
-from .._host.package.arguments import checked, whole
+from .._host.package.arguments import whole
 from .._kernels.module import Module
 from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
@@ -74,7 +74,6 @@ class Report:
         """Returns the largest value of the measure called `name`."""
         return self._over_cells(lambda xp, values: largest(values, axis=-1), self._measure(name))
 
-    @checked
     def mean(self, name: str, *, weighted: bool = True) -> Any:
         """Averages the measure `name` over cells, weighted by size unless `weighted` is False."""
         if weighted:

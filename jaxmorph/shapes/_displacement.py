@@ -155,7 +155,6 @@ def moves(shape: AnyShape, x: Positions, parameters: PyTree) -> Positions:
 LISTED = 12  # names in a message, at most
 
 
-@checked
 def names(parameters: PyTree) -> list[str]:
     """Names each number of a shape's parameters, in the order of `jax.flatten_util.ravel_pytree`.
 

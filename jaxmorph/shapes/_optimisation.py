@@ -91,22 +91,18 @@ class MeshGuard(Module):
             - self.mesh.bound
         )
 
-    @checked
     def value(self, design: Numbers) -> float:
         """Computes the constraint at design variables (p,), for NumPy."""
         return float(eqx.filter_jit(self)(_flat(design)))
 
-    @checked
     def smallest(self, design: Numbers) -> float:
         """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
         return float(eqx.filter_jit(self.mesh.ratios)(_flat(design)).min())
 
-    @checked
     def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
         """Computes the derivative by each design variable (p,), for NumPy."""
         return np.asarray(eqx.filter_jit(eqx.filter_grad(self))(_flat(design)), float)
 
-    @checked
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
         """Finds the `count` smallest ratios at design variables (p,), and their derivatives: rows
         of a linear program whose step keeps all corners above the bound.

@@ -139,7 +139,7 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
     """Returns floats, in their precision, of one of the shapes, in which None is any length. Raises
     `ValueError` for other shapes, and for what are no real numbers.
     """
-    array = np.asarray(array_of(values))
+    array = native(np.asarray(array_of(values)))
     words = " or ".join(str(shape).replace("None", "any") for shape in shapes)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")
