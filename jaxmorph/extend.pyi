@@ -6,6 +6,7 @@ from typing import Any
 
 from ._advice.crossings import wall_crossings as wall_crossings
 from ._host.cells.lagrange import Lagrange as Lagrange, lagrange_types as lagrange_types
+from ._host.cells.topology import solid as solid
 from ._host.package.arguments import (
     between as between,
     checked as checked,

@@ -70,6 +70,7 @@ BOX = shapes.FreeForm([-1.0, -1.0], 3 * np.eye(2), (3, 3))
 
 
 plan = Lazy(lambda: jm.prepare(MESH, "wall", "far", method=jm.DelaunayGraph()))
+DESIGN = Lazy(lambda: jm.DesignedMesh(plan(), MESH, lambda y: y[0] * U))
 
 
 report = Lazy(lambda: jm.quality(MESH, POINTS))
@@ -120,7 +121,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "shapes.FreeForm": lambda: BOX,
     "shapes.Hexahedron": lambda: shapes.Hexahedron(SQUARE, (3, 3)),
     "shapes.History": history,
-    "shapes.MeshGuard": Lazy(lambda: shapes.MeshGuard(plan(), MESH, lambda y: y[0] * U)),
+    "shapes.MeshGuard": Lazy(lambda: shapes.MeshGuard(DESIGN())),
 }
 """What the methods of a class are called on."""
 
@@ -269,6 +270,7 @@ GOOD: dict[str, dict[str, Any]] = {
         "shapes.MeshGuard.smallest shapes.MeshGuard.value shapes.MeshGuard.gradient",
         {"design": np.array([0.1])},
     ),
+    **each("jm.ValidSteps shapes.MeshGuard", {"mesh": DESIGN}),
     "shapes.MeshGuard.callback": {"function": lambda y: None},
     "shapes.MeshGuard.guarded": {"objective": lambda y: (0.0, y)},
     "shapes.MeshGuard.quality_rows": {"design": np.array([0.1]), "count": 2},

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from .._boundary.outer_faces import mask, row_of
 from .._host.package.arguments import checked, finite_array, rows_of
-from .._host.package.cores import Beside
+from .._host.package.cores import beside
 from .._host.package.errors import check_none
 from .._host.package.rounding import Tree, roundoff
 from .._host.sources.reduction import KDTree, drop_close
@@ -255,8 +255,8 @@ def inspect(
         )
     if mesh is None:
         return _of_plan(plan, u, vectors, moved).renumbered(ids)
-    looking = Beside(_of_faces, plan, mesh, ids, vectors.astype(float))
-    crossing = Beside(
+    looking = beside(_of_faces, plan, mesh, ids, vectors.astype(float))
+    crossing = beside(
         wall_crossings,
         plan,
         mesh,

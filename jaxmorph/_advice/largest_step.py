@@ -229,8 +229,8 @@ class CornerBounds:
 class DesignedMesh(Module):
     """A mesh that design variables move, with a bound on the Jacobian ratios at its corners.
 
-    `ValidSteps` and `shapes.MeshGuard` are made of it; a constraint of your own can be, too. Its
-    functions are traced.
+    `ValidSteps` and `shapes.MeshGuard` take it; a constraint of your own can, too. Its functions
+    are traced.
 
         design = jm.DesignedMesh(plan, mesh, lambda variables: operator(variables))
         smallest = design.ratios(variables).min()
@@ -257,14 +257,19 @@ class DesignedMesh(Module):
         plan: Plan,
         mesh: Mesh,
         displacement: Callable[[Any], Any],
-        min_jacobian_ratio: float = 0.0,
         *,
+        min_jacobian_ratio: float = 0.0,
         proven: bool = False,
     ):
         between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         places(mesh, plan.points)
-        self.plan, self.displacement = plan, displacement
+        self.plan = plan
+        self.displacement = displacement
         self.bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+
+    @property
+    def bound(self) -> float:
+        return self.bounds.min_jacobian_ratio
 
     def points(self, design: Any) -> Float[Array, "n d"]:
         """Moves the mesh by design variables."""

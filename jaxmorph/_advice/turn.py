@@ -81,7 +81,6 @@ class Turn:
             [*(self.at(step / steps) for step in range(1, steps)), jnp.asarray(self.u)]
         )
 
-    @checked
     def keeps(self, points: Real[ArrayLike, "k d"]) -> bool:
         """Whether the rotation takes a surface to itself: round about its axis, or flat across."""
         points = finite_array("points", points, (None, self.u.shape[1]))

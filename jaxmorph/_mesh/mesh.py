@@ -215,7 +215,6 @@ class Mesh(Module):
             zip(self.cells, np.cumsum([0, *map(len, self.cells.values())]).tolist(), strict=False)
         )
 
-    @checked
     def refined(self, steps: int) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
         """Makes a mesh of linear cells that follow the curved ones: each edge has `steps` pieces.
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.topology import DIMENSION
-from .._host.package.arguments import checked, whole
+from .._host.package.arguments import whole
 from .._kernels.module import Module
 from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
@@ -69,7 +69,7 @@ class Report:
     @property
     def inverted(self) -> Any:
         """Number of inverted cells."""
-        return self._over_cells(_sum, self.is_inverted)
+        return self._over_cells(_add_flags, self.is_inverted)
 
     def min(self, name: str) -> Any:
         """Returns the smallest value of the measure called `name`."""
@@ -79,7 +79,6 @@ class Report:
         """Returns the largest value of the measure called `name`."""
         return self._over_cells(lambda xp, values: largest(values, axis=-1), self._measure(name))
 
-    @checked
     def mean(self, name: str, *, weighted: bool = True) -> Any:
         """Averages the measure `name` over cells, weighted by size unless `weighted` is False."""
         if weighted:
@@ -159,7 +158,7 @@ def place_of(report: Report, cell: int | np.integer) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
 
-def _number(reduction: str, name: str) -> Any:
+def _reduce_by(reduction: str, name: str) -> Any:
     return property(lambda report: getattr(report, reduction)(name))
 
 
@@ -217,8 +216,13 @@ class QualityReport(Report, Module):
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
 
-    area = property(lambda self: self.volume)
-    degenerate = property(lambda self: self._over_cells(_sum, self.is_degenerate))
+    @property
+    def area(self) -> Float[Array, "..."]:
+        return self.volume
+
+    @property
+    def degenerate(self) -> Array:
+        return self._over_cells(_add_flags, self.is_degenerate)
 
     @property
     def is_spoilt(self) -> Mask:
@@ -230,16 +234,16 @@ class QualityReport(Report, Module):
     def from_start(self) -> Int[Array, "..."]:
         return self._over_cells(_sum, self.is_inverted & self.was_inverted)
 
-    mean_skewness = _number("mean", "skewness")
-    max_skewness = _number("max", "skewness")
-    mean_aspect_ratio = _number("mean", "aspect_ratio")
-    max_aspect_ratio = _number("max", "aspect_ratio")
-    mean_non_orthogonality = _number("mean", "non_orthogonality")
-    max_non_orthogonality = _number("max", "non_orthogonality")
-    min_volume = _number("min", "volume")
-    min_jacobian = _number("min", "jacobian")
-    min_volume_ratio = _number("min", "volume_ratio")
-    min_jacobian_ratio = _number("min", "jacobian_ratio")
+    mean_skewness = _reduce_by("mean", "skewness")
+    max_skewness = _reduce_by("max", "skewness")
+    mean_aspect_ratio = _reduce_by("mean", "aspect_ratio")
+    max_aspect_ratio = _reduce_by("max", "aspect_ratio")
+    mean_non_orthogonality = _reduce_by("mean", "non_orthogonality")
+    max_non_orthogonality = _reduce_by("max", "non_orthogonality")
+    min_volume = _reduce_by("min", "volume")
+    min_jacobian = _reduce_by("min", "jacobian")
+    min_volume_ratio = _reduce_by("min", "volume_ratio")
+    min_jacobian_ratio = _reduce_by("min", "jacobian_ratio")
 
     def __str__(self) -> str:
         if not is_known(self.volume) or self.volume.ndim > 1:
@@ -271,7 +275,7 @@ class QualityReport(Report, Module):
         return array(reduce(np if known else jnp, *counted))
 
 
-def _sum(xp: Any, flags: Either) -> Any:
+def _add_flags(xp: Any, flags: Either) -> Any:
     return xp.sum(flags, axis=-1)
 
 

@@ -151,7 +151,6 @@ def moves(shape: AnyShape, x: Positions, parameters: PyTree) -> Positions:
     return moved - x
 
 
-@checked
 def names(parameters: PyTree) -> list[str]:
     """Names each number of a shape's parameters, in the order of `jax.flatten_util.ravel_pytree`.
 
