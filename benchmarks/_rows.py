@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay, KDTree
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph.cases._meshes import geometric, hexahedra, ids_of, quads
+from jaxmorph.cases._meshes import block_ids, geometric, hexahedra, quads
 
 Motion = Callable[[np.ndarray], np.ndarray]
 """Displacements (m, d) of the moving nodes (m, d) in the body's own units, for an amount of one."""
@@ -149,7 +149,7 @@ def ring(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Makes an O-grid between two closed curves (k, 2), divided as `share` says, and its quads."""
     places = inner[None] + share[:, None, None] * (outer - inner)[None]
-    ids = ids_of(len(share), len(inner))
+    ids = block_ids(len(share), len(inner))
     closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
     return places.reshape(-1, 2), {"quad": quads(closed), "inner": ids[0], "outer": ids[-1]}
 
@@ -183,7 +183,7 @@ def extruded(
     places = np.stack([x, np.broadcast_to(span * eta[:, None], x.shape), z], axis=-1).reshape(-1, 3)
     layers = np.asarray(flat.cells["quad"]) + n * np.arange(stations)[:, None, None]
     corners = np.concatenate([layers[1:], layers[:-1]], axis=-1).reshape(-1, 8)
-    ids = ids_of(stations, n)
+    ids = block_ids(stations, n)
     patches = {name: ids[:, np.asarray(nodes)].ravel() for name, nodes in flat.patches.items()}
     return jm.Mesh(places, {"hexahedron": corners}, patches | {"root": ids[0], "tip": ids[-1]})
 
@@ -246,7 +246,7 @@ def blocks(
     axes: list[np.ndarray], is_solid: Callable[..., np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Makes the grid between axes without the cells whose middle is solid: points, and cells."""
-    ids = ids_of(*map(len, axes))
+    ids = block_ids(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     cells = quads(ids)[:, ::-1] if len(axes) == 2 else hexahedra(ids)[:, [4, 5, 6, 7, 0, 1, 2, 3]]
     cells = cells[~is_solid(*places[cells].mean(axis=1).T)]
@@ -301,7 +301,7 @@ def shells(count: int, layers: int, first: float, far: float) -> jm.Mesh:
         np.round(places, 9), axis=0, return_index=True, return_inverse=True
     )
     places = places[first_of]
-    flat = ids_of(count + 1, count + 1)
+    flat = block_ids(count + 1, count + 1)
     corners = np.stack(
         [flat[:-1, :-1], flat[1:, :-1], flat[1:, 1:], flat[:-1, 1:]], axis=-1
     ).reshape(-1, 4)
@@ -483,7 +483,7 @@ def joined_cases() -> Iterator[Case]:
     x, t = np.linspace(0, 1, 41), faults.two_sided(16, 0.01)
     top = 0.25 + 0.3 * (x - 0.45) ** 2
     points = np.stack([np.repeat(x, 17).reshape(41, 17), top[:, None] * t[None]], axis=-1)
-    ids = ids_of(41, 17)
+    ids = block_ids(41, 17)
     nozzle = jm.Mesh(
         points.reshape(-1, 2),
         {"quad": quads(ids)[:, ::-1]},
@@ -737,7 +737,7 @@ def deck(side: int = 14, first: float = 0.006, layers: int = 36, growth: float =
     far = depth[-1] * wall / np.linalg.norm(wall, axis=1)[:, None]
     share = (depth / depth[-1])[:, None, None]
     places = wall + depth[:, None, None] * (1 - np.sqrt(share)) * out + np.sqrt(share) * share * far
-    ids = ids_of(len(depth), len(wall))
+    ids = block_ids(len(depth), len(wall))
     closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
     return jm.Mesh(
         places.reshape(-1, 2), {"quad": quads(closed)}, {"body": ids[0], "farfield": ids[-1]}
@@ -822,7 +822,7 @@ def solid_bodies() -> Iterator[Case]:
     radius = np.concatenate([np.linspace(0.1, 0.5, 5), np.linspace(0.56, 1.0, 8)])
     angle, z = 2 * np.pi * np.arange(28) / 28, np.linspace(0, 6, 11)
     r, a, h = np.meshgrid(radius, angle, z, indexing="ij")
-    ids = ids_of(len(radius), len(angle), len(z))
+    ids = block_ids(len(radius), len(angle), len(z))
     closed = np.concatenate([ids, ids[:, :1]], axis=1)
     points = np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1).reshape(-1, 3)
     patches = {"rod": ids[:5], "sleeve": ids[-1], "low": ids[..., 0], "high": ids[..., -1]}
@@ -847,7 +847,7 @@ def solid_bodies() -> Iterator[Case]:
     disc = disc * np.where(size > 0, (1 - (1 - size) ** 1.5) / np.maximum(size, 1e-9), 1.5)
     swell = 1 + 0.5 * np.exp(-((z - 4) ** 2))
     points = np.concatenate([disc * swell[..., None], z[..., None]], axis=-1).reshape(-1, 3)
-    ids = ids_of(9, 9, 17)
+    ids = block_ids(9, 9, 17)
     rim = np.unique(
         np.concatenate([ids[0].ravel(), ids[-1].ravel(), ids[:, 0].ravel(), ids[:, -1].ravel()])
     )

@@ -3,7 +3,7 @@
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph.cases._meshes import cut, geometric, ids_of, quads, root
+from jaxmorph.cases._meshes import block_ids, geometric, quads, without_solid, zero_of
 
 FAR = 20.0  # chords, from an O-grid's section
 SAMPLES = 600  # along each of its rays, to measure their lengths
@@ -46,7 +46,7 @@ def sharp_o_grid(
         raise ValueError(f"`edge` is {edge}; a sharp trailing edge is 1 to 60 degrees open.")
     section = SharpSection(camber, edge)
     nodes = rays(section, around, layers, first_cell, FAR * abs(section.nose) / section.radius)
-    ids = ids_of(layers + 1, around)
+    ids = block_ids(layers + 1, around)
     closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
     return jm.Mesh(
         nodes.reshape(-1, 2), {"quad": quads(closed)}, {"airfoil": ids[0], "farfield": ids[-1]}
@@ -150,7 +150,7 @@ def cascade(
     weight = share**2 * (3 - 2 * share)
     places = (1 - weight) * near + weight * outer
     nodes = np.stack([np.real(places), np.imag(places)], axis=-1)
-    ids = ids_of(layers + 1, around)
+    ids = block_ids(layers + 1, around)
     closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
     sides = {"outlet": (0, 1), "inlet": (0, -1), "upper": (1, 1), "lower": (1, -1)}
     rim, centre = nodes[-1], np.array([middle.real, middle.imag])
@@ -199,7 +199,7 @@ def channel(
     if columns < 4 or rows < 4:
         raise ValueError(f"a channel needs 4 columns and rows, not {columns} and {rows}.")
     x, y = np.linspace(0, 1, columns + 1), gap * two_sided(rows, first_cell / gap)
-    ids = ids_of(rows + 1, columns + 1)
+    ids = block_ids(rows + 1, columns + 1)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     patches = {"inner": ids[0], "outer": ids[-1], "inlet": ids[:, 0], "outlet": ids[:, -1]}
     return jm.Mesh(points, {"quad": quads(ids)}, patches)
@@ -216,7 +216,7 @@ def two_sided(cells: int, first: float) -> np.ndarray:
     def missing(delta):
         return np.log((1 - np.tanh(delta * (1 - 2 / cells)) / np.tanh(delta)) / 2 / first)
 
-    delta = root(missing, 1e-6, 18.0)
+    delta = zero_of(missing, 1e-6, 18.0)
     share = 0.5 + 0.5 * np.tanh(np.linspace(-delta, delta, cells + 1)) / np.tanh(delta)
     share[[0, -1]] = 0, 1
     return share
@@ -259,7 +259,7 @@ def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
     y = np.concatenate(
         [below, np.linspace(0, lift, layers + 1), np.linspace(lift, roof, 5)[1:], above]
     )
-    places, cells = cut(
+    places, cells = without_solid(
         (y, x), lambda y, x: ((y < 0) & (x > 0.5)) | ((x < 0.7) & (y > lift) & (y < roof))
     )
     y, x = places.T
@@ -303,7 +303,7 @@ def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
         )
     x, angle, tip = np.linspace(-1, 1, 25), np.linspace(-0.4, 0.4, 25), 2 - gap
     r = np.concatenate([np.linspace(1, tip, 13), tip + gap * np.arange(1, layers + 1) / layers])
-    places, cells = cut(
+    places, cells = without_solid(
         (r, angle, x), lambda r, angle, x: (np.abs(x) < 0.25) & (np.abs(angle) < 0.06) & (r < tip)
     )
     r, angle, x = places.T

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 
 import jaxmorph as jm
 from jaxmorph import plot
-from jaxmorph._demo import Study, say, table, write
+from jaxmorph._demo import Study, aligned, say, write_state
 
 MOTIONS = ((1, 0.0735), (1, 0.1), (1, 0.25), (1, 0.5), (1, 0.75), (2, 0.2), (2, 0.3))
 """Mode, and motion of the tip's trailing edge in semi-spans.
@@ -110,7 +110,7 @@ def shown(
     output: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]
 ) -> None:
     """Writes meshes and pictures of the motion that is shown."""
-    written = write(
+    written = write_state(
         output / "agard445-undeformed.su2", mesh, np.asarray(mesh.points), _aspect_ratio(start)
     )
     for outcome in outcomes:
@@ -118,7 +118,7 @@ def shown(
             output / f"agard445-{outcome.study.file}.su2",
             _aspect_ratio(outcome.reports[SHOWN]),
         )
-        written += write(path, mesh, outcome.points, values)
+        written += write_state(path, mesh, outcome.points, values)
     drawn = [output / "agard445-surface.png", output / "agard445-cut.png"]
     surface(drawn[0], mesh, start, outcomes[2], SHOWN)
     cut(drawn[1], mesh, outcomes[:2], SHOWN)
@@ -202,7 +202,15 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
         "\nsurface error in metres; first time: seconds for ids, compiling and one step,",
         "each more: for one step.",
     )
-    return "\n".join([*heading, table(heads, rows), "", table(cost_heads, costs), *notes])
+    return "\n".join(
+        [
+            *heading,
+            aligned([*heads, *rows], len(heads)),
+            "",
+            aligned([*cost_heads, *costs], len(cost_heads)),
+            *notes,
+        ]
+    )
 
 
 def surface(

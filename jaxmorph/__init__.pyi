@@ -4,7 +4,7 @@
 from . import cases as cases, cli as cli, extend as extend, integrations as integrations, io as io
 from . import native as native, plot as plot, shapes as shapes
 from ._advice.compare import Comparison as Comparison, compare as compare
-from ._advice.cures import Cure as Cure, Turn as Turn, cures as cures
+from ._advice.cures import Cure as Cure, cures as cures
 from ._advice.fewest_steps import Steps as Steps, fewest_steps as fewest_steps
 from ._advice.inspect import Inspection as Inspection, inspect as inspect
 from ._advice.largest_step import (
@@ -13,6 +13,7 @@ from ._advice.largest_step import (
     largest_step as largest_step,
 )
 from ._advice.methods import METHODS as METHODS
+from ._advice.turn import Turn as Turn
 from ._advice.valid_steps import ValidSteps as ValidSteps
 from ._boundary.boundary import Boundary as Boundary
 from ._boundary.facets import Facets as Facets

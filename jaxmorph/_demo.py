@@ -21,17 +21,16 @@ ANGLES = (5.0, 10.0, 15.0)  # degrees, nose up, at the end of each step
 QUARTER_CHORD = np.array([0.25, 0.0])
 
 FAR_FIELD = jm.KDTree(2)  # six sources on the paper's far field
-LEAVES = (1, 2, 4, 8)  # leaves of the wall's trees to compare, with four sources a leaf
-SIZE = (
-    5.5,
-    4.6,
-)  # inches of a figure, in which 10 points are legible at a column of a journal and on a phone
+TREES = (1, 2, 4, 8)  # leaves of the wall's trees to compare, with four sources a leaf
+
+# inches of a figure, in which 10 points are legible at a column of a journal and on a phone
+SIZE = (5.5, 4.6)
 
 AIRFOIL: plot.Window = ((-0.35, 1.45), (-0.62, 0.48))
 TRAILING_EDGE: plot.Window = ((0.915, 1.035), (-0.2325, -0.1592))
-LARGEST = 0.5
+SKEWEST = 0.5  # skewness at the dark end of the colours
 
-REDUCED = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")
+SHADES = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")  # of reduced RBF, for `TREES`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,18 +85,18 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
     say("generating the mesh, judging it")
     start = jm.quality(mesh)
     outcomes = []
-    for study in compare(mesh):
+    for study in studies_of(mesh):
         say(f"moving the mesh, {study.name}")
-        outcomes.append(measure(mesh, start, study))
+        outcomes.append(outcome_of(mesh, start, study))
     by_file = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
     say("writing meshes")
-    states = [("undeformed", np.asarray(mesh.points), start)]
-    states += [(name, outcome.points, outcome.reports[-1]) for name, outcome in by_file.items()]
+    states = {"undeformed": (np.asarray(mesh.points), start)}
+    states |= {name: (outcome.points, outcome.reports[-1]) for name, outcome in by_file.items()}
     written = []
-    for name, moved, report in states:
-        written += write(
-            output / f"naca0015-{name}.su2", mesh, moved, {"skewness": np.asarray(report.skewness)}
-        )
+    for name, (points_then, report) in states.items():
+        path = output / f"naca0015-{name}.su2"
+        skewness = {"skewness": np.asarray(report.skewness)}
+        written += write_state(path, mesh, points_then, skewness)
     figures = [output / "figure5.png", output / "figure6.png"]
     say("drawing airfoil and trailing edge (figure 5)")
     figure5(figures[0], mesh, [by_file["dgm"], by_file["reduced-rbf"]])
@@ -108,7 +107,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
     return int(any(outcome.inverted for outcome in outcomes))
 
 
-def compare(mesh: jm.Mesh) -> list[Study]:
+def studies_of(mesh: jm.Mesh) -> list[Study]:
     points = np.asarray(mesh.points)
     wall = points[mesh.patch("airfoil")]
     far = points[mesh.patch("farfield")]
@@ -120,26 +119,27 @@ def compare(mesh: jm.Mesh) -> list[Study]:
         Study("DGM, ids kept", graph, file="dgm", title="Delaunay graph mapping", style=dgm),
         Study("DGM, ids found again", graph, rebuild=True, style=dgm | {"linestyle": "--"}),
     ]
-    for leaves, shade, marker in zip(LEAVES, REDUCED, "o^vD", strict=False):
+    for leaves, shade, marker in zip(TREES, SHADES, "o^vD", strict=False):
         rbf = jm.RBF(reduction=jm.KDTree(leaves), fixed_reduction=FAR_FIELD)
         count = f"{len(rbf.reduction(wall))} + {len(FAR_FIELD(far))}"
-        title, file = (
-            (f"Reduced RBF, {count} sources", "reduced-rbf") if leaves == LEAVES[0] else ("", "")
+        study = Study(
+            f"reduced RBF, {count}",
+            jm.SurfaceReconstruction(rbf, graph),
+            file="reduced-rbf" if leaves == TREES[0] else "",
+            title=f"Reduced RBF, {count} sources",
+            style={"color": shade, "marker": marker, "linewidth": 2},
         )
-        style = {"color": shade, "marker": marker, "linewidth": 2}
-        method = jm.SurfaceReconstruction(rbf, graph)
-        studies.append(Study(f"reduced RBF, {count}", method, file=file, title=title, style=style))
+        studies.append(study)
     return studies
 
 
-def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
+def outcome_of(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     """Prepares, marches twice (once without compiling), and judges the mesh after each step."""
     moving = mesh.patch("airfoil")
     fixed = mesh.patch("farfield")
     wall = np.asarray(mesh.points)[moving]
-    path = np.stack(
-        [np.asarray(shapes.rotate(wall, -np.deg2rad(up), QUARTER_CHORD)) - wall for up in ANGLES]
-    )
+    turned = [np.asarray(shapes.rotate(wall, -np.deg2rad(up), QUARTER_CHORD)) for up in ANGLES]
+    path = np.stack(turned) - wall
     times = [time.perf_counter()]
     plan = jm.prepare(mesh.points, moving, fixed, method=study.method)
     plans, end = jm.march(plan, path, rebuild=study.rebuild)
@@ -147,15 +147,17 @@ def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     times.append(time.perf_counter())
     np.asarray(jm.march(plan, path, rebuild=study.rebuild)[1])
     times.append(time.perf_counter())
-    reports = [
-        jm.quality(mesh, stage) for stage in (*(after.points for after in plans[1:]), points)
-    ]
-    change = np.abs(np.asarray(reports[-1].skewness) - np.asarray(start.skewness))[
-        near_wall(mesh)
-    ].mean()
-    error = np.abs(points[moving] - mesh.points[moving] - path[-1]).max()
-    first, again = np.diff(times).tolist()
-    return Outcome(study, points, reports, float(change), float(error), first, again)
+    reports = [jm.quality(mesh, after.points) for after in plans[1:]] + [jm.quality(mesh, points)]
+    change = np.abs(np.asarray(reports[-1].skewness) - np.asarray(start.skewness))
+    return Outcome(
+        study=study,
+        points=points,
+        reports=reports,
+        change=float(change[near_wall(mesh)].mean()),
+        error=float(np.abs(points[moving] - wall - path[-1]).max()),
+        first=times[1] - times[0],
+        again=times[2] - times[1],
+    )
 
 
 def near_wall(mesh: jm.Mesh) -> np.ndarray:
@@ -185,48 +187,47 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
     ]
     for outcome in outcomes:
         skewness = [f"{number:.4f}" for pair in outcome.skewness for number in pair]
-        rest = (
-            f"{outcome.change:.3f} {outcome.inverted} {outcome.error:.1g} {outcome.first:.2f} "
-            f"{outcome.again:.3f}"
-        )
         steps.append((outcome.study.name, *skewness))
-        last.append((outcome.study.name, *skewness[-2:], *rest.split()))
+        rest = (
+            f"{outcome.change:.3f}",
+            f"{outcome.inverted}",
+            f"{outcome.error:.1g}",
+            f"{outcome.first:.2f}",
+            f"{outcome.again:.3f}",
+        )
+        last.append((outcome.study.name, *skewness[-2:], *rest))
     size = f"{len(mesh.points)} points, {len(mesh.cells['quad'])} cells"
     return f"""\
 NACA0015 C-grid, {size}: rotated nose up by {ANGLES[-1]:g} degrees
 about the quarter chord in {len(ANGLES)} steps, far field fixed; wall + far-field sources.
 
-{table(last[:2], last[2:])}
+{aligned(last, 2)}
 
 change at wall: mean absolute change of skewness in the {len(near_wall(mesh))} cells next to it;
 surface error in chords; first time: seconds for ids, compiling and three steps,
 once more: for the three steps again.
 
-{table(steps[:2], steps[2:])}"""
+{aligned(steps, 2)}"""
 
 
-def write(
-    path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: dict[str, np.ndarray]
+def write_state(
+    path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, values: Mapping[str, Any]
 ) -> list[pathlib.Path]:
     moved = mesh.moved(points)
     picture = path.with_suffix(".vtu")
     io.write(path, moved)
-    io.write(picture, moved, point_data={"displacement": points - mesh.points}, cell_data=values)
+    of_points = {"displacement": points - mesh.points}
+    io.write(picture, moved, point_data=of_points, cell_data=dict(values))
     return [path, picture]
 
 
-def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
-    first, *others = [max(map(len, column)) for column in zip(*heads, *rows, strict=True)]
-    lines = [
-        "  ".join(
-            [
-                name.ljust(first),
-                *(cell.rjust(width) for cell, width in zip(cells, others, strict=True)),
-            ]
-        ).rstrip()
-        for name, *cells in (*heads, *rows)
-    ]
-    lines.insert(len(heads), "-" * (first + sum(others) + 2 * len(others)))
+def aligned(rows: Sequence[tuple[str, ...]], heads: int) -> str:
+    """Text of columns: the first to the left, the others to the right, a line below the heads."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    first, *others = [f"{{:{'>' if k else '<'}{width}}}" for k, width in enumerate(widths)]
+    form = "  ".join([first, *others])
+    lines = [form.format(*row).rstrip() for row in rows]
+    lines.insert(heads, "-" * len(form.format(*rows[0])))
     return "\n".join(lines)
 
 
@@ -241,7 +242,7 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
                 mesh,
                 outcome.points,
                 values=skewness,
-                limits=(0, LARGEST),
+                limits=(0, SKEWEST),
                 window=window,
                 bar=False,
                 ax=axis,

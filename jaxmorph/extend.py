@@ -5,18 +5,19 @@ public ones of `jaxmorph`, as an extension outside of the package would be. The 
 imports its module: NumPy, SciPy and JAX come with those that need them.
 """
 
+import ast
 import importlib
-import re
 import sys
 
 
 def attached(module, file):
-    """Makes `__getattr__`, `__dir__` and `__all__` of a module by the imports `name as name` in its
-    stub, the file for type checkers beside it.
+    """Makes `__getattr__`, `__dir__` and `__all__` of a module by the relative imports in its stub,
+    the file for type checkers beside it, as `attach_stub` of lazy-loader does.
     """
     with open(f"{file.rpartition('.')[0]}.pyi", encoding="utf-8") as stub:
-        imports = re.findall(r"^from (\.\S*) import (\([^)]*\)|.*)", stub.read(), re.MULTILINE)
-    homes = {name: home for home, names in imports for name in re.findall(r"as (\w+)", names)}
+        body = ast.parse(stub.read()).body
+    imports = [node for node in body if isinstance(node, ast.ImportFrom) and node.level]
+    homes = {each.name: f".{node.module or ''}" for node in imports for each in node.names}
 
     def attribute(name):
         if name not in homes:
@@ -27,11 +28,8 @@ def attached(module, file):
         setattr(sys.modules[module], name, value)  # the next use is as fast as that of any name
         return value
 
-    return (
-        attribute,
-        lambda: sorted([*homes, *["__version__"] * (module == __package__)]),
-        list(homes),
-    )
+    names = [*homes, "__version__"] if module == __package__ else list(homes)
+    return attribute, lambda: sorted(names), list(homes)
 
 
 __getattr__, __dir__, __all__ = attached(__name__, __file__)

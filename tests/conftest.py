@@ -73,7 +73,7 @@ UNCOUNTED = (
         "naca0015",
         "naca4",
     ),
-    *("notebooks", "openmdao", "plot", "plot_page", "plot_sources"),
+    *("notebooks", "openmdao", "plot", "plot_sources"),
     *("shapes", "shapes_curves", "shapes_freeform", "shapes_measures", "shapes_smooth"),
 )
 """Files whose tests run hardly a line of the core that others do not: `--cov`, which slows Python down, counts none there."""

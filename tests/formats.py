@@ -4,6 +4,7 @@ import pathlib
 import tempfile
 
 import cgns
+import decks
 import exodus
 import fluent
 import foam
@@ -22,7 +23,7 @@ from jaxmorph.io._registry import FORMATS
 
 ENDINGS = [
     ".vtk",
-    *((form.suffixes or ("",))[0] for form in FORMATS if form.name not in ("Medit", "Nastran")),
+    *((form.suffixes or ("",))[0] for form in FORMATS if form.name != "Medit"),
     ".meshb",
 ]
 """Endings of files that are written back."""
@@ -49,33 +50,25 @@ def by_meshio(
     path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray
 ) -> None:
     faces = floor_of(corners, nodes)
-    array = {".meshb": "medit:ref", ".xdmf": "marker", ".vol": "netgen:index"}.get(path.suffix)
+    array = {".meshb": "medit:ref", ".xdmf": "marker"}.get(path.suffix)
     numbers = {array: [np.full(len(faces), 2), np.full(len(corners), 1)]} if array else {}
     sets = {} if array else {"floor": [np.arange(len(faces)), []]}
     mesh = meshio.Mesh(
         points, [("quad", faces), ("hexahedron", corners)], cell_data=numbers, cell_sets=sets
     )
-    mesh.field_data = {"floor": np.array([2, 2])} if path.suffix == ".vol" else {}
     meshio.write(path, mesh)
 
 
-def ugrid(path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray) -> None:
-    faces = floor_of(corners, nodes)
-    tables = (
-        [[len(points), 0, len(faces), 0, 0, 0, len(corners)]],
-        points,
-        faces + 1,
-        np.full((len(faces), 1), 2),
-        corners + 1,
+def by_hand(path: pathlib.Path, points: np.ndarray, corners: np.ndarray, nodes: np.ndarray) -> None:
+    decks.WRITERS[path.suffix](
+        path,
+        decks.Deck(1 + np.arange(len(points)), points, 1 + corners, 1 + floor_of(corners, nodes)),
     )
-    rows = (" ".join(map(repr, row)) for table in tables for row in np.asarray(table).tolist())
-    path.write_text("\n".join([*rows, ""]))
 
 
-OTHERS = dict.fromkeys((".meshb", ".inp", ".xdmf", ".vol"), by_meshio) | {
+OTHERS = dict.fromkeys((".meshb", ".inp", ".xdmf"), by_meshio) | {
     ".unv": by_gmsh,
-    ".bdf": by_gmsh,
-    ".ugrid": ugrid,
+    ".ugrid": by_hand,
 }
 """Writers of kinds that other libraries read, by their endings."""
 

@@ -460,3 +460,39 @@ def pair(kind):
     place = np.full(len(points), -1)
     place[used] = np.arange(len(used))
     return jm.Mesh(points[used], {kind: place[np.stack([np.arange(len(ideal)), second])]})
+
+
+def capsule(degrees: float, count: int = 3, *, whole: bool = False) -> jm.Mesh:
+    """Makes layers around a capsule along z: between two half planes through z, or all around."""
+    step = np.deg2rad(degrees) / (count - 1)
+    around = step * np.arange(round(360 / degrees) * (count - 1) if whole else count)
+    tall = np.linspace(0, np.pi, 7)
+    layers = np.linspace(0, 1, 4) ** 1.5
+    out = np.stack([np.sin(tall), np.cos(tall)], axis=1)
+    profile = out + [0, 1] * np.sign(np.round(out[:, 1:], 9))
+    r, z = np.moveaxis(profile + layers[:, None, None] * (6 * out - profile), 2, 0)[..., None]
+    r[:, [0, -1]] = 0
+    # nodes of the axis come first, each once
+    ids = np.empty((len(layers), len(tall), len(around)), int)
+    ids[:, [0, -1]] = np.arange(2 * len(layers)).reshape(-1, 2, 1)
+    ids[:, 1:-1] = 2 * len(layers) + np.arange(ids[:, 1:-1].size).reshape(ids[:, 1:-1].shape)
+    points = np.zeros((ids.max() + 1, 3))
+    points[ids] = np.stack([r * np.cos(around), r * np.sin(around), z + 0 * around], axis=-1)
+    if whole:
+        ids = np.concatenate([ids, ids[:, :, :1]], axis=2)
+    ends = []
+    for tip, ring in ((0, 1), (-1, -2)):
+        sides = [ids[:, ring, :-1], ids[:, ring, 1:]]
+        triangles = np.stack([ids[:, tip, :-1], *(sides if tip == 0 else sides[::-1])], axis=-1)
+        ends.append(np.concatenate([triangles[:-1], triangles[1:]], axis=-1).reshape(-1, 6))
+    cells = {"hexahedron": blocks(ids[:, 1:-1]), "wedge": np.concatenate(ends)}
+    return jm.Mesh(points, cells, {"wall": np.unique(ids[0]), "far": np.unique(ids[-1])})
+
+
+def between_half_planes(degrees: float) -> list[jm.Plane]:
+    """The two half planes of `capsule`, as symmetry planes."""
+    angle = np.deg2rad(degrees)
+    return [
+        jm.Plane((0, 1, 0), (0, 0, 0)),
+        jm.Plane((-np.sin(angle), np.cos(angle), 0), (0, 0, 1)),
+    ]

@@ -70,6 +70,7 @@ BOX = shapes.FreeForm([-1.0, -1.0], 3 * np.eye(2), (3, 3))
 
 
 plan = Lazy(lambda: jm.prepare(MESH, "wall", "far", method=jm.DelaunayGraph()))
+DESIGN = Lazy(lambda: jm.DesignedMesh(plan(), MESH, lambda y: y[0] * U))
 
 
 report = Lazy(lambda: jm.quality(MESH, POINTS))
@@ -120,7 +121,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "shapes.FreeForm": lambda: BOX,
     "shapes.Hexahedron": lambda: shapes.Hexahedron(SQUARE, (3, 3)),
     "shapes.History": history,
-    "shapes.MeshGuard": Lazy(lambda: shapes.MeshGuard(plan(), MESH, lambda y: y[0] * U)),
+    "shapes.MeshGuard": Lazy(lambda: shapes.MeshGuard(DESIGN())),
 }
 """What the methods of a class are called on."""
 
@@ -269,13 +270,14 @@ GOOD: dict[str, dict[str, Any]] = {
         "shapes.MeshGuard.smallest shapes.MeshGuard.value shapes.MeshGuard.gradient",
         {"design": np.array([0.1])},
     ),
+    **each("jm.ValidSteps shapes.MeshGuard", {"mesh": DESIGN}),
     "shapes.MeshGuard.callback": {"function": lambda y: None},
     "shapes.MeshGuard.guarded": {"objective": lambda y: (0.0, y)},
     "shapes.MeshGuard.quality_rows": {"design": np.array([0.1]), "count": 2},
     "shapes.Modes": {"fields": np.zeros((1, 4, 2))},
     "shapes.NACA4": {"camber": 0.02, "place": 0.4, "thickness": 0.12},
     "shapes.OnRows": {"rows": np.array([0, 1])},
-    "shapes.Part": {"kept": np.ones(4, bool)},
+    "shapes.Part": {"mask": np.ones(4, bool)},
     "shapes.ReferenceAxis": {"points": np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])},
     **each("shapes.Smoother shapes.Smoother.on", {"held": np.array([0])}),
     "shapes.Stations.on": {"points": np.array([[0.5, 0.0]]), "direction": np.array([0.0, 1.0])},
@@ -288,11 +290,11 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.thickness": {
         "stations": Lazy(lambda: shapes.Stations.on(X, LOOP, [[0.5, 0.0]], [0.0, 1.0]))
     },
-    "shapes.trailing_edge_angle": {"upper": np.array([3, 2]), "lower": np.array([1, 2])},
     "shapes.translate": {"by": np.zeros(2)},
     "shapes.twist": {"x": PLACES, "about": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0])},
     "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
+    "shapes.upper_side": {"*": "wall", "chord": shapes.Chord([0.0, 0.0], [1.0, 0.0])},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
     "plot.convergence": {"history": history},
@@ -300,10 +302,8 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
     "plot.mesh": {"values": np.zeros(9)},
-    "plot.page": SPACE | {"path": FOLDER / "a.html"},
     "plot.picture": {"before": MESH},
     "plot.sources": {"surface": plan},
-    "plot.sources_3d": {"surface": PLACES},
     "plot.surface": SPACE,
     "cases.bodies": {"boxes": {"a": [-1.0, 1.0, -1.0, 1.0]}},
     "cases.bricks": {"first_cell": 0.1},
@@ -326,9 +326,7 @@ EXTRA: dict[str, dict[str, Any]] = {
         "count most sources neighbours copies leaves fixed_leaves steps max_steps rows order points",
         LEAST,
     ),
-    **each(
-        "stations layers columns around mode frames dense chunk size points_per_leaf crowded", LEAST
-    ),
+    **each("stations layers columns mode frames dense chunk size points_per_leaf crowded", LEAST),
     **{
         "k": {"less": -1, "beyond": 99},
         "degree": {"less": -1, "beyond": 99},
@@ -560,7 +558,7 @@ SENSE = {
     "shapes.HicksHenne.widths": "list",
     **each("shapes.Linked.matrix shapes.Modes.fields", "wide"),
     "shapes.OnRows.rows": "beyond huge",
-    "shapes.Part.kept": "mask",
+    "shapes.Part.mask": "mask",
     "shapes.Stations.on.direction": "axis",
     **each("shapes.chord.nose shapes.chord.tail", "list array less"),
     **each(

@@ -1,5 +1,6 @@
 """Boundaries that are not what they are said to be, and what moved ones are judged by."""
 
+import jax
 import numpy as np
 import pytest
 from cases import full
@@ -177,3 +178,32 @@ def test_pairs_and_planes_are_judged():
     off[np.isin(moving, sides[0])] += 0.1
     assert jm.inspect(plan, off).put_back_by > 0.04
     assert "moving nodes do not go where `u` sends them" in str(jm.inspect(plan, off))
+
+
+@pytest.mark.parametrize("of_mesh", [True, False], ids=["mesh", "points"])
+def test_a_boundary_and_a_mesh_are_what_was_checked(of_mesh):
+    """No array of theirs can be written into, none is the caller's, and a second mesh takes no copy."""
+    mesh = box_with_hole()
+    points = np.array(mesh.points)
+    cells = {kind: np.array(ids) for kind, ids in mesh.cells.items()}
+    patches = {name: np.array(ids) for name, ids in mesh.patches.items()}
+    lists = [np.array(mesh.patch(name)) for name in ("hole", "right")]
+    plane = jm.Plane([-1.0, 0.0], points[LEFT[0]])
+    sliding = [jm.Slide("bottom")] if of_mesh else []
+    copy = jm.Mesh(points, cells, patches)
+    boundary = jm.Boundary(copy if of_mesh else points, *lists, symmetry=plane, sliding=sliding)
+    for given in (points, *cells.values(), *patches.values(), *lists):
+        given[...] = 0
+    held = [leaf for leaf in jax.tree.leaves([*vars(boundary).values(), copy]) if np.ndim(leaf)]
+    assert len(held) > 8
+    for array in held:
+        assert not isinstance(array, np.ndarray) or not array.flags.writeable
+    np.testing.assert_array_equal(boundary.points, mesh.points)
+    np.testing.assert_array_equal(boundary.moving, mesh.patch("hole"))
+    np.testing.assert_array_equal(copy.cells["quad"], mesh.cells["quad"])
+    again = jm.Mesh(copy.points, copy.cells, copy.patches)
+    assert np.shares_memory(again.points, copy.points)
+    assert np.shares_memory(again.moved(copy.points).points, copy.points)
+    assert np.shares_memory(jm.Boundary(copy, "hole", "right").points, copy.points)
+    back = copy.points[::-1]
+    assert np.shares_memory(again.moved(back).points, copy.points)

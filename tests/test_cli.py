@@ -36,6 +36,16 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.parametrize("words", [["info", "ring.su2"], ["deform", "--help-all"]])
+def test_a_reader_that_has_enough_is_no_fault(folder, words):
+    """As `head -1`: the command ends with its own status, and says nothing of the pipe."""
+    command = [sys.executable, "-m", "jaxmorph", *words]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == 0
+
+
 def deform(out: str, *motion: str) -> int:
     return main(["deform", "ring.su2", out, "--moving", "wall", "--fixed", "far", *motion])
 
@@ -459,7 +469,7 @@ AT_ONCE = {
     f"deform in.su2 out.su2 {MOVE} --chunk 0": "--chunk: a whole number of 1 or more",
     f"deform in.su2 out.su2 {MOVE} --zone 0": "--zone: a whole number of 1 or more",
     f"deform in.su2 out.su2 {MOVE} --sources 9 --method graph": "graph has no sources to choose",
-    f"deform in.su2 out.su2 {MOVE} --picture a.gif": "--picture a.gif: the name should end in .png or .html",
+    f"deform in.su2 out.su2 {MOVE} --picture a.gif": "--picture a.gif: the name should end in .png",
     f"deform in.su2 out.su2 {MOVE} --picture none/a.png": "--picture none/a.png: there is no folder none",
     f"deform in.su2 out.su2 {MOVE} --save-job out.su2": "--save-job out.su2 is the file of OUT",
     f"deform in.su2 out.su2 {MOVE} --save-job no/a.toml": "--save-job no/a.toml: there is no folder no.",

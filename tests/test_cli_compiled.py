@@ -20,11 +20,11 @@ jax.numpy.negative(jax.numpy.ones(3)).block_until_ready()
 """
 
 
-def cached(tmp_path, **variables):
+def cached(tmp_path, code=CODE, **variables):
     """What a process says of its cache, and the files in the user's cache folder afterwards."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX")}
     environment |= {"XDG_CACHE_HOME": str(tmp_path)} | variables
-    command = [sys.executable, "-c", CODE]
+    command = [sys.executable, "-c", code]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return done.stdout.split(), [file.name for file in tmp_path.rglob("*-cache")]
 
@@ -69,3 +69,29 @@ def test_code_that_is_compiled_quickly_computes_the_same():
     for is_quick in (True, False):
         with quickly_compiled(is_quick):
             np.testing.assert_allclose(squares(x), x**2 * np.log(x), rtol=1e-14)
+
+
+HEALED = """
+import warnings
+from jaxmorph.cli import _entry
+warnings.simplefilter("always")
+warnings.showwarning = lambda message, *_: _entry.is_healed(message) or print(message)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have another cache folder")
+@pytest.mark.parametrize("damage", ["cut", "changed", "without a time"])
+def test_a_damaged_entry_is_replaced(tmp_path, damage):
+    """Nothing is said of it, and a new entry is in its place."""
+    said, _ = cached(tmp_path, HEALED + CODE)
+    entries = {file: file.read_bytes() for file in tmp_path.rglob("*-cache")}
+    for file, content in entries.items():
+        if damage == "without a time":
+            file.with_name(file.name.replace("-cache", "-atime")).unlink()
+        else:
+            file.write_bytes(content[:20] if damage == "cut" else b"damaged" + content[7:])
+    assert cached(tmp_path, HEALED + CODE)[0] == said
+    healed = {file: file.read_bytes() for file in tmp_path.rglob("*-cache")}
+    assert healed.keys() == entries.keys()
+    assert all(len(content) > 20 and content[:7] != b"damaged" for content in healed.values())

@@ -133,8 +133,8 @@ def test_paths_in_a_job_are_relative_to_its_folder(here, monkeypatch):
 
 EVERY_FLAG = """
 deform ring.su2 out.su2 --decomposed --picture p.png
-  --displacement d.dat --displacement-from e.npz --displacement-is displacement --mode m.csv 0.5 --mode n.csv -2
-  --moving wall far --onto t.stl --box b.toml --hicks-henne h.toml --cst c.toml --lattice l.vts
+  --displacement d.dat --displacement-is displacement --mode m.csv 0.5 --mode n.csv -2
+  --moving wall far --onto t.stl --box b.toml
   --scale 2 3 --twist 1 --bend -2 --rotate 3 --translate 0 1e-3
   --about 1 2 --axis 0 1 --along 1 0 --length 4 --name first --moving wall --rotate 5 --box {"low":[0]}
   --fixed far a.* --symmetry s --sliding t --sliding u --periodic v w --free x --set first.rotate=2 y=1,2

@@ -1,12 +1,14 @@
 """What a plan does with interpolations that rounding spoils, and with those that only look so."""
 
 import dataclasses
+import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, full, motion, moved_by, planned, surface_values
+from meshes import grid
 from oracles import dense, wendland
 from runs import over, runs
 
@@ -155,3 +157,21 @@ def test_fixed_sources_keep_away_from_moving_ones():
     )  # the smaller one of both counts
     assert 9 in sources(jm.AllPoints(), jm.KDTree(2))
     assert len(sources(jm.AllPoints(), jm.AllPoints())) == 20
+
+
+@pytest.mark.parametrize("least", [1e-6, 1e-12])
+def test_cells_too_flat_for_a_method_on_cells_are_told(least):
+    """One step of refinement measures what rounding changes; a stiff but sound system is not told of."""
+    heights = np.append(0, np.geomspace(least, 1, 9))
+    sides = {
+        "wall": lambda ids: ids[:, 0],
+        "far": lambda ids: np.concatenate([ids[:, -1], ids[0, 1:-1], ids[-1, 1:-1]]),
+    }
+    mesh = grid(np.linspace(0, 1, 7), heights, patches=sides)
+    for method in (jm.Biharmonic(), jm.TorsionalSprings()):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            jm.prepare(mesh, "wall", "far", method=method)
+        words = [str(each.message) for each in told]
+        is_told = any("unknowns of Biharmonic are ill-conditioned" in text for text in words)
+        assert is_told == (least < 1e-9 and isinstance(method, jm.Biharmonic)), words

@@ -410,6 +410,59 @@ def test_numbering_does_not_matter_to_prepares_own_default(kind, alone):
     assert change_by_numbers(make(), lambda: None, range(3), alone, **boundaries) < 1e-9
 
 
+SIZES = {
+    *("AROUND", "AT_ONCE", "BATCH", "BLOCK", "CACHED", "CELLS", "CLOSEST", "COARSEST", "DIRECT"),
+    *("FEW", "KERNEL_BLOCK", "LEAST", "MANY", "MOST", "NEIGHBOURS", "RESORT", "ROOM", "ROWS"),
+    *("SAMPLE", "SIDES", "SQUARE", "STEP", "TOGETHER", "WALLS", "WIDER", "WIDTH"),
+}
+"""Names of constants that divide work into blocks, or decide how many of many are looked at."""
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Lowers all of these sizes to 10; code that was compiled with others is dropped."""
+
+    def lowered(value):
+        if isinstance(value, dict):
+            return {key: lowered(each) for key, each in value.items()}
+        return tuple(map(lowered, value)) if isinstance(value, tuple) else min(value, 10)
+
+    count = 0
+    for name, module in list(sys.modules.items()):
+        for word in SIZES & {*vars(module)} if name.startswith("jaxmorph.") else ():
+            value = vars(module)[word]
+            parts = list(value.values()) if isinstance(value, dict) else value
+            if all(
+                type(each) is int
+                for each in (parts if isinstance(parts, tuple | list) else [parts])
+            ):
+                count += lowered(value) != value
+                monkeypatch.setattr(module, word, lowered(value))
+    assert count > 15
+    drop_compiled_code()
+    yield
+    monkeypatch.undo()
+    drop_compiled_code()
+
+
+def drop_compiled_code():
+    eqx.clear_caches()
+    jax.clear_caches()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["lattice", "ellipse", "half"])
+def test_numbering_does_not_matter_however_small_blocks_and_samples_are(small, kind):
+    make, boundaries = NUMBERED[kind]
+    assert change_by_numbers(make(), lambda: None, [0], **boundaries) < 1e-9
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("name", "dimension"), [pair for pair in NAMES if pair[1] == 2])
+def test_numbering_does_not_matter_to_any_method_of_small_blocks(small, name, dimension):
+    test_numbering_does_not_matter(name, dimension)
+
+
 @pytest.mark.slow
 @given_by(
     strategies.sampled_from(["lattice", "ellipse", "slit", "tetrahedra"]),

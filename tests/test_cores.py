@@ -51,7 +51,7 @@ def few_points(monkeypatch):
     monkeypatch.setattr(slabs, "LEAST", 1024)
     monkeypatch.setattr(rounding, "FEW", 64)
     monkeypatch.setattr(cores, "BLOCK", 512)
-    monkeypatch.setattr(face_quality, "BLOCK", 512)
+    monkeypatch.setattr(face_quality, "FACES_AT_ONCE", 512)
     monkeypatch.setattr(vector, "CACHED", 512)
 
 
@@ -123,11 +123,11 @@ def test_the_environment_and_the_affinity_say_how_many_cores(monkeypatch):
 def test_a_call_beside_returns_or_raises_where_its_result_is_asked_for(monkeypatch, count):
     monkeypatch.setenv(cores.SWITCH, count)
     names = []
-    call = cores.Beside(lambda word: names.append(threading.current_thread().name) or word, "done")
+    call = cores.beside(lambda word: names.append(threading.current_thread().name) or word, "done")
     assert [call.result(), call.result()] == ["done", "done"]
     assert len(names) == 1
     assert (names[0] == threading.current_thread().name) == (count == "1")
-    failing = cores.Beside(jm.prepare, np.zeros((3, 2)), [7])
+    failing = cores.beside(jm.prepare, np.zeros((3, 2)), [7])
     with pytest.raises(ValueError, match="are not in 0 to 2"):
         failing.result()
 

@@ -9,7 +9,7 @@ from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._advice.inspect import Crossings, crossings, simplices
+from jaxmorph._advice.crossings import Crossings, crossings, simplices, wall_crossings
 from jaxmorph._host.surface.gaps import crossing_faces, overlapping_boxes
 from jaxmorph.cli import main
 
@@ -308,3 +308,134 @@ def test_faces_of_which_no_node_moves_or_that_are_no_whole_ones_cross_nothing(sq
         report = crossings(simplices(squares, nodes), squares, nodes, np.full((len(nodes), 2), way))
         assert report is not None
         assert not len(report)
+
+
+def annulus():
+    """A ring round a square hole; a second hole beside it."""
+    holes = {"left": ((6, 8), (9, 11)), "right": ((12, 8), (14, 11))}
+    return grid((20, 20), holes)
+
+
+def duct(free=True):
+    mesh = grid((20, 6), {})
+    points = np.asarray(mesh.points)
+    sides = {
+        "lower": points[:, 1] == 0,
+        "upper": points[:, 1] == 6,
+        "inlet": points[:, 0] == 0,
+        "outlet": points[:, 0] == 20,
+    }
+    return jm.Mesh(points, mesh.cells, {name: np.flatnonzero(on) for name, on in sides.items()})
+
+
+def cube():
+    """A cube in a cube."""
+    return grid((7, 7, 7), {"ball": ((3, 3, 3), (4, 4, 4))})
+
+
+def by(*way):
+    return lambda x: np.tile(np.array(way, float), (len(x), 1))
+
+
+def about(degrees, centre):
+    return lambda x: np.asarray(jm.shapes.rotate(x, np.deg2rad(degrees), np.array(centre))) - x
+
+
+TWO = (annulus, "left", ("right", "outer"), {})
+DUCT = (duct, "lower", "upper", {"free": ("inlet", "outlet")})
+HALF = (duct, "lower", (), {"symmetry": ("upper",), "free": ("inlet", "outlet")})
+CUBE = (cube, "ball", "outer", {})
+MOTIONS = {
+    "over a wall": (TWO, by(7.5, 0.25), ("left", "right"), False),
+    "onto a wall": (TWO, by(4.5, 0.25), ("left", "right"), False),
+    "over a wall, turned": (TWO, about(170, (11.0, 9.5)), ("left", "right"), False),
+    "out of the domain": (TWO, by(-12.5, 0.25), ("left", "outer"), True),
+    "partly out of the domain": (TWO, by(-7.5, 0.25), ("left", "outer"), True),
+    "inside out": (TWO, lambda x: (x - [7.5, 9.5]) * [-2.0, 0.0], ("left", "left"), False),
+    "a duct turned over": (DUCT, by(0.0, 7.5), ("lower", "upper"), True),
+    "through a duct": (
+        DUCT,
+        lambda x: np.c_[0 * x[:, 0], 9 * (x[:, 0] / 20) ** 2],
+        ("lower", "upper"),
+        True,
+    ),
+    "through a symmetry plane": (HALF, by(0.0, 7.5), ("lower", "upper"), True),
+    "a cube out of its box": (CUBE, by(5.3, 0.1, 0.2), ("ball", "outer"), True),
+    "a cube half out of its box": (CUBE, by(3.4, 0.1, 0.2), ("ball", "outer"), True),
+    "a cube turned out of its box": (
+        CUBE,
+        lambda x: np.c_[about(180, (8.0, 3.5))(x[:, :2]), 0 * x[:, 0]],
+        ("ball", "outer"),
+        True,
+    ),
+}
+LEGAL = {
+    "at rest": (TWO, by(0, 0)),
+    "near a wall": (TWO, by(2.9, 0.25)),
+    "round a wall": (TWO, by(0.0, 5.0)),
+    "turned by 60 degrees": (TWO, about(60, (7.5, 9.5))),
+    "turned by 170 degrees": (TWO, about(170, (7.5, 9.5))),
+    "turned by 180 degrees": (TWO, about(180, (7.5, 9.5))),
+    "smaller": (TWO, lambda x: 0.9 * ([7.5, 9.5] - x)),
+    "larger": (TWO, lambda x: 0.4 * (x - [7.5, 9.5])),
+    "a narrow duct": (DUCT, by(3.0, 5.5)),
+    "a wavy duct": (DUCT, lambda x: np.c_[0 * x[:, 0], np.sin(x[:, 0])]),
+    "towards a symmetry plane": (HALF, by(0.0, 5.5)),
+    "a cube in its box": (CUBE, by(2.8, 0.1, -2.2)),
+    "a cube turned": (
+        CUBE,
+        lambda x: np.c_[about(60, (3.5, 3.5))(x[:, :2]), 0 * x[:, 0]],
+    ),
+}
+
+
+def verdict_of(case, motion):
+    """What `wall_crossings` says where inner and free nodes move as inverse distances send them."""
+    make, moving, fixed, more = case
+    mesh = make()
+    plan = jm.prepare(mesh, moving, fixed, method=jm.InverseDistance(rotations=False), **more)
+    u = motion(np.asarray(plan.moving_points))
+    moved = np.asarray(jm.deform(plan, u))
+    return mesh, plan, u, wall_crossings(plan, mesh, u[None], moved)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_motions_that_no_mesh_can_follow_are_named(name):
+    """By both patches, the place, and how far: over the way from rest to the end."""
+    case, motion, patches, leaves = MOTIONS[name]
+    mesh, _, _, found = verdict_of(case, motion)
+    assert found
+    assert set(patches) in [set(pair) for pair in found.patches]
+    for word in (repr(patches[0]), "first near", "% of the motion", "beyond"):
+        assert word in str(found)
+    points = np.asarray(mesh.points)
+    slack = 1e-6 if not leaves else np.inf
+    assert (found.places >= points.min(axis=0) - slack).all()
+    assert 0 < found.share < 1
+    assert found.beyond > 0
+    assert leaves == found.leaves or found.crosses
+
+
+@pytest.mark.parametrize("name", LEGAL)
+def test_motions_that_a_mesh_can_follow_are_not_named(name):
+    assert not verdict_of(*LEGAL[name])[3]
+
+
+def test_a_path_counts_and_not_its_end_alone():
+    """A body that turns once, and one that goes through a wall and comes back, end where they began."""
+    mesh, plan, _, _ = verdict_of(TWO, by(0, 0))
+    x = np.asarray(plan.moving_points)
+    turns = np.stack([about(degrees, (7.5, 9.5))(x) for degrees in (120, 240, 360)])
+    back = np.stack([by(7.5, 0.25)(x), by(0, 0)(x)])
+    assert not wall_crossings(plan, mesh, turns)
+    assert wall_crossings(plan, mesh, back)
+
+
+def test_no_cures_are_tried_for_them(monkeypatch):
+    """Neither by `inspect`, nor for walls that could slide along what they are torn from are they left out."""
+    mesh, plan, u, _ = verdict_of(TWO, by(-12.5, 0.25))
+    monkeypatch.setattr("jaxmorph._advice.inspect.advice_on_folds", lambda *_: 1 / 0)
+    found = jm.inspect(plan, u, mesh=mesh)
+    assert found.is_hopeless
+    assert found.folds == ""
+    assert "leave the domain" in " ".join(found.warnings)

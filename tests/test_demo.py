@@ -76,7 +76,7 @@ def check_files(output, said, start, patch, motion, measure, methods):
 
 @pytest.mark.slow
 def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(_demo, "LEAVES", (1,))
+    monkeypatch.setattr(_demo, "TREES", (1,))
     output = tmp_path / "made" / "for it"
     assert _demo.run(output, points=2000) == 0
     said = capsys.readouterr()
@@ -154,7 +154,7 @@ def test_progress_is_for_a_terminal_alone(capsys, monkeypatch):
 def test_figure_6_of_the_paper():
     mesh = cases.naca0015()
     start = jm.quality(mesh)
-    found = {study.name: _demo.measure(mesh, start, study) for study in _demo.compare(mesh)}
+    found = {study.name: _demo.outcome_of(mesh, start, study) for study in _demo.studies_of(mesh)}
     assert list(found) == list(EXPECTED)
     for name, (mean, largest, change) in EXPECTED.items():
         outcome, within = found[name], 0.001 if name.startswith("full") else 0.003

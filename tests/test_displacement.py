@@ -1,14 +1,16 @@
 """Displacements from files: by node id, and from one surface to another."""
 
+import decks
+import exodus
+import h5py
 import meshio
 import numpy as np
 import pytest
-from meshes import ring, wedges
-from runs import refused
+from formats import floor_of, written
+from meshes import bricks, ring, wedges
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.cli import main
 
 
 def sphere(count=400, seed=1):
@@ -74,7 +76,7 @@ def test_the_closest_place_is_the_one_that_vtk_finds(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
+def test_a_curve_carries_a_mesh_in_2d(tmp_path):
     mesh = ring(12, (1, 1.5, 2))
     nodes = mesh.patch("wall")
     lines = np.stack([nodes, np.roll(nodes, -1)], axis=1)
@@ -87,29 +89,8 @@ def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
     np.testing.assert_allclose(u, mesh.points[nodes] * [0.1, -0.1], atol=1e-15)
     u = io.read_displacement(tmp_path / "d.npz", mesh, nodes, before=tmp_path / "a.obj")
     np.testing.assert_allclose(u, mesh.points[nodes] * [0.1, -0.1], atol=1e-15)
-    io.write(tmp_path / "ring.su2", mesh)
-    files = [
-        "--displacement",
-        str(tmp_path / "d.npz"),
-        "--displacement-from",
-        str(tmp_path / "a.obj"),
-    ]
-    deform = [
-        "deform",
-        str(tmp_path / "ring.su2"),
-        str(tmp_path / "out.su2"),
-        "--moving",
-        "wall",
-        "--fixed",
-        "far",
-    ]
-    assert main([*deform, *files]) == 0
-    moved = io.read(tmp_path / "out.su2").points
-    np.testing.assert_allclose(moved[nodes], mesh.points[nodes] * [1.1, 0.9], atol=1e-12)
-    refused(capsys, [*deform, *files[:1], files[3]], "give the surface before the motion too")
-    refused(
-        capsys, [*deform, *files[2:], "--rotate", "3"], "--displacement-from without --displacement"
-    )
+    with pytest.raises(ValueError, match="give the surface before the motion too"):
+        io.read_displacement(tmp_path / "a.obj", mesh, nodes)
 
 
 def test_arrays_by_node_id(tmp_path):
@@ -147,6 +128,58 @@ def test_arrays_by_node_id(tmp_path):
         np.savez(tmp_path / "bad.npz", **arrays)
         with pytest.raises(ValueError, match=message):
             io.read_displacement(tmp_path / "bad.npz", mesh, moving)
+
+
+def numbered(folder, ending):
+    """A file that numbers its nodes otherwise than from 0, and the numbers."""
+    path = written(folder, ending)
+    n = len(bricks(2).points)
+    if ending == ".e":
+        points, cells = bricks(2).points, bricks(2).cells["hexahedron"]
+        exodus.write(path, np.asarray(points), [("box", "hexahedron", cells)], form="netcdf4")
+    labels = 1 + np.arange(n) if ending == ".msh" else 100 + np.arange(n)[::-1]
+    if ending in decks.WRITERS:
+        points, cells = np.asarray(bricks(2).points), np.asarray(bricks(2).cells["hexahedron"])
+        faces = floor_of(cells, np.asarray(bricks(2).patches["floor"]))
+        decks.WRITERS[ending](path, decks.Deck(labels, points, labels[cells], labels[faces]))
+    elif ending != ".msh":
+        with h5py.File(path, "r+") as file:
+            if ending == ".e":
+                file["node_num_map"] = labels
+            else:
+                (step,) = file["ENS_MAA"]["mesh"].values()
+                step["NOE"]["NUM"] = labels
+    return path, labels
+
+
+@pytest.mark.parametrize("form", ["txt", "npz"])
+@pytest.mark.parametrize("ending", [".msh", ".inp", ".unv", ".e", ".med"])
+def test_ids_are_rows_or_the_file_s_own_numbers(tmp_path, ending, form):
+    """Of displacements and of sensitivities, in any order; others are told, with both ranges."""
+    path, labels = numbered(tmp_path, ending)
+    mesh = io.read(path)
+    every = np.arange(len(labels))
+    u = np.random.default_rng(0).normal(size=(len(labels), 3))
+    floor = mesh.patch("floor") if "floor" in mesh.patches else every[::2]
+    for nodes in (floor, every):
+        for ids in (nodes, labels[nodes]):
+            order = np.random.default_rng(1).permutation(len(nodes))
+            file = tmp_path / f"a.{form}"
+            table = {"displacement": u[nodes][order], "ids": ids[order]}
+            if form == "npz":
+                np.savez(file, **table)
+            else:
+                np.savetxt(
+                    file, np.c_[table["ids"], table["displacement"]], fmt=["%d", *["%.17g"] * 3]
+                )
+            found = io.read_displacement(file, mesh, nodes, is_position=False)
+            np.testing.assert_array_equal(found, u[nodes])
+    if form == "txt":
+        np.testing.assert_array_equal(io.read_sensitivity(file, mesh), u)
+        np.savetxt(file, np.c_[5000 + every, u])
+        own = f"own, {labels.min()} to {labels.max()}"
+        with pytest.raises(ValueError, match=f"Ids count the nodes from 0, or are all .* {own}"):
+            io.read_displacement(file, mesh, every)
 
 
 def test_surfaces_that_do_not_fit(tmp_path):

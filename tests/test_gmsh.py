@@ -1,14 +1,18 @@
 """gmsh's files as gmsh writes them: what its own Python module reads of each is read here, and all but coordinates stays."""
 
+import contextlib
 import itertools
 import re
 
 import numpy as np
 import pytest
+from formats import assert_same
 from meshes import gmsh_session
 from runs import runs
 
+import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph.cli import main
 
 gmsh = pytest.importorskip("gmsh")
 FORMS = [(1.0, 0), (2.2, 0), (2.2, 1), (4.0, 0), (4.1, 0), (4.1, 1)]
@@ -134,6 +138,68 @@ def test_what_gmsh_writes_is_read_as_gmsh_reads_it(tmp_path, dimension, form, va
         path.read_bytes()
     )
     np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, moved.points)
+
+
+def test_bytes_that_are_put_in_make_no_other_mesh(tmp_path):
+    """Four bytes twice, anywhere among the elements of a binary file of version 2.2."""
+    path = tmp_path / "a.msh"
+    write(path, 3, 2.2, 1, "two groups")
+    data, mesh = path.read_bytes(), io.read(path)
+    start = data.index(b"\n", data.index(b"$Elements\n") + 10) + 1
+    for at in range(start, data.index(b"$EndElements"), 32):
+        path.write_bytes(data[:at] + data[at : at + 4] + data[at:])
+        with contextlib.suppress(ValueError):
+            assert_same(io.read(path), mesh)
+
+
+@pytest.mark.parametrize("is_one_group", [False, True])
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize(("version", "binary"), [form for form in FORMS if form[0] > 1])
+def test_periodic_sides_are_pairs_of_patches(
+    tmp_path, capsys, version, binary, dimension, is_one_group
+):
+    """Of a surface each, or of two in one group; the pair leads from the origin to its image."""
+    path = tmp_path / "a.msh"
+    make_periodic(path, dimension, is_one_group, version, binary)
+    mesh = io.read(path)
+    (pair,) = io.periodic(mesh)
+    assert (pair.patch, pair.partner) == ("low", "high")
+    x = np.asarray(mesh.points)[:, 0]
+    assert (x[mesh.patch("low")] == 0).all()
+    assert (x[mesh.patch("high")] == 1).all()
+    if (version, binary, dimension) != (4.1, 0, 2):
+        return
+    jm.prepare(mesh, "wall", periodic=pair, method=jm.RBF.classic(jm.ThinPlateSpline()))
+    assert main(["info", str(path)]) == 0
+    assert "--periodic low high" in capsys.readouterr().out
+
+
+def make_periodic(path, dimension, is_one_group, version, binary):
+    """A box, or two side by side, whose side at x = 1 is the image of the one at 0."""
+    gmsh.clear()
+    occ = gmsh.model.occ
+    make = occ.addRectangle if dimension == 2 else occ.addBox
+    boxes = [make(0, y, 0, *(1,) * dimension) for y in range(1 + is_one_group)]
+    occ.fragment([(dimension, boxes[0])], [(dimension, box) for box in boxes[1:]])
+    occ.synchronize()
+    level = dimension - 1
+    outer = gmsh.model.getBoundary(gmsh.model.getEntities(dimension), oriented=False)
+    middle = {side: occ.getCenterOfMass(*side) for side in outer}
+    sides = {}
+    for name, place in (("low", 0), ("high", 1)):
+        found = [side for side in outer if abs(middle[side][0] - place) < 1e-6]
+        sides[name] = [tag for _, tag in sorted(found, key=lambda side: middle[side][1])]
+    shift = [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    gmsh.model.mesh.setPeriodic(level, sides["high"], sides["low"], shift)
+    sides["wall"] = [tag for _, tag in outer if tag not in sides["low"] + sides["high"]]
+    for name, tags in sides.items():
+        gmsh.model.addPhysicalGroup(level, tags, name=name)
+    gmsh.model.addPhysicalGroup(dimension, [tag for _, tag in gmsh.model.getEntities(dimension)])
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6)
+    gmsh.model.mesh.generate(dimension)
+    for name, value in (("MshFileVersion", version), ("Binary", binary)):
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    gmsh.write(str(path))
 
 
 @pytest.mark.parametrize(("version", "binary"), [form for form in FORMS if form[0] > 4])

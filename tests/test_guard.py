@@ -37,7 +37,8 @@ def airfoil():
 @pytest.mark.nightly
 def test_the_constraint_is_below_the_smallest_ratio_and_its_derivatives_are_differences(airfoil):
     mesh, plan, motion, _ = airfoil
-    guard = shapes.MeshGuard(plan, mesh, motion, min_jacobian_ratio=0.2, sharpness=80.0)
+    design = jm.DesignedMesh(plan, mesh, motion, min_jacobian_ratio=0.2)
+    guard = shapes.MeshGuard(design, sharpness=80.0)
     p = 0.004 * np.random.default_rng(0).normal(size=20)
     report = jm.quality(mesh, jm.deform(plan, motion(p)))
     smallest = float(report.jacobian_ratio.min())
@@ -53,7 +54,7 @@ def test_the_constraint_is_below_the_smallest_ratio_and_its_derivatives_are_diff
 @over("count", [7], nightly=[30])
 def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
     mesh, plan, motion, _ = airfoil
-    guard = shapes.MeshGuard(plan, mesh, motion)
+    guard = shapes.MeshGuard(jm.DesignedMesh(plan, mesh, motion, min_jacobian_ratio=0.1))
     p = 0.004 * np.random.default_rng(0).normal(size=20)
     rows = guard.quality_rows(p, count)
     report = jm.quality(mesh, jm.deform(plan, motion(p)))
@@ -77,7 +78,7 @@ def test_cells_in_3d_count_by_their_corners():
     far = np.flatnonzero(np.asarray(mesh.points)[:, 2] == 1)
     plan = jm.prepare(mesh.points, mesh.patch("floor"), far, method=jm.RBF.classic())
     guard = shapes.MeshGuard(
-        plan, mesh, lambda p: jnp.zeros((len(plan.moving), 3)).at[:, 2].set(p[0])
+        jm.DesignedMesh(plan, mesh, lambda p: jnp.zeros((len(plan.moving), 3)).at[:, 2].set(p[0]))
     )
     moved = jm.deform(plan, np.tile([0, 0, 0.3], (9, 1)))
     np.testing.assert_allclose(
@@ -94,7 +95,8 @@ def test_cells_in_3d_count_by_their_corners():
 @over("count", [20], nightly=[None])
 def test_an_optimiser_thins_an_airfoil_and_no_flow_sees_a_broken_mesh(airfoil, count):
     mesh, plan, motion, area = airfoil
-    guard, designs = shapes.MeshGuard(plan, mesh, motion), []
+    guard = shapes.MeshGuard(jm.DesignedMesh(plan, mesh, motion, min_jacobian_ratio=0.1))
+    designs = []
 
     def objective(p):
         designs.append(np.array(p))

@@ -14,7 +14,7 @@ from runs import over, runs
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.linear.hessians import solve
-from jaxmorph._improve.constraints import prepared
+from jaxmorph._improve.constraints import problem_of
 from jaxmorph._quality.distortion import IDEAL, energy, samples, target
 from jaxmorph._quality.smooth_quality import positive_part
 from jaxmorph._quality.vector import corners
@@ -105,7 +105,7 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
     assert float(result.residual) < 1e-6
     assert np.array_equal(np.asarray(result.points)[~inner], points[~inner])
     assert "0 are now" in str(result)
-    distortion, _ = prepared(jm.Boundary(mesh, ()), mesh, jnp.float64, False, 0.5)
+    distortion, _ = problem_of(jm.Boundary(mesh, ()), mesh, jnp.float64, False, 0.5)
     found = jnp.asarray(result.points)
     sharp = eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(1e-3))
     value_and_grad = jax.jit(jax.value_and_grad(lambda y: sharp(y.reshape(found.shape), found)))
@@ -234,7 +234,7 @@ def test_blocks_add_up_to_the_hessian(case):
         jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])),
         np.random.default_rng(0),
     )
-    distortion, pairs = prepared(jm.Boundary(mesh, (), **wrapped), mesh, jnp.float64, False, 0.5)
+    distortion, pairs = problem_of(jm.Boundary(mesh, (), **wrapped), mesh, jnp.float64, False, 0.5)
     ways = eqx.filter_jit(distortion.ways.at)(base)
     distortion, y = (
         eqx.tree_at(lambda it: it.ways, distortion, ways),

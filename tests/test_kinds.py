@@ -98,6 +98,38 @@ def test_other_patches_are_taken_from_their_kinds(tmp_path):
     np.testing.assert_array_equal(jm.deform(plan, u), jm.deform(same, u))
 
 
+def test_a_symmetry_patch_in_no_list_slides_as_by_the_command_line(tmp_path, capsys):
+    tunnel(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    with pytest.warns(UserWarning, match=r"^By their kinds in the file `symmetry` are 'mirror'"):
+        boundary = jm.Boundary(mesh, "low", "far")
+    assert len(boundary.planes) == 1
+    lists = [
+        "--moving",
+        "low",
+        "--fixed",
+        "far",
+        "--method",
+        "inverse-distance",
+        "--translate",
+        "0",
+        "0",
+        "0.1",
+    ]
+    out = str(tmp_path / "b.cgns")
+    assert main(["deform", str(tmp_path / "a.cgns"), out, *lists]) == 0
+    capsys.readouterr()
+    plan = jm.prepare(boundary, method=jm.InverseDistance())
+    moved = jm.deform(plan, np.tile([0.0, 0, 0.1], (len(plan.moving), 1)))
+    np.testing.assert_allclose(io.read(out).points, moved, rtol=0, atol=1e-13)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for more in ({"free": "mirror"}, {"sliding": "mirror"}, {"symmetry": "mirror"}):
+            jm.Boundary(mesh, "low", "far", **more)
+        assert not jm.Boundary(mesh, "low", mesh.patch("far")).planes  # ids may hold any patch
+    assert not any("kinds in the file" in str(each.message) for each in told)
+
+
 @pytest.mark.slow
 def test_what_is_named_is_not_added_to(tmp_path):
     tunnel(tmp_path / "a.cgns")

@@ -3,6 +3,7 @@
 import gzip
 import importlib.metadata
 import pathlib
+import re
 import types
 
 import fluent
@@ -20,6 +21,8 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._host.package.text import MESHES, UNREAD
 from jaxmorph.cli import main
+from jaxmorph.io import _registry
+from jaxmorph.io._format import Format
 
 PAGE = pathlib.Path(__file__).parents[1] / "docs" / "pages" / "files.md"
 FILES = {"OpenFOAM": "", "Medit": ".meshb"} | {
@@ -38,12 +41,10 @@ PATCHES = {
     "Exodus": "side sets, node sets, blocks of shells",
     "PLOT3D": "sides, or `.patches`",
     "Medit": "references",
-    "Abaqus": "sets of elements and of nodes",
-    "I-deas": "groups",
-    "Nastran": "properties",
-    "XDMF": "arrays of numbers",
+    "Abaqus": "sets of elements and of nodes, surfaces",
+    "I-deas": "groups, or properties",
+    "XDMF": "numbers of facets",
     "AFLR": "numbers of surfaces",
-    "Netgen": "named faces",
     "OpenFOAM": "patches, with kinds",
 }
 """What becomes patches; all else of the table is found out."""
@@ -86,10 +87,12 @@ def by_another_reader(path: pathlib.Path) -> np.ndarray:
     with gmsh_session() as gmsh:
         gmsh.open(str(path))
         tags, places, _ = gmsh.model.mesh.getNodes()
-        return places.reshape(-1, 3)[np.argsort(tags)]
+    labels = re.findall(r"^ *(\d+) .*\n.*\dD", path.read_text(), re.MULTILINE)
+    row = {tag: k for k, tag in enumerate(tags.tolist())}
+    return places.reshape(-1, 3)[[row[int(label)] for label in labels]]
 
 
-@pytest.mark.parametrize("ending", [ending for ending in OTHERS if ending != ".bdf"])
+@pytest.mark.parametrize("ending", OTHERS)
 def test_another_reader_finds_the_moved_points(tmp_path, ending, capsys):
     """And all that the file says beside them: text around coordinates is the same."""
     path = written(tmp_path, ending)
@@ -119,12 +122,12 @@ SHAPES = {
         jm.Mesh(mixed()[0], {"tetra": CELLS["tetra"], "wedge": CELLS["wedge"]}), 2
     ),
 }
-LINEAR = (".su2", ".vol", ".cas", ".h5", ".mesh", ".xdmf")  # as meshio writes them
+LINEAR = (".su2", ".cas", ".h5", ".mesh", ".xdmf")  # as meshio writes them
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize(
-    "ending", [".su2", ".vtu", ".vtk", ".msh", ".cas", ".h5", ".mesh", ".inp", ".xdmf", ".vol"]
+    "ending", [".su2", ".vtu", ".vtk", ".msh", ".cas", ".h5", ".mesh", ".inp", ".xdmf"]
 )
 def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
     """Cells of all types, in 2-D and 3-D, of order 1 and 2: the same nodes, none folded, and moved points to the last bit."""
@@ -140,7 +143,7 @@ def test_every_shape_of_cells_comes_back(tmp_path, ending, shape):
             {"low": [0, 1]},
             "h5" if ending == ".h5" else "text",
         )
-    elif ending in (".mesh", ".inp", ".xdmf", ".vol"):
+    elif ending in (".mesh", ".inp", ".xdmf"):
         try:
             meshio.write(path, jm.Mesh(mesh.points, cells).to_meshio())
         except (KeyError, meshio.WriteError) as error:
@@ -202,7 +205,6 @@ def test_a_packed_file_is_what_is_in_it(tmp_path, ending):
 
 HOSTILE = {
     "a.mesh": "MeshVersionFormatted 2\nDimension 3\nVertices\n9999999999\n0 0 0 1\n",
-    "a.vol": "mesh3d\npoints\n99999999999\n0 0 0\n",
     "a.cas": "(2 3)(10 (0 1 ffffffff 0 3))(10 (1 1 ffffffff 1 3)(0 0 0))(13 (1 1 2 3 3)(1 2 3 1 0))",
     "a.unv": "    -1\n  2411\n         1         1         1        11\n   0.0D+00   0.0D+00   1.0D+00\n",
 }
@@ -231,6 +233,54 @@ def test_every_ending_of_plot3d(tmp_path, ending):
     mesh = io.read(tmp_path / f"a{ending}")
     io.write(tmp_path / f"b{ending}", mesh)
     assert (tmp_path / f"b{ending}").read_bytes() == (tmp_path / f"a{ending}").read_bytes()
+
+
+def recognised(path: pathlib.Path) -> bool:
+    """Whether one format alone has files that begin so."""
+    first = path.read_bytes()[:4096].lstrip() if path.is_file() else b""
+    return sum(each.recognises(first) for each in _registry.FORMATS) == 1
+
+
+@pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending != ".xdmf"])
+def test_a_file_is_known_by_its_first_bytes(tmp_path, ending, monkeypatch):
+    """Under another's ending and under an unknown one, whatever the order of the formats; others are told."""
+    path = written(tmp_path, ending)
+    known = _registry.format_of(path).name
+    assert _registry.format_to_write(tmp_path / f"new{ending}", None).name == known
+    last = Format("Last", "_last", begins=b"last ")
+    monkeypatch.setattr(_registry, "FORMATS", (*_registry.FORMATS[::-1], last))
+    monkeypatch.setattr(Format, "suffixes", property(lambda self: MESHES.get(self.name, ())))
+    assert _registry.format_of(path).name == known
+    assert _registry.format_to_write(tmp_path / f"new{ending}", None).name == known
+    if not recognised(path):
+        return
+    for other in (".dat", ".msh", ".mesh", ".su2"):
+        renamed = path.rename(tmp_path / f"a{other}")
+        path = renamed
+        mesh = io.read(renamed)
+        assert mesh.source.format == known
+        assert_same(rewritten(tmp_path / f"b{other}", mesh), mesh) if other != ".dat" else None
+
+
+FOREIGN = {
+    "UCD": "# a comment\n9 4 0 0 0\n1 0 0 0\n",
+    "FreeFem": "4 2 4\n0 0 1\n1 0 1\n",
+    "GiD": 'MESH "a" dimension 3 ElemType Tetrahedra Nnode 4\nCoordinates\n',
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize("ending", [".msh", ".inp", ".mesh", ".dat"])
+def test_a_kind_that_is_not_read_is_told_by_its_first_bytes(tmp_path, name, ending):
+    (tmp_path / f"a{ending}").write_text(FOREIGN[name])
+    with pytest.raises(ValueError, match=f"by its first bytes this is a .*{name}"):
+        io.read(tmp_path / f"a{ending}")
+
+
+def test_an_ending_alone_tells_kinds_in_hdf5_apart(tmp_path):
+    path = written(tmp_path, ".med").rename(tmp_path / "a.dat")
+    with pytest.raises(ValueError, match=r"may be .*MED \(\.med\).*: give it that ending"):
+        io.read(path)
 
 
 def test_another_package_brings_a_format(tmp_path, monkeypatch):

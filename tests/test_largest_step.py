@@ -100,7 +100,7 @@ def test_cells_that_arrive_folded_end_no_step_and_are_no_proof():
     with pytest.raises(ValueError, match=words):
         jm.largest_step(plan, 0 * u, u, mesh, proven=True)
     with pytest.raises(ValueError, match="of the undeformed mesh are not proven valid"):
-        jm.ValidSteps(plan, mesh, lambda y: y, proven=True)
+        jm.DesignedMesh(plan, mesh, lambda y: y, proven=True)
 
 
 @pytest.mark.slow
@@ -118,7 +118,7 @@ def test_a_plan_that_is_not_linear_is_refused_and_judged_step_by_step(tmp_path):
     assert not curved.is_linear
     with pytest.raises(ValueError, match="nodes slide along curved walls"):
         jm.largest_step(curved, 0 * u, u, mesh)
-    search = jm.ValidSteps(plan, mesh, lambda step: step * u)
+    search = jm.ValidSteps(jm.DesignedMesh(plan, mesh, lambda step: step * u))
     for step in (0.1, 0.3, 0.5, 0.7):
         assert bool(search.holds(jnp.array(step))) == (
             int(jm.quality(mesh, jm.deform(plan, step * u)).inverted) == 0
@@ -173,9 +173,8 @@ def test_a_search_of_optimistix_shortens_steps_and_solves_no_flow_on_broken_mesh
     """The objective's optimum inverts cells; every mesh that the flow met keeps the bound, and the way ends near it."""
     mesh, plan, _, direction = ring(tmp_path)
     fields, met = jnp.stack([direction, jnp.roll(direction, 5, axis=0)]), []
-    search = jm.ValidSteps(
-        plan, mesh, lambda y: jnp.tensordot(y, fields, 1), min_jacobian_ratio=0.2
-    )
+    motion = lambda y: jnp.tensordot(y, fields, 1)  # noqa: E731
+    search = jm.ValidSteps(jm.DesignedMesh(plan, mesh, motion, min_jacobian_ratio=0.2))
 
     def flow(y, args):
         jax.debug.callback(lambda y: met.append(y), y)

@@ -53,9 +53,8 @@ def test_jit_takes_modules_and_their_methods(name):
     np.testing.assert_allclose(
         eqx.filter_jit(function)(*arguments), expected, rtol=1e-12, atol=1e-15
     )
-    traced = jax.jit(
-        lambda *arguments: jax.jit(function)(*arguments) + jax.jit(function)(*arguments)
-    )
+    jit = jax.jit if isinstance(function, Module) else eqx.filter_jit  # Equinox's bound methods
+    traced = jax.jit(lambda *arguments: jit(function)(*arguments) + jit(function)(*arguments))
     np.testing.assert_allclose(traced(*arguments), 2 * expected, rtol=1e-12, atol=1e-15)
 
 
@@ -69,7 +68,7 @@ def test_jit_takes_a_module_that_is_traced_itself():
 def test_jit_takes_methods_of_plans_and_searches():
     mesh = mixed()
     plan = jm.prepare(mesh.points, [0, 1, 2], [4, 5], method=jm.RBF.classic(jm.ThinPlateSpline()))
-    search = jm.ValidSteps(plan, mesh, lambda design: jnp.ones((3, 2)) * design)
+    search = jm.ValidSteps(jm.DesignedMesh(plan, mesh, lambda y: jnp.ones((3, 2)) * y))
     assert bool(jax.jit(search.holds)(jnp.array(0.01)))
     np.testing.assert_allclose(jax.jit(plan.offset)(jnp.zeros((3, 2))), 0, atol=1e-12)
     moved = jax.jit(mesh.moved)(jnp.asarray(mesh.points) + 1)

@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 from cases import BY_NAME, NAMES, body, motion
-from meshes import joined, ring, sector
+from meshes import between_half_planes, capsule, joined, ring, sector
 from runs import all_refused, over, printed, refused, runs
 
 import jaxmorph as jm
@@ -191,6 +191,7 @@ def wing(**boundary):
 
 BOUNDARIES = {
     "one plane": lambda: wing(symmetry="root", free="tip"),
+    "a sector": lambda: jm.prepare(capsule(30), "wall", "far", symmetry=between_half_planes(30)),
     "parallel planes": lambda: wing(symmetry=("root", "tip")),
     "sliding": lambda: wing(sliding=("root", "tip")),
     "periodic": lambda: quarter(),
@@ -210,7 +211,7 @@ def with_loose_node() -> jm.Mesh:
 
 @over(
     "name",
-    fast=["one plane", "periodic", "a node of no cell"],
+    fast=["one plane", "a sector", "periodic", "a node of no cell"],
     slow=["sliding", "parallel planes"],
 )
 def test_boundaries(library, tmp_path, name):

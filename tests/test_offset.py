@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meshes import ball, circle, naca
+from meshes import ball, blocks, circle, lattice, naca
 from oracles import jacobian
 from runs import all_refused
 
@@ -115,3 +115,42 @@ def test_what_is_refused():
         (lambda: shapes.Offset(wall, share=1.5), "`share` must be"),
         (lambda: shapes.Offset(wall)(wall.points, 0.1), "this shape needs"),
     )
+
+
+@pytest.mark.parametrize("wall", [ring(), jm.Facets(*ball(40))], ids=["curve", "surface"])
+@pytest.mark.parametrize("wrong", [0, -1, slice(0, 9)], ids=["first", "last", "nine"])
+def test_the_sense_of_most_of_the_area_wins(wall, wrong):
+    """Faces that are listed the other way round turn no wall inside out, wherever they stand."""
+    faces = np.array(wall.faces)
+    faces[wrong] = faces[wrong][..., ::-1]
+    assert (
+        np.sum(np.asarray(jm.Facets(wall.points, faces).normals()) * wall.normals(), axis=1).min()
+        > 0.99
+    )
+
+
+def test_a_tie_of_senses_goes_by_place():
+    points, faces = np.array([[0, 0], [1, 0], [2, 0.0]]), np.array([[0, 1], [2, 1]])
+    up = np.asarray(jm.Facets(points, faces).normals())
+    np.testing.assert_array_equal(jm.Facets(points, faces[::-1]).normals(), up)
+    np.testing.assert_array_equal(jm.Facets(points[::-1], 2 - faces).normals(), up[::-1])
+
+
+def test_quads_of_equal_diagonals_are_cut_by_place():
+    """On a bent lattice of squares, however nodes, faces and their first corners are numbered."""
+    points = lattice(np.arange(5.0), np.arange(6.0))
+    height = np.random.default_rng(0).normal(size=30)
+    quads = blocks(np.arange(30).reshape(5, 6))
+    bent = np.column_stack([points, 0 * height])
+    x = np.column_stack([points + 0.5, height])[:12]
+    facets = jm.Facets(bent, quads)
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        order = rng.permutation(30)
+        first = (rng.integers(4, size=20)[:, None] + np.arange(4)) % 4
+        turned = np.take_along_axis(quads, first, axis=1)[rng.permutation(20)]
+        other = jm.Facets(bent[order], np.argsort(order)[turned])
+        lifted = facets.at(bent + height[:, None] * [0, 0, 1])
+        again = other.at((bent + height[:, None] * [0, 0, 1])[order])
+        np.testing.assert_allclose(again.normals(), np.asarray(lifted.normals())[order], atol=1e-12)
+        np.testing.assert_allclose(again.closest(x), lifted.closest(x), atol=1e-12)

@@ -49,7 +49,7 @@ for _ in range(3):
     "steps": """
 import equinox, optimistix
 mesh, plan, u = airfoil(7000, jm.DelaunayGraph())
-search = jm.ValidSteps(plan, mesh, lambda share: share * u)
+search = jm.ValidSteps(jm.DesignedMesh(plan, mesh, lambda share: share * u))
 solver = equinox.tree_at(lambda solver: solver.search, optimistix.GradientDescent(0.3, 1e-3, 1e-3), search)
 drag = search.guarded(lambda share, _: (share - 1) ** 2)
 minimise = jax.jit(lambda start: optimistix.minimise(drag, solver, start[0, 0], max_steps=30, throw=False).value)

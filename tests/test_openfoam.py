@@ -38,7 +38,9 @@ def test_every_form_comes_back_as_it_was(tmp_path, form):
     ]
     np.testing.assert_array_equal(io.read(tmp_path / "b").points, moved)
     io.write(tmp_path / "a" / "0.5", mesh.moved(moved))
+    assert any("0.5/polyMesh has others" in note for note in io.read(tmp_path / "a").source.notes)
     again = io.read(tmp_path / "a" / "0.5")
+    assert not any("has others" in note for note in again.source.notes)
     np.testing.assert_array_equal(again.points, moved)
     assert again.cells.keys() == mesh.cells.keys()
     assert {

@@ -56,7 +56,7 @@ def test_a_plan_shows_its_own_sources():
         np.sort(drawn(axis, "sources"), axis=0), np.sort(expected, axis=0)
     )
     np.testing.assert_array_equal(drawn(axis, "nodes"), plan.points[:70])
-    assert "6 leaves" in [line.get_label() for line in axis.lines]
+    assert "6 leaves" in axis.get_legend_handles_labels()[1]
     assert len(drawn(plot.sources(plan), "sources")) <= 16
 
 
@@ -77,30 +77,9 @@ def test_window_and_given_axis():
     assert given.get_xlim() == (-2, 2)
 
 
-def test_boxes_in_3d_are_wires_round_the_points():
-    points, tree = ball(), jm.KDTree(8)
-    plotter = plot.sources_3d(points, tree)
-    nodes, chosen, wires = plotter.meshes
-    np.testing.assert_allclose(nodes.points, points, atol=1e-6)
-    np.testing.assert_allclose(chosen.points, points[tree(points)], atol=1e-6)
-    assert (wires.n_lines, wires.n_points) == (12 * 8, 8 * 8)
-    corners = wires.points.reshape(8, 8, 3)
-    low, high = corners.min(axis=1) - 1e-6, corners.max(axis=1) + 1e-6
-    inside = ((points[:, None] >= low) & (points[:, None] <= high)).all(axis=2)
-    assert inside.any(axis=1).all()
-    assert inside.sum() < 1.1 * len(points)
-    ends = wires.points[wires.lines.reshape(-1, 3)[:, 1:]]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    np.testing.assert_allclose(lengths.sum(), 4 * (high - low).sum(), rtol=1e-4)
-    assert (np.count_nonzero(ends[:, 1] != ends[:, 0], axis=1) == 1).all()
-    assert plot.sources_3d(points, jm.KDTree(2), plotter=plotter) is plotter
-
-
 test_what_is_refused = refusals(
     (lambda: plot.sources(planned(jm.DelaunayGraph())), "no radial basis functions"),
     (lambda: plot.sources(planned(), jm.KDTree(3)), "own reductions"),
-    (lambda: plot.sources(planned().points), "need the `reduction`"),
-    (lambda: plot.sources(ball(), jm.KDTree(3)), "sources_3d"),
-    (lambda: plot.sources_3d(planned()), r"plot\.sources"),
-    (lambda: plot.sources_3d(planned().points, jm.KDTree(3)), "in 3-D"),
+    (lambda: plot.sources(planned().points), "need a `reduction`"),
+    (lambda: plot.sources(ball(), jm.KDTree(3)), "points in 2-D"),
 )

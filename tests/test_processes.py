@@ -21,6 +21,59 @@ assert io.read and shapes.rotate and all(getattr(jaxmorph, name) for name in dir
 sys.exit(main(["deform", "ring.su2", "out.su2", "--moving", "wall", "--fixed", "far", "--rotate", "5", "--method", "graph"]))
 """
 
+IN_CALLBACK = """
+import sys, warnings, jax, numpy as np, jaxmorph as jm
+from jaxmorph import shapes
+from meshes import ball, grid
+warnings.simplefilter("ignore")
+jax.config.update("jax_enable_x64", True)
+x = np.linspace(0, .5, 61)
+mesh = grid(x, np.array([0, .02, .05, 2.]), patches={"floor": lambda ids: ids[:, 0], "lid": lambda ids: ids[:, -1]})
+floor, lid = mesh.patch("floor"), mesh.patch("lid")
+points = np.asarray(mesh.points)
+boundary = jm.Boundary(mesh, "floor", "lid", free=range(len(points)))
+u = 1e-3 * np.sin(9 * points[floor])
+plan = jm.prepare(boundary)
+moved = np.asarray(jm.deform(plan, u))
+places, faces = ball(12)
+places = places - places.min(axis=0)
+sphere = jm.Facets(places, faces)
+wall = np.concatenate([points[floor], points[lid]])
+section = np.stack([np.append(x, x[-2:0:-1]), np.append(0 * x, 0 * x[-2:0:-1] + .01)], axis=1)
+
+CALLS = {
+    "prepare": lambda: jm.prepare(boundary).sources,
+    "published": lambda: jm.prepare(boundary, method=jm.SurfaceReconstruction.published(8, 4)).sources,
+    "multiscale": lambda: jm.prepare(boundary, method=jm.Multiscale()).points,
+    "of points": lambda: jm.prepare(points, floor, lid, symmetry=jm.Plane((1, 0), (0, 0))).sources,
+    "halves": lambda: jm.prepare_surface(boundary).attach(points, np.arange(len(points))).points,
+    "chunks": lambda: np.concatenate([nodes for nodes, _ in jm.prepare_in_chunks(boundary, size=50)]),
+    "march": lambda: jm.march(plan, u[None], rebuild=True)[1],
+    "kd tree": lambda: jm.KDTree(8, extremes=True)(wall),
+    "with sources": lambda: jm.KDTree.with_sources(12, wall)(wall),
+    "farthest": lambda: jm.FarthestPoints(12)(wall),
+    "graded": lambda: jm.Graded(.2).beside(points[floor], points[lid]),
+    "greedy": lambda: jm.Greedy(12)(wall),
+    "all": lambda: jm.AllPoints()(wall),
+    "closest": lambda: sphere.closest(np.abs(places[::-1])),
+    "onto": lambda: shapes.onto(sphere, jm.Facets(1.1 * places, faces)),
+    "sides": lambda: shapes.upper_side(section),
+    "inspect": lambda: jm.inspect(plan, u).offset,
+    "judge": lambda: jm.judge(mesh, moved).ok,
+}
+
+def law(name):
+    def host(seed):
+        return np.resize(np.asarray(CALLS[name](), float), 8)
+    out = jax.ShapeDtypeStruct((8,), float)
+    inside = jax.jit(lambda seed: jax.pure_callback(host, out, seed))(np.zeros(3))
+    np.testing.assert_allclose(inside, host(0), rtol=1e-9, atol=1e-12, err_msg=name)
+
+for name in sys.argv[1:] or CALLS:
+    print(name, flush=True)
+    law(name)
+"""
+
 
 def run(folder, *command, **variables):
     environment = os.environ | variables
@@ -67,3 +120,12 @@ def test_a_service_may_have_closed_streams(tmp_path, closed):
         "" if 1 in closed else whole.stdout,
         "",
     )
+
+
+@pytest.mark.slow
+def test_host_code_works_in_a_callback(tmp_path):
+    """Coordinates at 0, where XLA's callbacks flush small numbers, and a tree would never end."""
+    tests = pathlib.Path(__file__).parent
+    path = os.pathsep.join([str(tests.parent), str(tests)])
+    done = run(tmp_path, sys.executable, "-c", IN_CALLBACK, PYTHONPATH=path)
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout

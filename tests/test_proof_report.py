@@ -178,7 +178,7 @@ def test_a_line_search_accepts_proven_steps_alone():
     direction = next(hidden) - mesh.points
     plan, folded = jm.prepare(mesh.points, np.arange(8), method=jm.InverseDistance()), []
     for proven in (False, True):
-        search = jm.ValidSteps(plan, mesh, lambda y: y * direction, proven=proven)
+        search = jm.ValidSteps(jm.DesignedMesh(plan, mesh, lambda y: y * direction, proven=proven))
         solver = eqx.tree_at(lambda it: it.search, optx.GradientDescent(1.0, 1e-9, 1e-9), search)
         objective = search.guarded(lambda y, args: -y)
         end = optx.minimise(objective, solver, jnp.asarray(0.0), max_steps=12, throw=False).value

@@ -5,13 +5,14 @@ import itertools
 import numpy as np
 import pytest
 from cases import body
-from meshes import lattice
+from meshes import lattice, naca
 from runs import refusals
 from scipy.spatial.distance import cdist, pdist
 
 import jaxmorph as jm
 from jaxmorph import cases as jm_cases
 from jaxmorph._host.package.rounding import roundoff
+from jaxmorph._host.sources.farthest import Filled
 
 
 def reference(points, leaves, local):
@@ -192,3 +193,28 @@ def test_tree_with_about_so_many_sources():
     assert len(jm.KDTree.with_sources(least, points)(points)) == least
     with pytest.raises(ValueError, match="`count` must be 3 or more in 2-D, not 2"):
         jm.KDTree.with_sources(2, points)
+
+
+@pytest.mark.parametrize("shift", [(1e4, 0), (-1e4, 3e3), (1e6, 0)])
+@pytest.mark.parametrize(
+    "reduction",
+    [
+        jm.KDTree(16, extremes=True, crowded=32),
+        jm.KDTree(64),
+        jm.FarthestPoints(50),
+        jm.Graded(0.25),
+        jm.Graded(0.01),
+        Filled(),
+    ],
+    ids=repr,
+)
+def test_far_from_the_origin_a_symmetric_section_has_the_same_sources(reduction, shift):
+    """There the last digits of its coordinates are coarse, and decide no tie."""
+    upper = naca(0.0, 0.4, 0.12, 75, last=0.1036)[:75]
+    points = np.concatenate([upper, upper[1:-1] * [1, -1]])
+    others = np.array([[0.5, -3.0], [0.5, 3.0], [-4.0, 0.5], [-4.0, -0.5]])
+    sources = reduction.beside(points, others)
+    for seed in range(3):
+        up = np.random.default_rng(seed).random(points.shape) < 0.5
+        moved = np.nextafter(points + shift, np.where(up, np.inf, -np.inf))
+        np.testing.assert_array_equal(reduction.beside(moved, others + shift), sources)

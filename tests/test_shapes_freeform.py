@@ -139,7 +139,7 @@ test_bad_input_is_refused = refusals(
     (lambda: shapes.FreeForm.around(np.zeros((0, 2)), (2, 2)), "no rows"),
     (
         lambda: shapes.FreeForm.around([[0, 0], [np.nan, 1]], (2, 2)),
-        "1 of 2 rows of `points` .* first row 1",
+        "1 of 4 numbers of `points` are not finite",
     ),
     (lambda: unit(4, 4).raise_if_outside([[0, 1], [0, 2]]), r"1 of 2 .* row 1 at \(0, 2"),
     (lambda: shapes.fit(unit(2, 2), cloud(2) + 9, cloud(2)), "none of 8 parameters"),

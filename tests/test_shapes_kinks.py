@@ -88,9 +88,14 @@ def test_ends_of_lines_have_the_derivative_of_their_inside(move, x, inward):
 
 @pytest.mark.nightly
 def test_the_whole_naca_family_is_exact_at_its_nodes():
-    """567 sections with camber, each with a blunt and a sharp trailing edge: on 14 lower sides a node has several feet."""
+    """555 sections with camber, each with a blunt and a sharp trailing edge; 12 whose nodes have several feet are refused."""
     codes = itertools.product(range(1, 10), range(1, 10), (6, 9, 12, 15, 18, 21, 24))
-    family = [(camber / 100, place / 10, thickness / 100) for camber, place, thickness in codes]
+    every = [(camber / 100, place / 10, thickness / 100) for camber, place, thickness in codes]
+    family = [given for given in every if given[0] * given[2] < 1.25 * given[1] ** 2]
+    assert (len(every), len(family)) == (567, 555)
+    for given in set(every) - set(family):
+        with pytest.raises(ValueError, match="bends within the thickness"):
+            shapes.NACA4(*given)
     shape, last = shapes.NACA4(0.02, 0.4, 0.12), (0.1015, 0.1036)
     replaced = lambda original: eqx.tree_at(lambda it: it.original, shape, original)  # noqa: E731
     move = jax.jit(jax.vmap(lambda original, x, p: replaced(original)(x, p), (0, 0, None)))
@@ -121,15 +126,12 @@ def test_second_derivatives_of_naca_are_differences_of_the_first():
 
 
 @pytest.mark.nightly
-def test_round_off_changes_neither_stations_nor_the_nose():
+def test_round_off_changes_no_station():
     x = naca(0.0, 0.4, 0.12, count=9, last=0.1036)[:-1]
-    section = x[1:]  # two nodes are as far from the tail
-    loop = np.concatenate([np.arange(8)[::-1], np.arange(8, 15)])
     wall = np.concatenate([np.arange(9)[::-1], np.arange(9, 16)])
     segments = np.stack([wall, np.roll(wall, -1)], axis=1)
     lines = x[[2, 3, 4]] * [1, 0]  # each through two nodes
     stations = shapes.Stations.on(x, segments, lines, [0.0, 1.0])
-    radius = shapes.leading_edge_radius(section, loop, 7, 2)
     for seed in range(10):
         rng = np.random.default_rng(seed)
         noisy = np.nextafter(x, rng.choice([-np.inf, np.inf], x.shape))
@@ -140,9 +142,6 @@ def test_round_off_changes_neither_stations_nor_the_nose():
             shapes.Stations.on(
                 noisy, segments, [[noisy[8, 0], 0.0]], [0.0, 1.0]
             )  # touches the sharp tail
-        np.testing.assert_allclose(
-            shapes.leading_edge_radius(noisy[1:], loop, 7, 2), radius, rtol=1e-9
-        )
 
 
 def test_a_box_turned_by_a_right_angle_is_mirrored():

@@ -17,7 +17,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "jaxmorph"
 FILES = sorted(PACKAGE.rglob("*.py"))
 OPTIONAL = (
-    *("meshio", "h5py", "matplotlib", "pyvista", "vtk", "vtkmodules", "k3d", "gmsh"),
+    *("meshio", "h5py", "matplotlib", "pyvista", "vtk", "vtkmodules", "gmsh"),
     *("rich", "platformdirs", "openmdao", "pyamg", "mphys", "mpi4py"),
 )
 
@@ -243,6 +243,20 @@ def test_options_of_jax_belong_to_the_user():
         for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.Attribute) and node.attr == "update":
                 assert not ast.unparse(node.value).endswith("config"), file
+
+
+def test_trees_of_points_are_those_that_end_in_callbacks():
+    for file in FILES:
+        trees = [
+            each
+            for each in imports(file)
+            if each.module.startswith("scipy")
+            and (each.name in ("KDTree", "cKDTree", "spatial") or each.module == "scipy.spatial")
+        ]
+        trees = [
+            each for each in trees if each.name not in ("ConvexHull", "Delaunay", "QhullError")
+        ]
+        assert len(trees) == (module_of(file) == "jaxmorph._host.package.rounding"), file
 
 
 def test_no_test_imports_a_test():

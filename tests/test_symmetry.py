@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cases import body, few, full, motion, whole_and_part
 from laws import check_base_derivative, check_linear, check_steps
-from meshes import blocks, lattice, unit_box
+from meshes import between_half_planes, blocks, capsule, lattice, unit_box
 from runs import over, refusals
 
 import jaxmorph as jm
@@ -37,6 +37,60 @@ def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     plan = jm.prepare(whole, whole_moving, np.flatnonzero(whole_role == 2), method=METHODS["full"])
     expected = jm.deform(plan, (u[image_of] * signs)[whole_moving])
     np.testing.assert_allclose(moved, expected[: len(part)], rtol=0, atol=1e-11)
+
+
+def mirrored_motion(x, sectors):
+    """A motion that both half planes of a sector mirror, and all their images."""
+    angle = np.arctan2(x[:, 1], x[:, 0])[:, None]
+    radius = np.hypot(x[:, :1], x[:, 1:2])
+    even, odd = np.cos(sectors * angle), np.sin(sectors * angle)
+    out = np.hstack([np.cos(angle), np.sin(angle), 0 * angle])
+    on = np.hstack([-np.sin(angle), np.cos(angle), 0 * angle])
+    along = 0.1 * np.sin(x[:, 2:]) + 0.03 * radius * even
+    ways = 0.1 * (1 + even / 2) * np.cos(x[:, 2:]) * out + 0.05 * odd * on
+    return radius * ways + along * [0.0, 0.0, 1.0]
+
+
+@over("degrees method", [(30, "full")], slow=[(60, "full"), (45, "graph"), (30, "graph")])
+def test_a_sector_moves_as_the_whole_body(degrees, method):
+    """Two mirrors at 180 / n degrees have 2 n images; nodes stay on both, also on their axis."""
+    method = METHODS["full"] if method == "full" else jm.SurfaceReconstruction(METHODS["full"])
+    sectors = round(360 / degrees)
+    part, whole = capsule(degrees), capsule(degrees, whole=True)
+    planes = between_half_planes(degrees)
+    plan = jm.prepare(part, "wall", "far", symmetry=planes, method=method)
+    every = jm.prepare(whole, "wall", "far", method=method)
+    assert len(plan.images.matrices) == sectors
+    x = np.asarray(part.points)
+    u = mirrored_motion(x[plan.moving], sectors)
+    moved = np.asarray(jm.deform(plan, u))
+    expected = np.asarray(
+        jm.deform(every, mirrored_motion(np.asarray(whole.points)[every.moving], sectors))
+    )
+    away = np.linalg.norm(x[:, None] - np.asarray(whole.points)[None], axis=2)
+    np.testing.assert_allclose(moved, expected[away.argmin(axis=1)], rtol=0, atol=1e-10)
+    more = np.asarray(jm.deform(plan, u + 0.05))  # asks for more than the planes allow
+    for plane in planes:
+        assert np.abs(plane.height(more[plane.holds(x)])).max() < 1e-14
+    assert jm.boundary_quality(plan, more).off_plane < 1e-14
+    assert (np.abs(more - x).max(axis=0) > 0.01).all()
+
+
+def test_the_default_moves_a_sector_and_its_cells():
+    part = capsule(30)
+    plan = jm.prepare(part, "wall", "far", symmetry=between_half_planes(30))
+    moved = jm.deform(plan, mirrored_motion(np.asarray(part.points)[plan.moving], 12))
+    assert int(jm.quality(part, moved).inverted) == 0
+
+
+def test_which_angles_of_mirrors_have_images():
+    """Also of the mesh beyond 90 degrees, which is not the angle of the two normals."""
+    for degrees in (50, 72.1, 120, 135):
+        with pytest.raises(ValueError, match=r"two meet at [\d.]+ degrees: one pair may meet at"):
+            jm.prepare(capsule(degrees), "wall", "far", symmetry=between_half_planes(degrees))
+    springs = jm.SpringAnalogy()
+    with pytest.raises(ValueError, match="parallel or at right angles: for others"):
+        jm.prepare(capsule(30), "wall", "far", symmetry=between_half_planes(30), method=springs)
 
 
 @over(

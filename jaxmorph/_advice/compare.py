@@ -25,7 +25,7 @@ from .._methods.reconstruction import SurfaceReconstruction
 from .._plan.deform import deform
 from .._plan.plan import Plan
 from .._plan.prepare import plan_of
-from .._quality.quality import quality
+from .._quality.verdict import judge
 from .._quality.wall_quality import wall_quality
 from .methods import METHODS, MOST_POINTS
 
@@ -41,7 +41,7 @@ class Trial:
 
     method: str
     sources: int | None = None  # number of control points, None for a method without any
-    inverted: int | None = None  # inverted cells in all motions
+    inverted: int | None = None  # cells that the motions invert, in all of them
     ratio: float = math.nan  # the smallest Jacobian ratio in any motion
     angle: float = (
         math.nan
@@ -192,8 +192,9 @@ def _trial(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: st
     began = time.process_time()
     jax.block_until_ready(deform(plan, vectors[0]))
     seconds = time.process_time() - began
-    reports = [quality(mesh, points) for points in moved]
-    ratio = min(float(report.min_jacobian_ratio) for report in reports)
+    before = judge(mesh)
+    verdicts = [judge(mesh, points, before=before) for points in moved]
+    ratio = min(verdict.judged.ratio for verdict in verdicts if verdict.judged is not None)
     try:
         angle = float(
             np.mean(
@@ -202,5 +203,5 @@ def _trial(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: st
         )
     except ValueError:  # no cell has a side on the wall
         angle = math.nan
-    inverted = sum(int(report.inverted) for report in reports)
+    inverted = sum(verdict.spoilt for verdict in verdicts)
     return Trial(name, len(plan.sources) or None, inverted, ratio, angle, seconds)

@@ -15,9 +15,9 @@ from .._improve.improve import improve as improved
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
 from .._plan.steps import march
-from .._quality.quality import quality
 from .._quality.report import QualityReport
-from .cures import Turn
+from .._quality.verdict import Verdict, judge
+from .turn import Turn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +26,8 @@ class Steps:
 
     - `count`: how many steps.
     - `fraction`: the share of the motion that they reach; 1 is the whole motion.
-    - `points`: the points (n, d) at the end, with `report` of their quality.
+    - `points`: the points (n, d) at the end, with the `verdict` on them, and `report` of their
+      quality.
     - `plans`: one plan a step; `replay` repeats them along `path` (count, m, d), up to the
       improvement.
     - `improvement`: of the last step's mesh, or None where the steps alone are good.
@@ -35,10 +36,15 @@ class Steps:
     count: int
     fraction: float
     points: Float[Array, "n d"]
-    report: QualityReport
+    verdict: Verdict
     plans: tuple[Plan, ...]
     path: Float[Array, "k m d"]
     improvement: Improvement | None = None
+
+    @property
+    def report(self) -> QualityReport:
+        assert self.verdict.corners is not None
+        return self.verdict.corners
 
     @checked
     def path_to(self, u: Real[ArrayLike, "m d"]) -> Float[Array, "k m d"]:
@@ -67,9 +73,10 @@ def fewest_steps(
 ) -> Steps:
     """Marches a motion, on the host, in the fewest equal steps that leave no cell inverted.
 
-    A number of steps is good when no cell is inverted and the smallest corner Jacobian stays above
-    `min_jacobian_ratio` of its initial value. When even `max_steps` steps are not good, the result
-    has the largest fraction of the motion that they reach, by bisection to 1/1000.
+    A number of steps is good when `judge` finds no cell that they spoil, and the smallest corner
+    Jacobian stays above `min_jacobian_ratio` of its initial value. When even `max_steps` steps are
+    not good, the result has the largest fraction of the motion that they reach, by bisection to
+    1/1000.
 
     With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
     are the cells of `mesh`; nodes slide and repeat as the plan has them. If that is not good
@@ -101,6 +108,8 @@ def fewest_steps(
             np.asarray(plan.moving_points), finite_array("motion", motion, expected)
         ).at
 
+    before = judge(mesh)
+
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
         parts = [
             finite_array("motion(t)", motion(fraction * (j + 1) / count), expected)
@@ -112,13 +121,12 @@ def fewest_steps(
         if mend:
             improvement = improved(changed(plan.boundary, mesh=mesh), points)
             points = improvement.points
-        return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
+        verdict = judge(mesh, points, before=before)
+        return Steps(count, fraction, points, verdict, plans, path, improvement)
 
     def is_good(steps: Steps) -> bool:
-        return (
-            not int(steps.report.inverted)
-            and float(steps.report.min_jacobian_ratio) > min_jacobian_ratio
-        )
+        judged = steps.verdict.judged
+        return not steps.verdict.spoilt and judged is not None and judged.ratio > min_jacobian_ratio
 
     counts = range(1, max_steps + 1)
     for count, mend in [*zip(counts, itertools.repeat(False)), *[(max_steps, True)] * improve]:

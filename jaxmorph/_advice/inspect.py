@@ -9,14 +9,13 @@ from jaxtyping import ArrayLike, Float, Integer, Real
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
-from .._boundary.outer_faces import mask, outer_faces, row_of
-from .._host.cells.adjacency import parts_of
+from .._boundary.outer_faces import mask, row_of
 from .._host.package.arguments import checked, finite_array, rows_of
-from .._host.package.cores import Beside
+from .._host.package.cores import beside
 from .._host.package.errors import check_none
 from .._host.package.rounding import Tree, roundoff
 from .._host.sources.reduction import KDTree, drop_close
-from .._host.surface.gaps import crossing_faces, share_left
+from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls
 from .._mesh.mesh import Mesh
@@ -24,7 +23,8 @@ from .._methods.rbf.fitted import FittedRBF
 from .._plan.deform import deform
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
-from .._quality.quality import quality
+from .._quality.verdict import judge
+from .crossings import SAME, Crossings, names_of, simplices, wall_crossings
 from .cures import advice_on_folds
 
 STEEP = 0.5  # slope of a displacement along the wall above which a fitted field strains cells more
@@ -33,46 +33,10 @@ NARROW = 0.2  # share of a gap, left after a motion, below which one step folds 
 PUT_BACK = 0.01
 # distance of a node from another wall, relative to the surface's extent: no gap there
 TOUCHING = 1e-9
-# distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
-SAME = 1e-9
 RESTS = 1e-3  # share of the largest displacement below which a part of the surface rests
 UNRESOLVED = 1 / 3  # share of the largest displacement that sources may miss between them
 ROWS = 4096  # points whose distances are held together
 LEAVES = (64, 128, 256, 512, 1024, 2048)  # numbers of leaves of a k-d tree that are tried
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Crossings:
-    """Pairs of boundary faces that cross or touch only after the motion; true if any do.
-
-    A wall that has passed through another wall completely does not cross it any more, and is not
-    found.
-    """
-
-    nodes: np.ndarray  # (k, 2) one node of each of the two faces
-    patches: tuple[tuple[str, str], ...]  # names of both patches of each pair; "" without a patch
-    places: np.ndarray  # (k, d) a point of each crossing, in the mesh's unit
-
-    def __len__(self) -> int:
-        return len(self.nodes)
-
-    def __str__(self) -> str:
-        if not len(self):
-            return ""
-        pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
-        between = ", ".join(_between(*pair) for pair in pairs)
-        place = ", ".join(f"{x:.4g}" for x in self.places[0])
-        count = f"{len(self)} {'pair' if len(self) == 1 else 'pairs'}"
-        return (
-            f"{count} of boundary faces cross each other after the motion ({between}), first near "
-            f"({place}). No mesh can follow: "
-            "move the wall less, or both walls together."
-        )
-
-
-def _between(first: str, second: str) -> str:
-    one, other = (repr(name) if name else "faces of no patch" for name in (first, second))
-    return f"{one} and itself" if first == second else f"{one} and {other}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +71,8 @@ class Inspection:
     - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it. None if the plan's
       do already, or if no number does.
     - `folds`: how many cells one step folds, from where on, and what was found to help. Empty if
-      none folds, and without a mesh.
+      none folds, where walls cross, and without a mesh.
+    - `folded_before`: how many cells were folded before the motion; empty if none were.
     """
 
     offset: float
@@ -134,6 +99,12 @@ class Inspection:
     gap_node: int | None = None
     torn: tuple[str, ...] = ()
     folds: str = ""
+    folded_before: str = ""
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether walls cross, and not because they are torn from what they could slide along."""
+        return bool(self.crossings) and not self.touches.any()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -169,8 +140,7 @@ class Inspection:
         return tuple(self._advice())
 
     def _advice(self) -> Iterator[str]:
-        if self.folds:
-            yield self.folds
+        yield from filter(None, (self.folds, self.folded_before))
         if self.gap_left is not None and self.gap_left < NARROW:
             yield (
                 f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another "
@@ -285,17 +255,32 @@ def inspect(
         )
     if mesh is None:
         return _of_plan(plan, u, vectors, moved).renumbered(ids)
-    looking = Beside(_of_faces, mesh, ids[surface], vectors.astype(float), plan.n_moving)
+    looking = beside(_of_faces, plan, mesh, ids, vectors.astype(float))
+    crossing = beside(
+        wall_crossings,
+        plan,
+        mesh,
+        np.asarray(u, float)[None],
+        moved,
+        ids if nodes is not None else None,
+    )
     inspection = _of_plan(plan, u, vectors, moved).renumbered(ids)
     faces, found = looking.result()
+    found["crossings"] = crossing.result()
     torn = inspection.contradictions
     if faces is not None and inspection.rests.any():
         rows = row_of(ids[surface], len(mesh.points))
         found["touches"] = inspection.rests & share_faces(rows[torn], faces, len(surface))
     found["torn"] = tuple(names_of(mesh, torn[:1].reshape(-1, 1)))
-    if is_whole and (inverted := int(quality(mesh, moved).inverted)):
-        found["folds"] = advice_on_folds(plan, mesh, np.asarray(u, dtype=float), inverted)
-    return dataclasses.replace(inspection, **found)
+    inspection = dataclasses.replace(inspection, **found)
+    if not is_whole:
+        return inspection
+    verdict = judge(mesh, moved)
+    if verdict.spoilt and not inspection.is_hopeless:
+        inspection = dataclasses.replace(
+            inspection, folds=advice_on_folds(plan, mesh, np.asarray(u, dtype=float), verdict)
+        )
+    return dataclasses.replace(inspection, folded_before=verdict.note)
 
 
 def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
@@ -313,30 +298,23 @@ def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
 
 
 def _of_faces(
-    mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int
+    plan: Plan, mesh: Mesh, ids: np.ndarray, vectors: np.ndarray
 ) -> tuple[np.ndarray | None, dict[str, Any]]:
-    """Checks what needs faces: the faces' simplices, and the findings, by field. The mesh's `nodes`
-    (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
+    """Finds the boundary faces' simplices, and what is left of gaps, by field, where the surface
+    moves by `vectors` (o, d).
     """
+    nodes = ids[np.asarray(plan.surface_nodes)]
     cut = simplices(mesh, nodes)
-    left = None
-    node = None
-    if cut is None:
-        return None, {}
-    if len(cut[0]):
-        before = np.asarray(mesh.points, dtype=float)[nodes]
-        wall = walls(before, moving, {"simplex": cut[0]})
-        share = share_left(
-            before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max()
-        )
-        if np.isfinite(share).any():
-            left = float(share.min())
-            node = int(nodes[share.argmin()])
-    return cut[0], {
-        "crossings": crossings(cut, mesh, nodes, vectors),
-        "gap_left": left,
-        "gap_node": node,
-    }
+    if cut is None or not len(cut[0]):
+        return cut and cut[0], {}
+    before = np.asarray(mesh.points, dtype=float)[nodes]
+    wall = walls(before, plan.n_moving, {"simplex": cut[0]})
+    share = share_left(
+        before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max()
+    )
+    if not np.isfinite(share).any():
+        return cut[0], {}
+    return cut[0], {"gap_left": float(share.min()), "gap_node": int(nodes[share.argmin()])}
 
 
 def _of_plan(plan: Plan, u: Any, vectors: np.ndarray, moved: np.ndarray | None) -> Inspection:
@@ -423,53 +401,6 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
     holds = sparse.csr_matrix(entries, shape=(count, len(faces)))
     around = holds @ holds.T  # neighbours of each row, and itself
     return np.asarray(around[pairs[:, 0]].multiply(around[pairs[:, 1]]).sum(axis=1)).ravel() > 0
-
-
-def crossings(
-    cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray
-) -> Crossings:
-    """Finds where `nodes` (o,), moved by `vectors` (o, d), make the boundary `cut` cross itself."""
-    (faces, ids), points = cut, np.asarray(mesh.points, dtype=float)
-    before = points[nodes]
-    close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")
-    place = parts_of(
-        close[:, 0], close[:, 1], len(before)
-    )  # nodes that nearly coincide are at one place
-    pairs, places = crossing_faces(before, before + vectors, faces, place)
-    single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
-    pairs = pairs[single]
-    places = places[single]
-    first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
-    return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places)
-
-
-def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes`, seen
-    from outside; None without faces. Also returns the number (f,) of the file's face of each.
-    """
-    outer = outer_faces(mesh)
-    if outer is None:
-        return None
-    rows = row_of(nodes, len(mesh.points))
-    faces = []
-    ids = []
-    for kind, corners in outer.corners.items():
-        triangles = (
-            [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]
-        )
-        faces.append(rows[corners[:, triangles]].reshape(-1, mesh.points.shape[1]))
-        ids.append(np.repeat(outer.ids[kind], len(triangles)))
-    joined = np.concatenate(faces)
-    known = (joined >= 0).all(axis=1)
-    return joined[known], np.concatenate(ids)[known]
-
-
-def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
-    """Names the smallest patch with all nodes of each face (k, corners); "" without any."""
-    names = np.full(len(faces), "", dtype=object)
-    for name, nodes in sorted(mesh.patches.items(), key=lambda item: -len(item[1])):
-        names[mask(len(mesh.points), nodes)[faces].all(axis=1)] = name
-    return names.tolist()
 
 
 def overshoot(

@@ -54,7 +54,7 @@ def largest_step(
     Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
     are found. With `proven` the Bernstein coefficients of det J take the corners' place, as in
     `proof`: whole cells keep the bound, at each instant up to the step. Corners of cells that are
-    folded on the undeformed mesh end no step.
+    inverted on the undeformed mesh end no step.
 
     **Arguments:**
 
@@ -154,7 +154,7 @@ class CornerBounds:
             first = sum(len(part.ids) for part in self.parts)
             every = _Corners(kind, ids, first, standard.sign, standard.is_judged, standard.jacobian)
             # not the least one of a curved cell
-            judged = (standard.is_judged & ~standard.is_folded)[
+            judged = (standard.is_judged & ~standard.was_inverted)[
                 : len(every.jacobians(np.asarray(mesh.points)))
             ]
             self.parts.append(dataclasses.replace(every, judged=judged))
@@ -229,8 +229,8 @@ class CornerBounds:
 class DesignedMesh(Module):
     """A mesh that design variables move, with a bound on the Jacobian ratios at its corners.
 
-    `ValidSteps` and `shapes.MeshGuard` are made of it; a constraint of your own can be, too. Its
-    functions are traced.
+    `ValidSteps` and `shapes.MeshGuard` take it; a constraint of your own can, too. Its functions
+    are traced.
 
         design = jm.DesignedMesh(plan, mesh, lambda variables: operator(variables))
         smallest = design.ratios(variables).min()
@@ -257,14 +257,19 @@ class DesignedMesh(Module):
         plan: Plan,
         mesh: Mesh,
         displacement: Callable[[Any], Any],
-        min_jacobian_ratio: float = 0.0,
         *,
+        min_jacobian_ratio: float = 0.0,
         proven: bool = False,
     ):
         between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         places(mesh, plan.points)
-        self.plan, self.displacement = plan, displacement
+        self.plan = plan
+        self.displacement = displacement
         self.bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
+
+    @property
+    def bound(self) -> float:
+        return self.bounds.min_jacobian_ratio
 
     def points(self, design: Any) -> Float[Array, "n d"]:
         """Moves the mesh by design variables."""

@@ -11,8 +11,6 @@ from jaxtyping import Array, Bool, PyTree, Scalar
 from .._host.package.arguments import checked
 from .._kernels.callback import host_call
 from .._kernels.module import Module
-from .._mesh.mesh import Mesh
-from .._plan.plan import Plan
 from .largest_step import DesignedMesh
 
 SHARE = 0.9  # of the way to the bound that is tried
@@ -27,36 +25,24 @@ class ValidSteps(Module, optx.AbstractSearch):
     end by Armijo's rule. The search suits descents whose change is a multiple of the step, such as
     `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
 
-        search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
+        mesh = jm.DesignedMesh(plan, mesh, lambda design: operator(design))
+        search = jm.ValidSteps(mesh)
         solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)
         optimistix.minimise(search.guarded(drag), solver, start)
 
     **Arguments:**
 
-    - `plan`: from `prepare`.
-    - `mesh`: whose `points` are the plan's.
-    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan,
+    - `mesh`: a `DesignedMesh`, moved by the optimiser's variables. Where its motion, or its plan,
       is not linear, the way's end is that of the chord, and the step is cut again until it fits.
-    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
-    - `proven`: judge whole cells on the straight way to each step that is accepted, as
-      `largest_step(proven=True)` does. Default False. `holds` and `guarded` look at corners alone.
-
-    **Raises:** `ValueError` as `DesignedMesh` does.
+      If it is `proven`, whole cells are judged on the straight way to each step that is accepted;
+      `holds` and `guarded` look at corners alone.
     """
 
     mesh: DesignedMesh
 
     @checked
-    def __init__(
-        self,
-        plan: Plan,
-        mesh: Mesh,
-        displacement: Callable[[Any], Any],
-        *,
-        min_jacobian_ratio: float = 0.0,
-        proven: bool = False,
-    ):
-        self.mesh = DesignedMesh(plan, mesh, displacement, min_jacobian_ratio, proven=proven)
+    def __init__(self, mesh: DesignedMesh):
+        self.mesh = mesh
 
     def holds(self, y: PyTree) -> Bool[Array, ""]:
         """Checks whether every corner of the mesh of these variables keeps its bound."""

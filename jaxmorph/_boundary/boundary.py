@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Int, Integer, Real
 
 from .._host.cells.topology import solid
-from .._host.package.arguments import real_array, rows_of, shown
+from .._host.package.arguments import freeze, real_array, rows_of, shown
 from .._host.package.errors import MeshError, check_none, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
@@ -52,16 +52,17 @@ _EMPTY |= dict.fromkeys(("mesh", "faces", "left", "is_open", "cells"))
 class Boundary:
     """What moves, stays, slides and repeats on the boundary of a mesh, checked once.
 
-    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. It is immutable; several plans may
-    share it.
+    `prepare`, `prepare_surface` and `prepare_in_chunks` take it. Its arrays are its own, and
+    read-only; several plans may share it.
 
     **Arguments:**
 
     - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see
       the boundary faces, patches may be named, and boundary faces in no list cause a warning.
     - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves.
-      Nodes in no list follow. If nothing but moving patches is named, the `kinds` of the other
-      patches decide: symmetry planes slide, all others are fixed. A warning names them.
+      Nodes in no list follow. Where lists are of names, the `kinds` of the other patches decide:
+      symmetry planes slide. All others are fixed if nothing but moving patches is named. A warning
+      names them.
     - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
       stay in it, also moving nodes.
     - `periodic`: pairs of patches of which one repeats the other.
@@ -114,9 +115,10 @@ class Boundary:
     ):
         patches = mesh if isinstance(mesh, Mesh) else None
         points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
-        if nothing_in(fixed, symmetry, sliding, free):
+        if patches is not None:
+            lists = {"fixed": fixed, "symmetry": symmetry, "sliding": sliding, "free": free}
             periodic = several("periodic", periodic, Periodic, PAIRS)
-            fixed, symmetry = by_kinds(mesh, moving, periodic)
+            fixed, symmetry = by_kinds(patches, moving, periodic, lists)
         check_named_once(sliding, fixed=fixed, symmetry=symmetry)
         moving, fixed, free = _listed(points, patches, moving=moving, fixed=fixed, free=free)
         planes = planes_named(symmetry, points, patches)
@@ -226,7 +228,8 @@ def changed(boundary: Boundary, **fields: Any) -> Boundary:
 def boundary_of_lists(points: np.ndarray, **fields: Any) -> Boundary:
     """Makes a boundary of lists that were checked before; a list that is not given is empty."""
     boundary = object.__new__(Boundary)
-    vars(boundary).update(_EMPTY | {"points": points} | fields)
+    fields = _EMPTY | {"points": points} | fields
+    vars(boundary).update({name: jax.tree.map(freeze, part) for name, part in fields.items()})
     return boundary
 
 
@@ -275,6 +278,11 @@ def _listed(
     points: np.ndarray, mesh: Mesh | None, **lists: Nodes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     moving, fixed, free = (nodes_named(ids, name, mesh, len(points)) for name, ids in lists.items())
+    if names_in(lists["fixed"]) and not len(fixed):
+        raise ValueError(
+            f"the patches of `fixed`, {shown(lists['fixed'])}, have no nodes: nothing would be "
+            "fixed. Name others, or leave `fixed` out."
+        )
     unique, counts = np.unique(moving, return_counts=True)
     check_none(
         unique[counts > 1], "{count} nodes are named more than once in `moving`, first node {node}."
@@ -467,27 +475,41 @@ def check_named_once(sliding: Any, **lists: Any) -> None:
                 )
 
 
-def by_kinds(mesh: Any, moving: Any, periodic: Sequence[Periodic]) -> tuple[list[str], list[str]]:
-    """Chooses fixed and symmetry patches by their kinds in the file, if only moving ones are named.
-    Symmetry patches that lie in planes slide; all other outer patches with a kind are fixed. A
-    warning names the choice. Nothing is chosen without kinds, or where `moving` are no names.
+def by_kinds(
+    mesh: Mesh, moving: Any, periodic: Sequence[Periodic], lists: Mapping[str, Any]
+) -> tuple[Any, Any]:
+    """Adds to `fixed` and `symmetry` of the lists by kinds in the file, where all are of names.
+
+    Symmetry patches in no list that lie in planes slide. If only `moving` are named, all other
+    outer patches with a kind are fixed. A warning names the choice.
     """
-    names = names_in(moving)
-    if not isinstance(mesh, Mesh) or names is None:
-        return [], []
-    kinds = _outer_kinds(
-        mesh, {*mesh.patch_names(*names)}.union(*(pair.patches for pair in periodic))
-    )
-    symmetry = [name for name in kinds if kinds[name] in SYMMETRY]
-    fixed = [name for name in kinds if name not in symmetry]
-    symmetry = _in_planes(mesh, symmetry)
-    clauses = _clauses(kinds, fixed=fixed, symmetry=symmetry)
+    is_alone = nothing_in(*lists.values())
+    fixed, symmetry = lists["fixed"], lists["symmetry"]
+    names = _names_of_all(moving, *lists.values())
+    if names is None:
+        return fixed, symmetry
+    kinds = _outer_kinds(mesh, {*mesh.patch_names(*names)}.union(*(p.patches for p in periodic)))
+    mirrors = [name for name in kinds if kinds[name] in SYMMETRY]
+    others = [name for name in kinds if name not in mirrors] if is_alone else []
+    mirrors = _in_planes(mesh, mirrors)
+    clauses = _clauses(kinds, fixed=others, symmetry=mirrors)
     if clauses:
-        warn(
-            f"No patches beside `moving` are named. By their kinds in the file {clauses}. Name "
-            "the patches to choose otherwise."
-        )
-    return fixed, symmetry
+        alone = "No patches beside `moving` are named. " if is_alone else ""
+        warn(f"{alone}By their kinds in the file {clauses}. Name the patches to choose otherwise.")
+    return others or fixed, [*several("symmetry", symmetry, (Plane, str), PLANES), *mirrors]
+
+
+def _names_of_all(moving: Any, *lists: Any) -> tuple[str, ...] | None:
+    """Lists all names of patches; None where a list has ids, or nothing moves by name."""
+    names = names_in(moving)
+    for values in lists if names else ():
+        entries = [values] if isinstance(values, str | Slide | Plane) else values
+        for entry in entries if isinstance(entries, list | tuple | set | frozenset) else (None,):
+            named = names_in(entry.patch if isinstance(entry, Slide) else entry)
+            if names is None or (named is None and not isinstance(entry, Plane)):
+                return None
+            names += named or ()
+    return names
 
 
 def _clauses(kinds: Mapping[str, str], **lists: list[str]) -> str:

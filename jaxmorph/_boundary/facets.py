@@ -13,6 +13,7 @@ from .._host.cells.adjacency import handedness, neighbours, parts_of
 from .._host.cells.topology import DIMENSION
 from .._host.linear.products import cofactors, determinant, dot, normals, unit_rows
 from .._host.package.arguments import as_array, checked, finite_array, rows_of
+from .._host.package.rounding import SAME, canonical_order, roundoff
 from .._host.surface.gaps import closest
 from .._kernels.callback import host_call
 from .._kernels.module import Module
@@ -34,14 +35,15 @@ facet by which it may be outside."""
 class Facets(Module):
     """A surface of triangles in 3-D, or a curve of segments: of a file, a CAD model or a mesh.
 
-    Points at one place are one vertex. Faces are turned to one sense, part by part; faces without
-    extent are left out. Faces that turn by more than `angle` meet at a sharp edge.
+    Points at one place are one vertex. Faces are turned to one sense, that of the larger area, part
+    by part. Faces without extent are left out. Faces that turn by more than `angle` meet at a sharp
+    edge.
 
     **Arguments:**
 
     - `points`: (n, d).
     - `faces`: rows of points, (k, 3) or (k, 4) in 3-D, (k, 2) in 2-D and for curves in 3-D, one
-      array or several. Quads are cut along the shorter diagonal.
+      array or several. Quads are cut along the shorter diagonal; of equal ones, by place.
     - `smooth`: False: the surface is its facets. True: the smooth one through their vertices, with
       the sharp edges kept, as Phong tessellation has it. Default False.
     - `angle`: radians. Default pi / 3.
@@ -91,8 +93,15 @@ class Facets(Module):
                 np.zeros((0, 1), int),
             ) * 2
             return
+        count = len(faces)
         faces = faces[np.diff(np.sort(self.welded[faces], axis=1), axis=1).all(axis=1)]
+        if not len(faces):
+            raise ValueError(
+                f"each of the {count} `faces` has two corners at one place: the surface has no "
+                "extent."
+            )
         _, sign, self.part = _beside(self.welded[faces])
+        sign = sign * _sense(sign, self.part, exact[faces])
         self.faces = np.where(sign[:, None] < 0, faces[:, ::-1], faces)
         vertices = self.welded[self.faces]
         beside = _beside(vertices)[0]
@@ -283,7 +292,10 @@ def _simplices(faces: Any, points: np.ndarray) -> Int[np.ndarray, "k c"]:
 
 
 def _triangles(ids: np.ndarray, points: np.ndarray) -> Int[np.ndarray, "k c"]:
-    """Cuts quads along the shorter diagonal; leaves triangles and segments."""
+    """Cuts quads along the shorter diagonal; leaves triangles and segments.
+
+    Of equal diagonals it is the one from the corner that comes first by place.
+    """
     if ids.ndim != 2 or ids.shape[1] not in ((2,) if points.shape[1] == 2 else (2, 3, 4)):
         raise ValueError(
             f"`faces` has shape {ids.shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D."
@@ -291,11 +303,31 @@ def _triangles(ids: np.ndarray, points: np.ndarray) -> Int[np.ndarray, "k c"]:
     ids = rows_of("faces` of `points", ids.ravel(), len(points)).reshape(*ids.shape)
     if ids.shape[1] < 4:
         return ids
+    rank = np.argsort(canonical_order(points))
+    start = rank[ids].argmin(axis=1)[:, None] + np.arange(4)
+    ids = np.take_along_axis(ids, start % 4, axis=1)
     first, second = (
         np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1)
     )
-    ids = np.where((first > second * (1 + 1e-9))[:, None], np.roll(ids, -1, axis=1), ids)
+    is_longer = first > second * (1 + SAME) + roundoff(points)
+    ids = np.where(is_longer[:, None], np.roll(ids, -1, axis=1), ids)
     return np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
+
+
+def _sense(
+    sign: np.ndarray, part: np.ndarray, corners: Float[np.ndarray, "k c d"]
+) -> Int[np.ndarray, " k"]:
+    """The sense (1 or -1) by which each face's part is as most of its area is listed.
+
+    A tie goes to the sense of the face whose middle comes first by place.
+    """
+    edges = corners[:, 1:] - corners[:, :1]
+    size = np.sqrt(np.linalg.det(edges @ edges.swapaxes(1, 2)).clip(0))
+    votes = np.bincount(part, sign * size)
+    order = canonical_order(corners.mean(axis=1))
+    first = order[np.unique(part[order], return_index=True)[1]]
+    is_tie = np.abs(votes) <= SAME * np.bincount(part, size)
+    return np.sign(np.where(is_tie, sign[first], votes)).astype(int)[part]
 
 
 def _beside(vertices: Int[np.ndarray, "k c"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -353,11 +385,8 @@ def _split(
 def _found(
     x: np.ndarray, facing: np.ndarray, points: np.ndarray, faces: np.ndarray, sides: np.ndarray
 ) -> np.ndarray:
-    # XLA's programs flush the smallest numbers to zero. SciPy's tree, which steps from zero to the
-    # next number, would never end: no coordinate is near zero here.
-    low = points.min(axis=0) - 1.5 * np.ptp(points, axis=0).max()
-    corners = points.astype(float)[faces] - low
-    x = x.astype(float) - low
+    corners = points.astype(float)[faces]
+    x = x.astype(float)
     face = closest(corners, x)[0]
     if not len(facing):
         return face

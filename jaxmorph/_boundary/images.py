@@ -9,12 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.cells.adjacency import parts_of
 from .._host.package.rounding import Tree, rows_in
 from .._kernels.values import as_jax
 from .boundary import Boundary
 from .outer_faces import mask, row_of
 from .periodic import Pairing
-from .symmetry import Plane, facing, tolerance
+from .symmetry import Plane, edges_of, facing, tolerance
+
+DIFFERENT = 1e-3  # difference of two matrices of mirrors; the narrowest angle is a degree
 
 
 class Images(eqx.Module):
@@ -35,6 +38,8 @@ class Images(eqx.Module):
     shifts: Float[Array, "t d"]
     powers: Int[Array, "t q"]
     pairings: tuple[Pairing, ...]
+    # pairs of planes that meet at another than a right angle
+    edges: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
         shifts = self.shifts
@@ -67,10 +72,20 @@ class Images(eqx.Module):
         return u
 
     def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
-        for k, normal in enumerate(self.normals):
+        for is_on, normal in self.normals_of(on_plane):
             normal = normal.astype(u.dtype)
-            u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)
+            u = jnp.where(is_on[:, None], u - (u @ normal)[:, None] * normal[None], u)
         return u
+
+    def normals_of(self, on_plane: Bool[Array, "n p"]) -> list[tuple[Bool[Array, " n"], Array]]:
+        """Lists rows (n,), and the unit normal along which they do not move, to apply in turn."""
+        sides = [(on_plane[:, k], normal) for k, normal in enumerate(self.normals)]
+        for first, second in self.edges:  # the second normal would bring back some of the first
+            normal = self.normals[second]
+            across = self.normals[first] - (self.normals[first] @ normal) * normal
+            is_on = on_plane[:, first] & on_plane[:, second]
+            sides.append((is_on, across / jnp.linalg.norm(across)))
+        return sides
 
     @property
     def planes(self) -> tuple[Plane, ...]:
@@ -126,13 +141,14 @@ def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:
     pairs, own_pairs = (
         tuple(pairing.renumbered(row) for pairing in boundary.pairings) for row in numbers
     )
-    powers, flags = _elements(planes, pairs)
+    mirrors, after = _mirrors(planes, d)
+    powers, mirror = _elements(len(mirrors), pairs)
     transforms = np.stack(
-        [_transform(planes, pairs, *element, d) for element in zip(powers, flags, strict=True)]
+        [mirrors[m] @ _repeated(pairs, power, d) for power, m in zip(powers, mirror, strict=True)]
     )
     matrices = transforms[:, :-1, :-1]
     shifts = transforms[:, :-1, -1]
-    places, roots = _numbered(powers, flags, pairs, on_plane[order])
+    places, roots = _numbered(powers, mirror, after, pairs, on_plane[order])
     if pairs:
         x = boundary.points[own]
         places = _joined(
@@ -153,41 +169,77 @@ def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:
         [(plane.normal, plane.origin) for plane in planes], (-1, 2, d)
     ).swapaxes(0, 1)
     of_rows = order[rows].astype(np.int32), kind, matrices, shifts, powers, own_pairs
-    return Images(*as_jax((normals, origins, on_plane, *of_rows))), Copies(
+    edges = edges_of(planes)
+    return Images(*as_jax((normals, origins, on_plane, *of_rows)), edges=edges), Copies(
         places, roots, rows, kind, matrices, sides
     )
 
 
+def _mirrors(
+    planes: Sequence[Plane], dimension: int
+) -> tuple[Float[np.ndarray, "g e e"], Int[np.ndarray, "g p"]]:
+    """Affine matrices of all products of mirrors, and the number of each after one more mirror.
+
+    The plane's own mirror comes before the product. Planes that face another have no mirror.
+    """
+    # Products are found from the shortest on; a product that is known gets no new number.
+    is_facing = facing(planes)
+    products = np.eye(dimension + 1)[None]
+    after: list[list[int]] = []
+    while len(after) < len(products):
+        number = len(after)
+        after.append([number] * len(planes))
+        for k in np.flatnonzero(~is_facing)[::-1]:
+            product = products[number] @ _mirror(planes[k])
+            away = np.abs((products - product)[:, :-1, :-1]).max(axis=(1, 2))
+            after[-1][k] = int(away.argmin())
+            if away.min() > DIFFERENT:
+                after[-1][k] = len(products)
+                products = np.concatenate([products, product[None]])
+    return products, np.reshape(after, (len(products), len(planes))).astype(int)
+
+
+def _mirror(plane: Plane) -> Float[np.ndarray, "e e"]:
+    affine = np.eye(len(plane.normal) + 1)
+    affine[:-1] -= 2 * np.outer(plane.normal, np.append(plane.normal, -plane.origin @ plane.normal))
+    return affine
+
+
 def _elements(
-    planes: Sequence[Plane], pairings: Sequence[Pairing]
-) -> tuple[Int[np.ndarray, "t q"], Int[np.ndarray, "t p"]]:
-    # A transform is a power of every periodic transform, then a mirror flag of every plane. The
-    # sort by the sum of powers is stable.
-    flags = itertools.product(
-        *((False,) if is_facing else (False, True) for is_facing in facing(planes))
-    )
+    mirrors: int, pairings: Sequence[Pairing]
+) -> tuple[Int[np.ndarray, "t q"], Int[np.ndarray, " t"]]:
+    # A transform is a power of every periodic transform, then a product of mirrors. The sort by the
+    # sum of powers is stable.
     powers = itertools.product(*(pairing.powers for pairing in pairings))
     elements = sorted(
-        itertools.product(powers, flags), key=lambda element: sum(map(abs, element[0]))
+        itertools.product(powers, range(mirrors)), key=lambda element: sum(map(abs, element[0]))
     )
-    every, mirrored = (np.array(part, dtype=np.int32) for part in zip(*elements, strict=True))
-    return every, mirrored
+    every, mirror = (np.array(part, dtype=np.int32) for part in zip(*elements, strict=True))
+    return every, mirror
 
 
 def _numbered(
     powers: Int[np.ndarray, "t q"],
-    flags: Int[np.ndarray, "t p"],
+    mirror: Int[np.ndarray, " t"],
+    after: Int[np.ndarray, "g p"],
     pairings: Sequence[Pairing],
     on_plane: Bool[np.ndarray, "o p"],
 ) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
-    # Each image position is one integer of mixed radix: a bit for each mirror plane, then a digit
-    # for the periodic power of each pairing, then the source row. Rows on a plane, on an axis, and
-    # on second sides have the integer of the row that they repeat: equal integers, one position.
-    count, size = on_plane.shape
+    # Each image position is one integer of mixed radix: a product of mirrors, then a digit for the
+    # periodic power of each pairing, then the source row. On a plane, a product is the same with
+    # and without the plane's mirror first, and has the lower number. Rows on second sides have the
+    # integer of the row that they repeat: equal integers, one position.
+    count = len(on_plane)
     roots = np.arange(count)
-    radix = 1 << size
-    bits = 1 << np.arange(size)
-    places = (flags @ bits)[:, None] & ~(on_plane @ bits)[None]
+    radix = len(after)
+    kinds, kind = np.unique(on_plane, axis=0, return_inverse=True)
+    own = np.arange(radix)
+    lowest = []
+    for planes in kinds:
+        other = after[:, planes]
+        part = parts_of(np.repeat(own, other.shape[1]), other.ravel(), radix)
+        lowest.append(np.unique(part, return_index=True)[1][part])
+    places = np.reshape(lowest, (len(kinds), radix))[kind.ravel()][:, mirror].T
     for power, pairing in zip(powers.T, pairings, strict=True):
         span = pairing.turn or 2 * pairing.copies + 2
         steps = (power[:, None] + mask(count, pairing.second)[None] + pairing.copies) % span
@@ -223,21 +275,10 @@ def _joined(
     return joined[np.searchsorted(numbers, places)]
 
 
-def _transform(
-    planes: Sequence[Plane],
-    pairings: Sequence[Pairing],
-    powers: np.ndarray,
-    flags: np.ndarray,
-    dimension: int,
+def _repeated(
+    pairings: Sequence[Pairing], powers: np.ndarray, dimension: int
 ) -> Float[np.ndarray, "e e"]:
-    """The affine matrix of one image: first periodic transforms, then reflections."""
     affine = np.eye(dimension + 1)
     for pairing, k in zip(pairings, powers, strict=True):
         affine = pairing.power(int(k)) @ affine
-    for plane in itertools.compress(planes, flags):
-        mirror = np.eye(dimension + 1)
-        mirror[:-1] -= 2 * np.outer(
-            plane.normal, np.append(plane.normal, -plane.origin @ plane.normal)
-        )
-        affine = mirror @ affine
     return affine

@@ -16,7 +16,7 @@ from .._host.package.errors import check_none, worst_first
 from .._host.package.rounding import Tree, spacing
 from .._kernels.values import Either
 from .outer_faces import Ids, Points
-from .symmetry import Plane, optional, tolerance
+from .symmetry import Plane, facing, optional, tolerance
 
 Nodal = Float[Array, "n d"]  # a place, or a displacement, of every node
 
@@ -272,7 +272,7 @@ def across_one_layer(planes: Sequence[Plane], points: Points) -> tuple[Pairing, 
     for one, other in itertools.combinations(planes, 2):
         normal = one.normal
         first, second = (np.flatnonzero(plane.holds(points)) for plane in (one, other))
-        if abs(normal @ other.normal) > 0.5 and 2 * len(first) == 2 * len(second) == len(points):
+        if facing((one, other)).all() and 2 * len(first) == 2 * len(second) == len(points):
             pair = Periodic(
                 first, second, translation=(other.origin - one.origin) @ normal * normal
             )

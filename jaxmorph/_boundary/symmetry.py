@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from .._host.linear.products import normals, unit_rows
-from .._host.package.arguments import checked, finite_array, rows_of
+from .._host.package.arguments import checked, finite_array, freeze, rows_of
 from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
@@ -41,7 +41,8 @@ class Plane(Module):
                 "a plane needs a normal that is not zero and an origin of as many components, "
                 f"got {normal}, {origin}."
             )
-        self.normal, self.origin = normal / length, origin
+        self.normal = freeze(normal / length)
+        self.origin = freeze(origin)
 
     @staticmethod
     def through(points: Points, nodes: Ids) -> "Plane":
@@ -167,22 +168,35 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list
 
 
 def optional(name: str, value: Any, *shapes: tuple[int | None, ...]) -> np.ndarray | None:
-    return None if value is None else finite_array(name, value, *shapes).astype(float)
+    return None if value is None else freeze(finite_array(name, value, *shapes).astype(float))
 
 
 def tolerance(points: np.ndarray) -> float:
     return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
 
 
+ALIGNED = 1e-9  # difference of a cosine from that of parallel planes, or of a right angle
+NARROWEST = 180  # mirrors at an angle of 180 / n degrees have 2 n images
+ANGLE = 1e-6  # radians by which the angle of two mirrors may be off
+
+
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
     check_dimension(planes, points.shape[1])
-    normals = np.stack([plane.normal for plane in planes])
-    cosines = np.abs(normals @ normals.T)
-    if np.minimum(cosines, np.abs(cosines - 1)).max() > 1e-9:
-        raise ValueError(
-            "several symmetry planes must be parallel or at right angles to each other: hold the "
-            "others in `fixed`."
-        )
+    edges = edges_of(planes)
+    for edge in edges:
+        inward = []
+        for plane in (planes[k] for k in edge):
+            height = plane.height(points)
+            inward.append(np.sign(height[np.abs(height).argmax()]) * plane.normal)
+        angle = np.arccos(-inward[0] @ inward[1])  # of the mesh between the planes
+        sectors = round(np.pi / angle)
+        is_mirror = sectors <= NARROWEST and abs(angle - np.pi / sectors) < ANGLE
+        if len(edges) > 1 or not is_mirror:
+            raise ValueError(
+                f"{len(planes)} symmetry planes are not all parallel or at right angles, two meet "
+                f"at {np.rad2deg(angle):.6g} degrees: one pair may meet at 180 / n degrees, n up "
+                f"to {NARROWEST}. Hold the nodes of other planes in `fixed`."
+            )
     for plane in planes:
         _check_bounds(plane, points)
 
@@ -221,8 +235,17 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
     )
 
 
+def _cosines(planes: Sequence[Plane]) -> Float[np.ndarray, "p p"]:
+    cosines = [[abs(one.normal @ other.normal) for other in planes] for one in planes]
+    return np.reshape(cosines, (len(planes), len(planes)))
+
+
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
-    return np.array(
-        [sum(abs(plane.normal @ other.normal) > 0.5 for other in planes) > 1 for plane in planes],
-        bool,
-    )
+    return (_cosines(planes) > 1 - ALIGNED).sum(axis=1) > 1
+
+
+def edges_of(planes: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
+    """Lists pairs of planes that are neither parallel nor at right angles: they meet in an edge."""
+    cosines = np.triu(_cosines(planes), 1)
+    first, second = np.nonzero((cosines > ALIGNED) & (cosines < 1 - ALIGNED))
+    return tuple(zip(first.tolist(), second.tolist(), strict=True))

@@ -21,11 +21,12 @@ from .._quality.distortion import node_scales, signs_of_pieces, targets
 from .motion import Distortion, Ways
 
 
-def prepared(
+def problem_of(
     boundary: Boundary, mesh: Mesh, dtype, ideal: bool, size_weight: float
 ) -> tuple[Distortion, Pattern]:
-    (n, d), pairings = mesh.points.shape, boundary.pairings
-    held, tracks = _held(boundary, mesh)
+    n, d = mesh.points.shape
+    pairings = boundary.pairings
+    held, tracks = _split_held(boundary, mesh)
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, d).items()}
     free = mask(n, *cells.values()) & ~mask(n, held)
     check_repeated(tracks, held, pairings, np.asarray(mesh.points), free)
@@ -34,7 +35,7 @@ def prepared(
         leads[pairing.second] = leads[pairing.first]
         free[pairing.alone] = False
     free[np.isin(leads, np.unique(leads[~free]))] = False
-    distortion = _energy(
+    distortion = _distortion_of(
         {kind: jnp.asarray(ids) for kind, ids in cells.items()},
         jnp.asarray(mesh.points, dtype),
         signs_of_pieces(mesh),
@@ -47,7 +48,7 @@ def prepared(
     return jax.lax.stop_gradient(distortion), pattern(groups, n, d)
 
 
-def _held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]]:
+def _split_held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]]:
     """Nodes that do not move, and tracks of those that slide."""
     points = boundary.points
     held = [boundary.moving, boundary.fixed]
@@ -68,11 +69,11 @@ def _held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]
         for side in (pair.first, pair.second)
     ]
     ways = [*ways, *map(np.flatnonzero, on_plane), boundary.free]
-    sides = _boundary(mesh, [mask(len(points), nodes, *held, corners, *edges) for nodes in ways])
+    sides = _held_sides(mesh, [mask(len(points), nodes, *held, corners, *edges) for nodes in ways])
     return np.concatenate([sides, *held, corners]).astype(int), tuple(map(smoothed, tracks))
 
 
-def _boundary(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
+def _held_sides(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
     """Nodes of patches and outer faces, except where one lies wholly in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
     sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
@@ -82,7 +83,7 @@ def _boundary(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
 
 
 @compiled
-def _energy(
+def _distortion_of(
     cells: dict[str, Array],
     reference: Float[Array, "n d"],
     signs,
@@ -93,4 +94,12 @@ def _energy(
 ):
     goals = targets(cells, reference, signs, ideal)
     scale = node_scales(cells, goals, len(reference))
-    return Distortion(cells, goals, scale, free, jnp.ones((), reference.dtype), ways, float(size))
+    return Distortion(
+        cells=cells,
+        targets=goals,
+        scale=scale,
+        free=free,
+        softness=jnp.ones((), reference.dtype),
+        ways=ways,
+        size=float(size),
+    )

@@ -57,7 +57,7 @@ def curve(
         )
     nodes = nodes_named(moving, "moving", mesh, len(mesh.points))
     wall = np.asarray(mesh.points)[nodes]
-    places = _places(surface, wall)
+    places = _places_on(surface, wall)
     _check_reach(mesh, nodes, places - wall)
     before = quality(mesh)
     if int(before.inverted):
@@ -69,7 +69,7 @@ def curve(
     return mesh.moved(deform(plan, jnp.asarray(places - wall)))
 
 
-def _places(surface: Any, wall: np.ndarray) -> np.ndarray:
+def _places_on(surface: Any, wall: np.ndarray) -> np.ndarray:
     if isinstance(surface, Mesh):
         return np.asarray(Facets.of(surface).closest(wall))
     if callable(surface):

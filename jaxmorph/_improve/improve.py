@@ -18,11 +18,11 @@ from .._mesh.mesh import Mesh
 from .._quality.proof import proven_margin
 from .._quality.quality import check_solid, places, quality
 from .._quality.report import QualityReport
-from .constraints import prepared
-from .stages import Minimum, Search, judged, softened, stiffened
+from .constraints import problem_of
+from .stages import Minimum, Search, judge_minimum, minimise_softly, minimise_stiffly
 
 MINIMUM = 1e-2
-SAME = 1e-6  # difference of two margins that is round-off
+SAME_MARGIN = 1e-6  # difference of two margins that is round-off
 GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
 
 Count = Int[Array, ""]
@@ -159,13 +159,13 @@ def improve(
     whole("max_steps", max_steps)
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():
-        distortion, blocks = prepared(boundary, own, base.dtype, ideal, size_weight)
+        distortion, blocks = problem_of(boundary, own, base.dtype, ideal, size_weight)
     search = Search(blocks, jnp.asarray(tolerance, base.dtype), max_steps)
-    plain = softened(distortion, base, search)
-    found, report = _ended(own, start, plain, plain)
+    plain = minimise_softly(distortion, base, search)
+    found, report = _conclude(own, start, plain, plain)
     if not worst:
         return found
-    stiff, stiff_report = _ended(own, start, plain, stiffened(plain, base, search))
+    stiff, stiff_report = _conclude(own, start, plain, minimise_stiffly(plain, base, search))
     gain = stiff_report.min_jacobian_ratio - report.min_jacobian_ratio
     is_round = stiff_report.max_skewness <= report.max_skewness
     is_better = jnp.where(is_round, gain >= 0, gain > GAIN * jnp.abs(report.min_jacobian_ratio))
@@ -174,33 +174,52 @@ def improve(
     return eqx.tree_at(lambda it: it.steps, chosen, stiff.steps)
 
 
-def _ended(
+def _conclude(
     mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum
 ) -> tuple[Improvement, QualityReport]:
     distortion = plain.distortion
-    energy, slope, improved, fixed = judged(distortion, minimum, start.astype(minimum.y.dtype))
+    (energy, unmoved), slope, improved, fixed = judge_minimum(
+        distortion, minimum, start.astype(minimum.y.dtype)
+    )
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     moved = distortion.ways.matched(start, moved)
     report = quality(mesh, moved)
-    margin = proven_margin(mesh, moved, depth=1)
     with jax.ensure_compile_time_eval():
         own = proven_margin(mesh, mesh.points, depth=1)
         owner = owners(jax.tree.map(np.asarray, mesh.cells))
         old = quality(mesh).is_inverted  # these are judged by the mesh on the new points alone
-    before, is_inverted = (
-        jnp.where(old, quality(mesh.moved(x)).is_inverted, judgement.is_inverted)
-        & judgement.counted
-        for x, judgement in ((start, quality(mesh, start)), (moved, report))
+
+    def inverted_at(x: Array, judgement: QualityReport) -> Array:
+        alone = quality(mesh.moved(x)).is_inverted
+        return jnp.where(old, alone, judgement.is_inverted) & judgement.counted
+
+    first = quality(mesh, start)
+    before = inverted_at(start, first)
+    is_inverted = inverted_at(moved, report)
+    # where held nodes coincide, a cell may have no target that does not fold another
+    is_worse = jnp.sum(is_inverted) > jnp.sum(before)
+    moved, report, is_inverted = jax.tree.map(
+        lambda new, old: jnp.where(is_worse, old, new),
+        (moved, report, is_inverted),
+        (start, first, before),
     )
+    margin = proven_margin(mesh, moved, depth=1)
     lost = jnp.zeros_like(is_inverted)
     for kind, is_fixed in fixed.items():
         lost = lost.at[owner[kind]].max(is_fixed)
     unproven = ~(margin > 0)
-    as_before = (own <= 0) & (margin >= own - SAME)
-    steps = jnp.asarray(minimum.steps)
-    residual = jnp.max(jnp.abs(slope))
-    counts = jnp.sum(unproven), jnp.sum(unproven & as_before), jnp.sum(lost & is_inverted)
-    was = jnp.sum(before)
-    now = jnp.sum(is_inverted)
-    energy = energy / sum(map(len, distortion.cells.values()))
-    return Improvement(moved, was, now, *counts, energy, residual, steps, report.count), report
+    as_before = (own <= 0) & (margin >= own - SAME_MARGIN)
+    energy = jnp.where(is_worse, unmoved, energy)
+    improvement = Improvement(
+        points=moved,
+        before=jnp.sum(before),
+        after=jnp.sum(is_inverted),
+        unproven=jnp.sum(unproven),
+        from_start=jnp.sum(unproven & as_before),
+        lost=jnp.sum(lost & is_inverted),
+        energy=energy / sum(map(len, distortion.cells.values())),
+        residual=jnp.where(is_worse, jnp.inf, jnp.max(jnp.abs(slope))),
+        steps=jnp.asarray(minimum.steps),
+        cells=report.count,
+    )
+    return improvement, report

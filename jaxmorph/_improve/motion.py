@@ -112,15 +112,13 @@ class Distortion(eqx.Module):
 
     def _samples(self, points: Nodal) -> tuple[Array, Array, Array]:
         """The mask of samples that count, |T|^2 / d and det T, of all types."""
-        rows = [
-            samples(kind, corners(points, ids), self.targets[kind])
-            for kind, ids in self.cells.items()
-        ]
-        parts = ([self.targets[kind].counts > 0 for kind in self.cells], *zip(*rows, strict=True))
-        counts, squared, tau = (
-            jnp.concatenate([part.ravel() for part in every]) for every in parts
-        )
-        return counts, squared, tau
+        rows = []
+        for kind, ids in self.cells.items():
+            goal = self.targets[kind]
+            squared, tau = samples(kind, corners(points, ids), goal)
+            rows.append(jnp.stack([goal.counts, squared, tau]).reshape(3, -1))
+        counts, squared, tau = jnp.concatenate(rows, axis=1)
+        return counts > 0, squared, tau
 
     def least(self, y: Nodal, base: Nodal) -> Float[Array, ""]:
         counts, _, tau = self._samples(self.points(y, base))
@@ -128,16 +126,14 @@ class Distortion(eqx.Module):
 
     def worst(self, y: Nodal, base: Nodal) -> Float[Array, ""]:
         counts, squared, tau = self._samples(self.points(y, base))
-        return jnp.max(
-            jnp.where(counts, energy(squared, tau, self.softness, self.size, y.shape[1]), 0),
-            initial=0,
-        )
+        values = energy(squared, tau, self.softness, self.size, y.shape[1])
+        return jnp.max(jnp.where(counts, values, 0), initial=0)
 
     def movable(self) -> "Distortion":
         """Leaves out samples whose nodes are all held: no motion lowers their distortion."""
         targets = {}
         for kind, ids in self.cells.items():
-            moves = jnp.any(_shares(kind) != 0, axis=2) @ self.free[ids].T
+            moves = jnp.any(_corner_shares(kind) != 0, axis=2) @ self.free[ids].T
             targets[kind] = self.targets[kind]._replace(counts=self.targets[kind].counts * moves)
         return dataclasses.replace(self, targets=targets)
 
@@ -162,7 +158,7 @@ class Distortion(eqx.Module):
         parts = []
         d = base.shape[1]
         # Derivatives of places by y, whose axis is the last; a partner moves by its first node's y.
-        slopes = _columns(lambda y: self.points(y, base), y)
+        slopes = _derive_rows(lambda y: self.points(y, base), y)
 
         def of_sample(squared, tau):
             value = energy(squared, tau, self.softness, self.size, d)
@@ -170,15 +166,15 @@ class Distortion(eqx.Module):
 
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
-            share = _shares(kind)
+            share = _corner_shares(kind)
             slope = slopes[ids]
-            matrices = _stacked(stretch(kind, corners(points, ids), goal)).transpose(2, 3, 1, 0)
+            matrices = _stack_all(stretch(kind, corners(points, ids), goal)).transpose(2, 3, 1, 0)
             second = (
                 _convex(of_sample, matrices, floor)
                 * (goal.counts / len(share))[..., None, None, None, None]
             )
             by_corner = jnp.einsum(
-                "sce,ebsk->skcb", share, _stacked(goal.inverse), precision="highest"
+                "sce,ebsk->skcb", share, _stack_all(goal.inverse), precision="highest"
             )
             pairs = jnp.einsum(
                 "skcb,skabfg,skzg->kcazf", by_corner, second, by_corner, precision="highest"
@@ -194,7 +190,7 @@ class Distortion(eqx.Module):
         if self.ways.is_linear:
             return added
         force = jax.grad(self._energy)(self.points(y, base))
-        curved = _columns(jax.grad(lambda y: jnp.sum(force * self.points(y, base))), y)
+        curved = _derive_rows(jax.grad(lambda y: jnp.sum(force * self.points(y, base))), y)
         return added + jnp.where(
             jnp.asarray(floor) < 0, (curved + jnp.swapaxes(curved, 1, 2)) / 2, 0
         )
@@ -215,17 +211,17 @@ def _convex(
     return jnp.matmul(scaled, vectors.mT, precision="highest").reshape(*stretch.shape, d, d)
 
 
-def _stacked(rows: Any) -> Array:
+def _stack_all(rows: Any) -> Array:
     return jnp.stack(list(map(jnp.stack, rows)))
 
 
-def _columns(function: Callable, y: Nodal) -> Float[Array, "n d d"]:
+def _derive_rows(function: Callable, y: Nodal) -> Float[Array, "n d d"]:
     """Derivatives of a function row by row; the last axis is the axis of y."""
     axes = jnp.broadcast_to(jnp.eye(y.shape[1], dtype=y.dtype)[:, None], (y.shape[1], *y.shape))
     return jax.vmap(lambda axis: jax.jvp(function, (y,), (axis,))[1], out_axes=2)(axes)
 
 
-def _shares(kind: str) -> Float[Array, "s c e"]:
+def _corner_shares(kind: str) -> Float[Array, "s c e"]:
     """The corners' coefficients in all samples' edges: `frames` is linear in corners."""
     edges = measures.frames(kind, Vector([jnp.eye(CORNERS[kind])] * DIMENSION[kind]))
     return jnp.stack([edge[0] for edge in edges], axis=2)

@@ -25,7 +25,7 @@ GENTLER = 0.3
 STAGES = 5
 """Softness of the barrier in the last stage, its largest factor per stage, and most stages."""
 
-SHARE = 0.95
+ROOM_LEFT = 0.95
 RUNG = 1.02
 RUNGS = 40
 """Worst sample over its bound where a stage begins, ratio of two rungs, and most stages."""
@@ -50,7 +50,7 @@ class Minimum(NamedTuple):
     steps: Int[Array, ""] | int
 
 
-def softened(distortion: Distortion, base: Nodal, search: Search) -> Minimum:
+def minimise_softly(distortion: Distortion, base: Nodal, search: Search) -> Minimum:
     """Finds the minimum in stages, in which the barrier at det T = 0 sharpens."""
     softness = jnp.asarray(1 / GENTLER)
     held = jax.lax.stop_gradient(base)
@@ -58,9 +58,10 @@ def softened(distortion: Distortion, base: Nodal, search: Search) -> Minimum:
     y = jnp.zeros_like(base)
     count = 0
     stage = distortion
-    for last in (False,) * (STAGES - 1) + (True,):
+    for stage_number in range(1, STAGES + 1):
+        last = stage_number == STAGES
         before = softness
-        least = SHARPEST if last else -2 * _least(distortion, y, held)
+        least = SHARPEST if last else -2 * _least_determinant(distortion, y, held)
         softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
         stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
         end = (last | (softness < before), search.enough(last))
@@ -69,13 +70,13 @@ def softened(distortion: Distortion, base: Nodal, search: Search) -> Minimum:
     return Minimum(stage, y, count)
 
 
-def stiffened(plain: Minimum, base: Nodal, search: Search) -> Minimum:
+def minimise_stiffly(plain: Minimum, base: Nodal, search: Search) -> Minimum:
     """Finds the minimum within the closest feasible bounds on distortion and size. Bounds stand on
     rungs. Between jumps they do not depend on the points, so the derivative of the last minimum is
     the derivative of the whole search.
     """
     y, held = map(jax.lax.stop_gradient, (plain.y, base))
-    distortion, y, steps = _climbed(plain.distortion, y, held, search)
+    distortion, y, steps = _climb_rungs(plain.distortion, y, held, search)
     y, last = _minimise(
         distortion, y, base, search, (True, jnp.minimum(search.enough(last=True), CLOSE / 10))
     )
@@ -83,7 +84,7 @@ def stiffened(plain: Minimum, base: Nodal, search: Search) -> Minimum:
 
 
 @compiled
-def _climbed(distortion: Distortion, y, base, search: Search):
+def _climb_rungs(distortion: Distortion, y, base, search: Search):
     """Moves the bounds rung by rung until the worst samples leave no room for the next. Returns the
     rungs where the smallest determinant is largest, and the steps of all rungs.
     """
@@ -94,7 +95,7 @@ def _climbed(distortion: Distortion, y, base, search: Search):
         closest = jnp.stack(
             [1 / jnp.maximum(distortion.worst(y, base), 1e-6), distortion.least(y, base)]
         )
-        highest = jnp.log(SHARE * jnp.maximum(closest, 0)) / jnp.log(
+        highest = jnp.log(ROOM_LEFT * jnp.maximum(closest, 0)) / jnp.log(
             RUNG
         )  # -inf where a cell is inverted: no bound
         return jnp.floor(highest).astype(base.dtype)
@@ -156,34 +157,31 @@ def _minimise(distortion: Distortion, y, base, search: Search, end: Any):
 
 
 _ways_at = compiled(Ways.at)
-_least = compiled(Distortion.least)
+_least_determinant = compiled(Distortion.least)
 
 
 @compiled
-def judged(plain: Distortion, minimum: Minimum, base: Nodal):
+def judge_minimum(plain: Distortion, minimum: Minimum, base: Nodal):
     distortion, y, _ = minimum
-    value = plain(y, base)
+    values = plain(y, base), plain(jnp.zeros_like(y), base)
     slope = jax.grad(distortion)(y, base)
     points = distortion.points(y, base)
     ways = distortion.ways
     if not ways.is_linear:
         # A quarter of a turn from its start, a node's slope vanishes, at a minimum or not.
         # The cosine is that of the normals on one wall, that of the tangents between two walls.
-        along = (
-            1
-            + jnp.sum(ways.off * ways.at(points).off, axis=(1, 2))
-            - jnp.trace(ways.off, axis1=1, axis2=2)
-        )
+        common = jnp.sum(ways.off * ways.at(points).off, axis=(1, 2))
+        along = 1 + common - jnp.trace(ways.off, axis1=1, axis2=2)
         least = jnp.min(along, where=distortion.free, initial=1.0)
         slope = jnp.where(least > QUARTER**2, slope, jnp.inf)
-    return value, slope, points, plain.lost(points)
+    return values, slope, points, plain.lost(points)
 
 
 # largest derivative (order one) at which the whole Hessian is taken: quadratic convergence
-NEAR = 1.0
+NEAR_MINIMUM = 1.0
 
 
-def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Nodal) -> Nodal:
+def _solve_on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Nodal) -> Nodal:
     structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
     return host_call(solver, structure, *pattern, blocks, shift, right)
 
@@ -201,7 +199,9 @@ class HessianSolver(lx.AbstractLinearSolver):
         return self.distortion.blocks(jax.lax.stop_gradient(operator.x), self.base, -jnp.inf)
 
     def compute(self, state, vector, options):
-        solution = _on_host(solve_exactly, self.pattern, state, self.distortion.shift(), vector)
+        solution = _solve_on_host(
+            solve_exactly, self.pattern, state, self.distortion.shift(), vector
+        )
         return solution, lx.RESULTS.successful, {}
 
     def transpose(self, state, options):
@@ -235,12 +235,12 @@ class ProjectedNewton(optx.AbstractQuasiNewton):
         return self._information(f, grad, jnp.zeros((y.shape[1], y.shape[1], pairs), y.dtype)), None
 
     def update_hessian(self, y, y_eval, f_info, f_eval_info, hessian_update_state):
-        near = jnp.max(jnp.abs(f_eval_info.grad)) < NEAR
+        near = jnp.max(jnp.abs(f_eval_info.grad)) < NEAR_MINIMUM
         blocks = self.distortion.blocks(y_eval, self.base, jnp.where(near, -jnp.inf, 0))
         return self._information(f_eval_info.f, f_eval_info.grad, blocks), None
 
     def _information(self, f, grad, blocks):
-        inverse = eqx.Partial(_on_host, solve, self.pattern, blocks, self.distortion.shift())
+        inverse = eqx.Partial(_solve_on_host, solve, self.pattern, blocks, self.distortion.shift())
         structure = jax.ShapeDtypeStruct(grad.shape, grad.dtype)
         # not converted: a closure converted anew would be another type, and so another state
         operator = lx.FunctionLinearOperator(

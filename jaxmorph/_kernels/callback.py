@@ -26,7 +26,7 @@ def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *argum
     )
 
 
-def _called(
+def _call_each(
     *arguments: Any, function: Callable, shape: tuple, dtype: np.dtype, batch: tuple
 ) -> np.ndarray:
     """Calls the function for a batch, whose axes come first, of size 1 where nothing varies."""
@@ -39,7 +39,7 @@ def _called(
 
 
 _call_p = Primitive("jaxmorph_host_call")
-_call_p.def_impl(lambda *arguments, **params: jnp.asarray(_called(*arguments, **params)))
+_call_p.def_impl(lambda *arguments, **params: jnp.asarray(_call_each(*arguments, **params)))
 
 
 @_call_p.def_abstract_eval
@@ -49,7 +49,7 @@ def _(*arguments, function, shape, dtype, batch):
 
 def _lowered(context: Any, *operands: Any, **params: Any) -> Sequence[Any]:
     def call(*arrays):
-        return (_called(*arrays, **params),)
+        return (_call_each(*arrays, **params),)
 
     avals = context.avals_in, context.avals_out
     outputs, _, _ = mlir.emit_python_callback(

@@ -59,8 +59,8 @@ def compiled(function: Function) -> Function:
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
-        arguments = tuple(map(_array, arguments))
-        keywords = {name: _array(value) for name, value in keywords.items()}
+        arguments = tuple(map(_as_array, arguments))
+        keywords = {name: _as_array(value) for name, value in keywords.items()}
         if _is_for_cpu.get():
             return function(*arguments, **keywords)  # traced into the program of a direct call
         if not is_direct(arguments, keywords):
@@ -121,7 +121,7 @@ def _knows(option: str, value: Any) -> bool:
     return True
 
 
-def _array(argument: Any) -> Any:
+def _as_array(argument: Any) -> Any:
     leaves = jax.tree.leaves(argument) if isinstance(argument, tuple) else ()
     is_numbers = len(leaves) > 0 and all(isinstance(leaf, int | float) for leaf in leaves)
     return jnp.asarray(argument) if isinstance(argument, list) or is_numbers else argument

@@ -1,17 +1,9 @@
-"""The base of public classes: modules that `jax.jit` accepts, and whose methods it accepts."""
+"""The base of public classes: modules that `jax.jit` accepts."""
 
 import dataclasses
-import types
 from typing import Any
 
 import equinox as eqx
-
-
-class _Probe(eqx.Module):
-    def method(self) -> None: ...
-
-
-_BoundMethod: Any = type(_Probe().method)
 
 
 class Module(eqx.Module):
@@ -31,26 +23,6 @@ class Module(eqx.Module):
             type(self) is type(other)
             and _has_value(self, other)
             and _values(self) == _values(other)
-        )
-
-    def __getattribute__(self, name: str) -> Any:
-        attribute = object.__getattribute__(self, name)
-        is_method = isinstance(attribute, types.MethodType) and attribute.__self__ is self
-        return (
-            Method(attribute.__func__, self)
-            if is_method and not name.startswith("__")
-            else attribute
-        )
-
-
-class Method(_BoundMethod):
-    def __hash__(self) -> int:
-        return hash((self.__func__, self.__self__))
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Method) and (self.__func__, self.__self__) == (
-            other.__func__,
-            other.__self__,
         )
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 Either = Any  # an array of JAX or NumPy, for formulas with `namespace`
 
@@ -71,12 +71,13 @@ def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
     return root(namespace(vectors).sum(vectors**2, axis=-1))
 
 
-def area_vectors(corners: Float[Array, "f c d"]) -> Float[Array, "f d"]:
+def area_vectors(corners: Float[Either, "f c d"]) -> Float[Either, "f d"]:
     """Computes area vectors of faces: of triangles or quads, in 2-D of edges, as long as these."""
+    xp = namespace(corners)
     if corners.shape[1] == 2:
         edge = corners[:, 1] - corners[:, 0]
-        return jnp.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    return jnp.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
+        return xp.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    return xp.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
 def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:

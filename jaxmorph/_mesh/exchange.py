@@ -20,7 +20,7 @@ from .._host.cells.topology import (
     canonical_type,
     solid,
 )
-from .._host.package.arguments import has_type, native, real_array, shown
+from .._host.package.arguments import freeze, has_type, native, real_array, shown
 
 # point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere
 PREFIX = "patch:"
@@ -302,7 +302,7 @@ def _physical(grid: Grid) -> Iterator[Patch]:
     }
     groups = next((grid.cell_data[name] for name in GROUPS if name in grid.cell_data), ())
     nodes = gathered(
-        ((tag, level), nodes) for level, tag, nodes in _by_number(grid.of_blocks(groups)) if tag > 0
+        ((tag, level), nodes) for level, tag, nodes in by_number(grid.of_blocks(groups)) if tag > 0
     )
     for (tag, level), members in nodes.items():
         yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
@@ -311,7 +311,7 @@ def _physical(grid: Grid) -> Iterator[Patch]:
 def _marked(grid: Grid) -> tuple[str, ByName]:
     """Makes patches by the first array of `MARKERS`, and names it; on points 0 means inside."""
     for name, blocks in _marker_arrays(grid):
-        found = [each for each in _by_number(blocks) if each[0]]
+        found = [each for each in by_number(blocks) if each[0]]
         highest = max(
             (level for level, *_ in found), default=0
         )  # edges beside faces have numbers of their own
@@ -333,7 +333,7 @@ def _marker_arrays(grid: Grid) -> Iterator[tuple[str, Iterable[Block]]]:
             yield name, [(1, nodes[values != 0], values[values != 0])]
 
 
-def _by_number(blocks: Iterable[Block]) -> Iterator[tuple[int, int, np.ndarray]]:
+def by_number(blocks: Iterable[Block]) -> Iterator[tuple[int, int, np.ndarray]]:
     """Yields dimension, number and nodes of blocks whose values are whole numbers."""
     for level, ids, values in blocks:
         values = np.asarray(values)
@@ -414,9 +414,9 @@ def checked_parts(
         if canonical in names:
             twice = ", ".join(sorted((kind, names[canonical])))
             raise ValueError(f"cells of one type have several names ({twice}): join them.")
-        ids[canonical] = ids_of(corners)
+        ids[canonical] = freeze(ids_of(corners))
         names[canonical] = kind
-    nodes = {name: np.unique(ids_of(members)) for name, members in (patches or {}).items()}
+    nodes = {name: freeze(np.unique(ids_of(members))) for name, members in (patches or {}).items()}
     _check_parts(points, ids, nodes)
     return Parts(points, ids, nodes, source)
 
@@ -441,9 +441,9 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
 
 
 def floats(points) -> Any:
-    """Returns coordinates as floats; a JAX array stays one, for quality traces through points."""
+    """Returns coordinates as read-only floats; a JAX array stays one: quality traces through it."""
     if isinstance(points, np.ndarray) or not has_type(points):
-        return native(real_array("points", points, (None, 2), (None, 3)))
+        return freeze(native(real_array("points", points, (None, 2), (None, 3))))
     if points.dtype.kind not in "fiuV":  # JAX's short floats have no letter of their own
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
     return points.astype(float) if points.dtype.kind in "iu" else points

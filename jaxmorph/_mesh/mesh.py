@@ -30,7 +30,8 @@ class Mesh(Module):
 
     **Arguments:**
 
-    - `points`: coordinates (n, d) with d = 2 or 3, in the units of the file.
+    - `points`: coordinates (n, d) with d = 2 or 3, in the units of the file. Arrays of NumPy are
+      kept read-only, as a copy where the caller could write into them.
     - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`,
       `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron` (aliases `tri`, `tet`, `prism`, `hex`),
       and of order 2 to 4 these with their number of nodes, `triangle6` or `hexahedron64`. Types are
@@ -214,7 +215,6 @@ class Mesh(Module):
             zip(self.cells, np.cumsum([0, *map(len, self.cells.values())]).tolist(), strict=False)
         )
 
-    @checked
     def refined(self, steps: int) -> tuple["Mesh", Integer[np.ndarray, " k"]]:
         """Makes a mesh of linear cells that follow the curved ones: each edge has `steps` pieces.
 

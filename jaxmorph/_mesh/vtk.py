@@ -50,6 +50,27 @@ def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
     return _as_numpy(cells.GetOffsetsArray()), _as_numpy(cells.GetConnectivityArray())
 
 
+def in_double(data: Any) -> Any:
+    """Returns a shallow copy of a data set, of which no array is in single precision."""
+    core = vtk("vtkCommonCore")
+    copy = data.NewInstance()
+    copy.ShallowCopy(data)
+    points = core.vtkPoints()
+    points.SetData(_doubled(data.GetPoints().GetData()))
+    copy.SetPoints(points)
+    for field in (copy.GetPointData(), copy.GetCellData(), copy.GetFieldData()):
+        for k in range(field.GetNumberOfArrays()):
+            if field.GetAbstractArray(k).GetDataType() == core.vtkFloatArray().GetDataType():
+                field.AddArray(_doubled(field.GetArray(k)))  # by its name, in its place
+    return copy
+
+
+def _doubled(array: Any) -> Any:
+    double = vtk("vtkCommonCore").vtkDoubleArray()
+    double.DeepCopy(array)
+    return double
+
+
 def numbers_of(grid: Any) -> np.ndarray:
     return _as_numpy(grid.GetCellTypes()) if grid.GetNumberOfCells() else np.zeros(0, np.uint8)
 

@@ -33,6 +33,7 @@ from .base import (
     or_one,
 )
 from .blocks import fold_rows
+from .rbf.expansion import is_sound
 from .surface import ByKind, Surface
 
 Samples = Float[Array, " q"]  # values at quadrature points
@@ -219,29 +220,38 @@ class AbstractCellMethod(AbstractMethod):
         return fold_rows(add, none, (cells.corners, cells.entry, cells.flipped), CELLS)
 
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
-        frame = ids.frame.astype(u.dtype)
-        turned = matmul(u, frame)
-        boundary = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
-        moved = boundary + factors.solve(ids.pairs, ids.free, -factors.times(ids.pairs, boundary))
-        return NodeField(jnp.concatenate([matmul(moved, frame.T), u]))
+        moved = _in_frame(ids, factors, u)
+        return NodeField(jnp.concatenate([matmul(moved, ids.frame.astype(u.dtype).T), u]))
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
-        if not _is_solved(self, ids, factors, u):
-            raise ValueError(
-                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for. "
-                "Its stiffness is not finite or "
-                "not positive (cells without volume, a stiffness that differs too much between "
-                "cells), or conjugate gradients "
-                "did not converge. Try a smaller exponent, or a method that does not solve on "
-                "cells, such as the default."
-            )
+        is_sound(
+            float(_rounding(ids, factors, u)),
+            u.dtype,
+            lambda fault: (
+                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are {fault}. Its "
+                "stiffness is not finite or not positive, or differs too much between cells "
+                "(cells without volume), or conjugate gradients did not converge. Try a smaller "
+                "exponent, or a method that does not solve on cells, such as the default."
+            ),
+            "not solved for",
+        )
 
 
 @compiled
-def _is_solved(
-    method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Rows
-) -> Bool[Array, ""]:
-    return jnp.isfinite(method.field(ids, factors, u, u).values).all()
+def _rounding(ids: NodeIds, factors: NodeFactors, u: Rows) -> Scalar:
+    """The change by one step of iterative refinement; NaN for a system that is not solved."""
+    moved = _in_frame(ids, factors, u)
+    if jnp.finfo(u.dtype).bits < 64:  # the residual is coarser than the solution
+        return jnp.max(0 * moved)
+    missed = factors.times(ids.pairs, moved)
+    return jnp.max(jnp.abs(factors.solve(ids.pairs, ids.free, missed)), initial=0.0)
+
+
+def _in_frame(ids: NodeIds, factors: NodeFactors, u: Rows) -> Points:
+    """The displacements (n, d) of nodes, along the axes of the frame."""
+    turned = matmul(u, ids.frame.astype(u.dtype))
+    boundary = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
+    return boundary + factors.solve(ids.pairs, ids.free, -factors.times(ids.pairs, boundary))
 
 
 class NodeField(AbstractWhole):

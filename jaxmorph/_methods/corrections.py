@@ -1,6 +1,7 @@
 """Corrections of a coarse field: a graph of the surface, a layer over walls, the nearest node."""
 
 from collections.abc import Callable
+from concurrent.futures import Future
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.linear.products import cofactors, dot
-from .._host.package.cores import Beside
+from .._host.package.cores import beside
 from .._host.package.rounding import Tree, first_largest, nearest_of
 from .._host.surface.graph import Graph, graph_of, locate
 from .._host.surface.neighbours import digest, near_walls
@@ -68,9 +69,9 @@ class DelaunayGraph(AbstractPlacing):
         return InterpolatedField(u)
 
 
-def begun_graph(surface: Surface) -> Beside[Graph]:
+def begun_graph(surface: Surface) -> Future[Graph]:
     """Starts the graph of a surface in the background, once."""
-    return surface.once("graph", lambda: Beside(graph_of, surface.points))
+    return surface.once("graph", lambda: beside(graph_of, surface.points))
 
 
 def barycentric(x: Point, corners: list[Point], at_node) -> list[Scalar]:

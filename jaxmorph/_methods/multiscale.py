@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.package.arguments import checked
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
 from .base import AbstractMethod, AbstractPlacing, Rows, or_one
@@ -36,7 +35,6 @@ class Multiscale(AbstractPlacing):
     """
 
     @staticmethod
-    @checked
     def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
         """Returns the method with both stages: a dense system for some nodes, this for the rest.
 

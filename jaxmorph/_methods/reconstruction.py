@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
 from .base import (
     AbstractField,
@@ -43,7 +42,6 @@ class SurfaceReconstruction(AbstractPlacing):
         check_kind(self.correction, AbstractMethod, "correction", "jm.NearWall()")
 
     @classmethod
-    @checked
     def published(cls, leaves: int = 64, fixed_leaves: int = 16) -> "SurfaceReconstruction":
         """Returns the paper's method: sources by a k-d tree, corrected by the Delaunay graph alone.
 

@@ -13,7 +13,7 @@ from jax.extend.core import Literal
 from jaxtyping import Array, ArrayLike, Float, PyTree, Real
 
 from .._host.package.arguments import checked
-from .._host.package.cores import Beside, cores
+from .._host.package.cores import in_order
 from .._kernels.compile import Constant, compiled, float64_mode, is_direct
 from .._kernels.values import is_known, is_readable
 from .._methods.blocks import is_rows, with_tables, without_tables
@@ -201,20 +201,14 @@ def shares(plan: Plan, *arguments: Any) -> int:
 
 
 def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...]:
-    """Begins a program for each piece, in a thread for each core. The first call compiles."""
-    number = min(cores(), len(pieces))
-    results = {0: program(pieces[0])}
+    """Runs a program for each piece, on all cores. The first call compiles."""
     is_wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
-    def begin(places: range) -> None:
+    def run(piece: Any) -> T:
         with float64_mode(is_wide):  # a setting of the thread
-            results.update((k, program(pieces[k])) for k in places)
+            return program(piece)
 
-    threads = [Beside(begin, range(first, len(pieces), number)) for first in range(1, number)]
-    begin(range(number, len(pieces), number))
-    for thread in threads:
-        thread.result()
-    return tuple(results[k] for k in range(len(pieces)))
+    return (program(pieces[0]), *in_order(run, pieces[1:]))
 
 
 @compiled

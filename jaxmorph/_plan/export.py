@@ -78,6 +78,8 @@ def export(
     _check(plan)
     count = len(plan.points)
     chosen = np.arange(count) if nodes is None else rows_of("nodes", nodes, count)
+    if not len(chosen):
+        raise ValueError("`nodes` is empty: a process without points needs no plan.")
     if len(np.unique(chosen)) < len(chosen):
         raise ValueError(
             f"`nodes` names {len(chosen) - len(np.unique(chosen))} points more than once."
@@ -165,8 +167,8 @@ def _kept(tape: Tape, own: int, images: Images) -> None:
 
 
 def _keep(tape: Tape, rows: int, images: Images, on_plane: Any) -> None:
-    for k, normal in enumerate(np.asarray(images.normals)):
-        tape.rows_in_place("plane", rows, np.asarray(on_plane)[:, k], normal)
+    for is_on, normal in images.normals_of(on_plane):
+        tape.rows_in_place("plane", rows, np.asarray(is_on), np.asarray(normal))
 
 
 def _alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:

@@ -12,7 +12,7 @@ from .._boundary.boundary import Boundary, Nodes, changed, nothing_in
 from .._boundary.images import Images, images_of
 from .._boundary.periodic import Periodic, across_one_layer, check_pairings
 from .._boundary.slide import Slide
-from .._boundary.symmetry import Plane, check_planes, facing
+from .._boundary.symmetry import Plane, check_planes, edges_of, facing
 from .._host.package.errors import warn
 from .._host.package.rounding import SAME
 from .._host.surface.walls import ordered_rows
@@ -115,6 +115,11 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> 
     if boundary.planes:
         check_planes(boundary.planes, boundary.of_cells)
     if method is not None and method.needs_cells:
+        if edges_of(boundary.planes):
+            raise ValueError(
+                f"{type(method).__name__} takes symmetry planes that are parallel or at right "
+                "angles: for others call prepare with SurfaceReconstruction() or RBF()."
+            )
         return boundary
     others = np.setdiff1d(
         np.flatnonzero(boundary.on_planes[:, facing(boundary.planes)].any(axis=1)), boundary.nodes

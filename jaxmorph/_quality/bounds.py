@@ -22,7 +22,9 @@ Places = Float[np.ndarray, "f k"]
 
 ROOM = 1 << 16  # coefficients in a block: they stay in the processor's cache
 DEPTH = 4  # default of `proof`: parts of a sixteenth of a cell's edges where the sign is open
-FEW = 64  # open parts of a cell up to which they are cut beyond the depth, at most twice as often
+FEW_PARTS = (
+    64  # open parts of a cell up to which they are cut beyond the depth, at most twice as often
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ def bounds(
         before = upper.copy()
         np.minimum.at(upper, cell, lowest)
         rows = np.flatnonzero((lowest == upper[cell]) & (lowest < before[cell]))
-        at[:, cell[rows]] = _place(space, path[:, rows], corner[rows])
+        at[:, cell[rows]] = _place_in_cell(space, path[:, rows], corner[rows])
         # where a corner is zero to round-off, closer bounds cannot be positive: only what may be
         # negative is of interest
         least = values.min(axis=0)
@@ -70,7 +72,9 @@ def bounds(
         is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
         is_open &= ~(upper[cell] < -slack)
         if level >= depth:
-            is_open &= (level < 2 * depth) & (np.bincount(cell[is_open], minlength=k)[cell] <= FEW)
+            is_open &= (level < 2 * depth) & (
+                np.bincount(cell[is_open], minlength=k)[cell] <= FEW_PARTS
+            )
         np.minimum.at(lower, cell[~is_open], least[~is_open])
         rows = np.flatnonzero(is_open)
         rows = rows[np.argsort(cell[rows], kind="stable")]  # parts of a cell are counted together
@@ -80,10 +84,10 @@ def bounds(
 
     look(coefficients, np.arange(k), np.zeros((0, k), dtype=int))
     is_flat = (np.abs(lower) <= round_off) & (np.abs(upper) <= round_off)
-    return LeastValues(lower - round_off, upper + round_off, at, is_flat)
+    return LeastValues(lower=lower - round_off, upper=upper + round_off, at=at, is_flat=is_flat)
 
 
-def _place(space: Space, path: Path, corner: Rows) -> Float[np.ndarray, "f p"]:
+def _place_in_cell(space: Space, path: Path, corner: Rows) -> Float[np.ndarray, "f p"]:
     """Places of parts' corners, by barycentric coordinates from the parts outwards."""
     corners = np.unravel_index(corner, [m + 1 for m, _ in space])
     paths = np.unravel_index(path, [2**m for m, _ in space])
@@ -105,14 +109,14 @@ def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> PerCell:
     form = form_of(kind)
     k = x[0].shape[1]
     if namespace(x[0]) is np:
-        at = _places(kind, *x)
+        at = _least_places(kind, *x)
     else:
         shape = jax.ShapeDtypeStruct((sum(m for m, _ in form.space), k), x[0].dtype)
-        at = host_call(functools.partial(_places, kind), shape, *map(constant, x))
+        at = host_call(functools.partial(_least_places, kind), shape, *map(constant, x))
     return form.values(form.columns(x), at)
 
 
-def _places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Places:
+def _least_places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Places:
     form = form_of(kind)
 
     def found(*x: np.ndarray) -> np.ndarray:

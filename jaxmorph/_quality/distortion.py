@@ -43,7 +43,7 @@ IDEAL = {kind: (np.array(PLACES[kind]) @ np.array(axes)).tolist() for kind, axes
 """Corners of the ideal cell of each type, edges of length one."""
 
 
-NEAR = 0.1  # least volume of an affine target cell, over that of an ideal cell
+NEAR_AFFINE = 0.1  # least volume of an affine target cell, over that of an ideal cell
 
 
 class Target(NamedTuple):
@@ -76,41 +76,41 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     `around`. An affine image of the ideal cell that is near, such as a parallelogram, is preferred.
     Without a `sign` each cell has its own handedness.
     """
-    edges, (volume, jacobians, noise) = _edges(kind, x), sizes_of(kind, x)
+    edges = _stack_frames(kind, x)
+    volume, jacobians, noise = sizes_of(kind, x)
+    d = DIMENSION[kind]
     sign = jnp.where(volume < 0 if sign is None else sign < 0, -1.0, 1.0).astype(volume.dtype)
     content = sign[None] * jacobians
     folded = jnp.any(content < -noise, axis=0)
-    size = jnp.where(folded, jnp.abs(volume) if around is None else around, jnp.abs(volume))
+    size = jnp.abs(volume)
+    if around is not None:
+        size = jnp.where(folded, around, size)
     # frames of ideal cells of this size; left-handed ones are their mirror images
-    shape = (
-        jnp.asarray(np.array(IDEAL[kind]).T[:, :, None], size.dtype)
-        * jnp.ones_like(size)[None, None]
-    )
-    length = size / jnp.abs(measures.volume(kind, Vector(shape)))
-    length = jnp.where(length > 0, length, 1) ** (1 / DIMENSION[kind])
-    right = _edges(kind, Vector(shape.at[0].multiply(sign[None]) * length[None, None]))
+    cell = Vector(np.array(IDEAL[kind]).T[:, :, None])
+    unit = np.array(measures.frames(kind, cell))  # (edges, axes, samples, 1)
+    length = size / np.abs(measures.volume(kind, cell))
+    length = jnp.where(length > 0, length, 1) ** (1 / d)
+    mirror = jnp.ones((d, len(length)), length.dtype).at[0].set(sign)
+    right = (unit * (mirror * length[None])[None, :, None]).astype(edges.dtype)
     if ideal:
         edges = right
     else:
         # frames of the image of the ideal cell by the mean of the corners' affine maps
-        unit = measures.frames(kind, Vector(np.array(IDEAL[kind], float).T[:, :, None]))
-        frames = np.array(unit)[..., 0].transpose(2, 0, 1)  # samples, edges, axes
+        frames = unit[..., 0].transpose(2, 0, 1)
         share = np.linalg.inv(frames) / len(frames)
         axes = jnp.einsum("sab,bcsk->ack", share, edges, precision="highest").astype(edges.dtype)
         affine = jnp.einsum("sba,ack->bcsk", frames, axes, precision="highest").astype(edges.dtype)
-        is_near = (
-            jnp.min(sign[None] * determinant(affine) / jnp.abs(determinant(right)), axis=0) > NEAR
-        )
+        nearness = sign[None] * determinant(affine) / jnp.abs(determinant(right))
+        is_near = jnp.min(nearness, axis=0) > NEAR_AFFINE
         edges = jnp.where(folded, jnp.where(is_near, affine, right), edges)
     counts = (content > noise) | folded[None]
     inverse = 1 / jnp.where(counts, determinant(edges), 1)
-    rows = tuple(
-        tuple(jnp.where(counts, c * inverse, 0) for c in row) for row in cofactors(list(edges))
-    )
+    rows = [[jnp.where(counts, c * inverse, 0) for c in row] for row in cofactors(list(edges))]
+    rows = tuple(map(tuple, rows))
     return Target(rows, inverse, counts.astype(inverse.dtype))
 
 
-def _edges(kind: str, x: Vector) -> Float[Array, "e d s k"]:
+def _stack_frames(kind: str, x: Vector) -> Float[Array, "e d s k"]:
     return jnp.stack([jnp.stack(edge) for edge in measures.frames(kind, x)])
 
 

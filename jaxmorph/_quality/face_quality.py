@@ -2,14 +2,14 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._host.cells.adjacency import columns_of, is_among, neighbours
-from .._host.cells.topology import DIMENSION, FACES
+from .._host.cells.topology import DIMENSION, FACES, solid
 from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._host.package.cores import in_order
@@ -101,10 +101,38 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
     return measured(mesh, Sides.listed(mesh), points)
 
 
-T = TypeVar("T")
+def measured(mesh: Mesh, sides: "Sides", points: Float[Any, "n d"] | None) -> FaceQuality:
+    base = np.asarray(mesh.points, dtype=float)
+    points = base if points is None else np.asarray(points, dtype=float)
+    if points.shape != base.shape:
+        raise ValueError(f"`points` has shape {points.shape}; this mesh has {base.shape}.")
+    with np.errstate(all="ignore"):  # points may be NaN
+        shape = _shape_of(sides, points)
+        old = shape.volume if np.array_equal(points, base) else _shape_of(sides, base).volume
+        if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
+            # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
+            sign = np.ones(len(old))
+            sign[mesh.cell_ids] = np.concatenate(list(signs_of(mesh).values()))
+            for block in sides.blocks:
+                shape.area[:, block.rows] *= sign[block.owner]
+            old = sign * old
+            shape = shape._replace(volume=sign * shape.volume)
+        return _quality_of(sides, shape, points, old)
+
+
+Result = TypeVar("T")
 Cells = Int[np.ndarray, " b"]
 
-BLOCK = 1 << 14  # faces in a block: their columns stay in a core's cache
+FACES_AT_ONCE = 1 << 14  # faces in a block: their columns stay in a core's cache
+
+
+class _Faces(NamedTuple):
+    """Faces with equal numbers of corners, and the cells beside them, as in `FaceBlock`."""
+
+    corners: Int[np.ndarray, "c f"]
+    owner: Int[np.ndarray, " f"]
+    behind: Int[np.ndarray, " f"]
+    is_shared: Bool[np.ndarray, " f"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -147,23 +175,23 @@ class Sides:
             raise ValueError(
                 "OpenFOAM's measures are for linear cells; `quality` measures curved cells."
             )
-        highest = max(
-            (DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids)), default=None
-        )
-        if highest is None:
+        highest = max((DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids)), default=0)
+        if not highest:
             raise ValueError("the mesh has no cells; its quality is not defined.")
         if highest != mesh.points.shape[1]:
             raise ValueError(
                 "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for "
                 "surfaces in 3-D."
             )
-        return (
-            _standard(mesh, highest)
-            if mesh.polyhedra is None
-            else _whole(mesh.polyhedra.faces, mesh.between)
-        )
+        if mesh.polyhedra is None:
+            groups = _faces_of_types(mesh)
+            total = sum(map(len, mesh.cells.values()))
+        else:
+            groups = _faces_of_polyhedra(mesh.polyhedra.faces)
+            total = mesh.polyhedra.faces.count
+        return cls(tuple(_cut_into_blocks(groups, mesh.between)), total)
 
-    def measured(self, function: Callable[[FaceBlock], T]) -> Iterator[tuple[FaceBlock, T]]:
+    def map(self, function: Callable[[FaceBlock], Result]) -> Iterator[tuple[FaceBlock, Result]]:
         """Yields all blocks in order, each with its `function`, which all cores compute."""
         return in_order(lambda block: (block, function(block)), self.blocks)
 
@@ -176,96 +204,69 @@ class Sides:
         return counts
 
 
-def _standard(mesh: Mesh, highest: int) -> Sides:
+def _faces_of_types(mesh: Mesh) -> Iterator[_Faces]:
+    """Lists each inner face once, with the first of its two cells, and each outer face."""
     solids = {
-        kind: np.asarray(ids) for kind, ids in mesh.cells.items() if DIMENSION[kind] == highest
+        kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()
     }
     counts = list(map(len, mesh.cells.values()))
-    numbers = mesh.cell_ids[np.repeat([kind in solids for kind in mesh.cells], counts)].astype(
-        np.int32
-    )
-    (neighbour, flipped), faces, first, used = neighbours(solids), {}, 0, 0
+    is_solid = np.repeat([kind in solids for kind in mesh.cells], counts)
+    # The file's numbers of cells, which are counted among solids here; -1, for none, is the last.
+    numbers = np.append(mesh.cell_ids[is_solid], -1).astype(np.int32)
+    neighbour, is_turned = neighbours(solids)
+    parts: dict[int, list[_Faces]] = {}
+    cells = 0
+    sides = 0
     for kind, ids in solids.items():
         columns = columns_of(ids)
-        own = np.arange(first, first + len(ids))
-        end = used + len(FACES[kind]) * len(ids)
-        beyond, turned = (rows[used:end].reshape(len(ids), -1).T for rows in (neighbour, flipped))
-        for face, behind, is_turned in zip(FACES[kind], beyond, turned, strict=True):
-            is_shared = (behind >= 0) & ~is_turned
+        own = np.arange(cells, cells + len(ids))
+        number = len(FACES[kind])
+        for k, face in enumerate(FACES[kind]):
+            every = slice(sides + k, sides + number * len(ids), number)  # this face of each cell
+            behind = neighbour[every]
+            is_shared = (behind >= 0) & ~is_turned[every]
             rows = np.flatnonzero(~is_shared | (own < behind))
             corners = np.stack([columns[corner][rows] for corner in face])
-            faces.setdefault(len(face), []).append(
-                (corners, own[rows], behind[rows], is_shared[rows])
-            )
-        first = first + len(ids)
-        used = end
-    groups = []
-    for parts in faces.values():
-        corners, owner, behind, is_shared = (
-            np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True)
-        )
-        groups.append(
-            (corners, numbers[owner], np.where(behind < 0, -1, numbers[behind]), is_shared)
-        )
-    return Sides(tuple(_blocks(groups, mesh.between)), sum(counts))
+            found = _Faces(corners, numbers[own[rows]], numbers[behind[rows]], is_shared[rows])
+            parts.setdefault(len(face), []).append(found)
+        cells = cells + len(ids)
+        sides = sides + number * len(ids)
+    for group in parts.values():
+        yield _Faces(*(np.concatenate(column, axis=-1) for column in zip(*group, strict=True)))
 
 
-def _whole(faces: Faces, between: np.ndarray | None) -> Sides:
+def _faces_of_polyhedra(faces: Faces) -> Iterator[_Faces]:
     neighbour = faces.all_neighbours()
-    groups = []
     for size in np.unique(faces.sizes).tolist():
         rows = np.flatnonzero(faces.sizes == size)
-        groups.append(
-            (faces.corners(rows, size).T, faces.owner[rows], neighbour[rows], neighbour[rows] >= 0)
-        )
-    return Sides(tuple(_blocks(groups, between)), faces.count)
+        behind = neighbour[rows]
+        yield _Faces(faces.corners(rows, size).T, faces.owner[rows], behind, behind >= 0)
 
 
-def _blocks(
-    groups: list[tuple[np.ndarray, ...]], between: np.ndarray | None
-) -> Iterator[FaceBlock]:
+def _cut_into_blocks(groups: Iterable[_Faces], between: np.ndarray | None) -> Iterator[FaceBlock]:
     first = 0
     for *columns, is_shared in groups:
         for flag in (True, False):
             corners, owner, behind = (
                 np.ascontiguousarray(column[..., is_shared == flag]) for column in columns
             )
-            is_outer = (
-                np.zeros(len(owner), bool)
-                if flag or between is None
-                else is_among(corners.T, between)
-            )
-            for at in range(0, len(owner), BLOCK):
-                some = slice(at, at + BLOCK)
-                rows = slice(first, first + len(owner[some]))
+            is_between = np.zeros(len(owner), bool)
+            if between is not None and not flag:
+                is_between = is_among(corners.T, between)
+            for at in range(0, len(owner), FACES_AT_ONCE):
+                some = slice(at, at + FACES_AT_ONCE)
                 yield FaceBlock(
-                    corners[:, some], owner[some], behind[some], is_outer[some], flag, rows
+                    corners=corners[:, some],
+                    owner=owner[some],
+                    behind=behind[some],
+                    is_between=is_between[some],
+                    is_shared=flag,
+                    rows=slice(first + at, first + at + len(owner[some])),
                 )
-                first = rows.stop
+            first = first + len(owner)
 
 
-def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
-    points, base = (
-        np.asarray(x, dtype=float) for x in (mesh.points if points is None else points, mesh.points)
-    )
-    if points.shape != base.shape:
-        raise ValueError(f"`points` has shape {points.shape}; this mesh has {base.shape}.")
-    with np.errstate(all="ignore"):  # points may be NaN
-        shape = _Shape.measured(sides, points)
-        old = shape.volume if np.array_equal(points, base) else _Shape.measured(sides, base).volume
-        if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
-            # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
-            sign = np.ones(len(old))
-            sign[mesh.cell_ids] = np.concatenate(list(signs_of(mesh).values()))
-            old = sign * old
-            shape.volume = shape.volume * sign
-            for block in sides.blocks:
-                shape.area[:, block.rows] *= sign[block.owner]
-        return _of_shape(sides, shape, points, old)
-
-
-@dataclasses.dataclass(eq=False)
-class _Shape:
+class _Shape(NamedTuple):
     """Centres and area vectors (d, f) of faces, middles (d, k) and d volumes (k,) of cells."""
 
     centre: Vectors
@@ -273,24 +274,25 @@ class _Shape:
     middle: Vectors
     volume: PerCell
 
-    @classmethod
-    def measured(cls, sides: Sides, points: Points) -> "_Shape":
-        """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
-        d = points.shape[1]
-        columns = np.ascontiguousarray(points.T)
-        count = sides.blocks[-1].rows.stop
-        centre, area = np.empty((2, d, count))
-        means = np.zeros((d, sides.total))
-        sums = np.zeros((d + 1, sides.total))
-        for block, found in sides.measured(functools.partial(_centre_and_area, columns)):
-            centre[:, block.rows], area[:, block.rows] = found
-            for _, cells in block.views:
-                _add(means, cells, found[0])
-        means /= np.maximum(sides.counts, 1)
-        for block, parts in sides.measured(functools.partial(_pyramids, centre, area, means)):
-            for (_, cells), part in zip(block.views, parts, strict=True):
-                _add(sums, cells, part)
-        return cls(centre, area, sums[1:] / np.where(sums[0] == 0, FLOOR, sums[0]), sums[0])
+
+def _shape_of(sides: Sides, points: Points) -> _Shape:
+    """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
+    d = points.shape[1]
+    columns = np.ascontiguousarray(points.T)
+    centre, area = np.empty((2, d, sides.blocks[-1].rows.stop))
+    means = np.zeros((d, sides.total))
+    sums = np.zeros((d + 1, sides.total))  # d volumes, and first moments
+    for block, (own_centre, own_area) in sides.map(functools.partial(_centre_and_area, columns)):
+        centre[:, block.rows] = own_centre
+        area[:, block.rows] = own_area
+        for _, cells in block.views:
+            _add(means, cells, own_centre)
+    means /= np.maximum(sides.counts, 1)
+    for block, parts in sides.map(functools.partial(_pyramids, centre, area, means)):
+        for (_, cells), part in zip(block.views, parts, strict=True):
+            _add(sums, cells, part)
+    volume, *moment = sums
+    return _Shape(centre, area, moment / np.where(volume == 0, FLOOR, volume), volume)
 
 
 def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
@@ -298,38 +300,38 @@ def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
         np.add.at(total, cells, component)
 
 
-def _of_shape(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> FaceQuality:
-    columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
-    counted = sides.counts > 0
+def _quality_of(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> FaceQuality:
+    d, total = shape.middle.shape
     noise = 8 * np.finfo(float).eps * np.abs(points).max()
-    is_wrong = np.zeros(total, dtype=bool)
+    lowest = np.full(total, np.inf)  # pyramid of a cell, and that with its round-off
+    highest = np.full(total, np.inf)
+    heights = np.zeros(total)
     cosine = np.ones(total)
     skewness = np.zeros(total)
-    least = np.full(total, np.inf)
-    heights = np.zeros(total)
     seen = np.zeros((d, total))
     cosines = np.zeros(2)  # their sum and their number
-    for block, found in sides.measured(functools.partial(_across, shape, columns)):
+    columns = np.ascontiguousarray(points.T)
+    for block, found in sides.map(functools.partial(_measure_across, shape, columns)):
         inner = found.cosine[block.behind >= 0]
         cosines += len(block.views) * np.array([inner.sum(), len(inner)])
         for (_, cells), height in zip(block.views, found.heights, strict=True):
-            is_wrong[cells[~(height >= -noise * found.size)]] = True
-            np.minimum.at(least, cells, height)
+            np.minimum.at(lowest, cells, height)
+            np.minimum.at(highest, cells, height + noise * found.size)
             np.minimum.at(cosine, cells, found.cosine)
             np.maximum.at(skewness, cells, found.skewness)
             np.add.at(heights, cells, np.abs(height))
             _add(seen, cells, np.abs(shape.area[:, block.rows]))
-    pyramid = least / np.maximum(heights / np.maximum(sides.counts, 1), FLOOR)
+    counted = sides.counts > 0
+    pyramid = lowest / np.maximum(heights / np.maximum(sides.counts, 1), FLOOR)
     aspect = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
     if d == 3:
-        aspect = np.maximum(
-            aspect, seen.sum(axis=0) / 6 / np.maximum(np.abs(shape.volume) / 3, FLOOR) ** (2 / 3)
-        )
+        size = np.maximum(np.abs(shape.volume) / 3, FLOOR)
+        aspect = np.maximum(aspect, seen.sum(axis=0) / 6 / size ** (2 / 3))
     mean = np.clip(cosines[0] / cosines[1], -1, 1) if cosines[1] else 1.0
     return FaceQuality(
         volume=shape.volume / d,
         pyramid=np.where(counted, pyramid, 1.0),
-        is_inverted=counted & (~(shape.volume > 0) | is_wrong),
+        is_inverted=counted & ~((shape.volume > 0) & (highest >= 0)),
         skewness=skewness,
         aspect_ratio=np.where(counted, aspect, 1.0),
         non_orthogonality=np.degrees(np.arccos(cosine)),
@@ -350,7 +352,7 @@ def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vector
     arms = middle[:, None] - x
     after = np.roll(arms, -1, axis=1)
     normals = np.stack(cross(arms, after))  # of triangles about the mean of the corners
-    weights = _size(normals)
+    weights = _lengths(normals)
     moment = (weights * (arms + after)).sum(axis=1)
     return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
 
@@ -375,32 +377,39 @@ class _Across(NamedTuple):
     heights: list[np.ndarray]
 
 
-def _across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
-    middle = shape.middle
+def _measure_across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
+    """Measures the line between the cells of each face: from its owner to the cell behind, else
+    along the normal to the face.
+    """
     inside = block.behind >= 0
     centre = shape.centre[:, block.rows]
     area = shape.area[:, block.rows]
-    arm = centre - middle.take(block.owner, axis=1)
-    size = _size(area)
-    across = middle.take(block.behind, axis=1) - middle.take(
-        block.owner, axis=1
-    )  # anything without a cell behind
-    cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
-    heights = [sign * dot(area, centre - middle.take(cells, axis=1)) for sign, cells in block.views]
-    if not block.is_shared:
-        cosine = np.where(inside, cosine, 1)
+    size = _lengths(area)
+    middle = shape.middle.take(block.owner, axis=1)
+    other = shape.middle.take(block.behind, axis=1)  # anything without a cell behind
+    arm = centre - middle
+    across = other - middle
+    heights = [dot(area, arm)]
+    if block.is_shared:
+        heights.append(dot(area, other - centre))
+    else:
         normal = area / np.maximum(size, FLOOR)
         across = np.where(inside, across, dot(normal, arm) * normal)
     along = dot(area, across)
-    by = arm - dot(area, arm) / np.where(along == 0, FLOOR, along) * across
-    miss = _size(by)
-    reach = np.abs(dot(by[:, None], points.take(block.corners, axis=1) - centre[:, None])).max(
-        axis=0
+    cosine = np.clip(along / np.maximum(size * _lengths(across), FLOOR), -1, 1)
+    by = arm - heights[0] / np.where(along == 0, FLOOR, along) * across
+    miss = _lengths(by)
+    x = points.take(block.corners, axis=1) - centre[:, None]
+    reach = np.abs(dot(by[:, None], x)).max(axis=0) / np.maximum(miss, FLOOR)
+    least = np.where(inside, 0.2, 0.4) * _lengths(across)
+    skewness = miss / np.maximum(np.maximum(reach, least), FLOOR)
+    return _Across(
+        size=size,
+        skewness=np.where(block.is_between, 0, skewness),
+        cosine=np.where(inside, cosine, 1),
+        heights=heights,
     )
-    least = np.where(inside, 0.2, 0.4) * _size(across)
-    skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
-    return _Across(size, np.where(block.is_between, 0, skewness), cosine, heights)
 
 
-def _size(vectors: np.ndarray) -> np.ndarray:
+def _lengths(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(dot(vectors, vectors))

@@ -11,6 +11,7 @@ Geometrical validity of curvilinear finite elements, J. Comput. Phys. 233, 2013.
 
 import dataclasses
 import functools
+import math
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ FACTORS = {
 """Dimensions of simplices whose product is the reference cell; a pyramid is a collapsed cube."""
 
 TIME = (1, 1)
+EXACT = 3 * 6**6  # entries of control tables are multiples of one over it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,9 +62,17 @@ class JacobianForm:
 
     @functools.cached_property
     def space(self) -> Space:
-        return tuple(
-            (factors[0][0], sum(degree for _, degree in factors))
-            for factors in zip(*self.spaces, strict=True)
+        return _space_of_product(*self.spaces)
+
+    def with_time(self) -> "JacobianForm":
+        """The form of cells whose nodes move straight: all tables at the start and at the end."""
+        return JacobianForm(
+            shape=self.shape,
+            spaces=tuple((TIME, *space) for space in self.spaces),
+            matrices=tuple(np.kron(np.eye(2), matrix) for matrix in self.matrices),
+            map_space=(TIME, *self.map_space),
+            control=np.kron(np.eye(2), self.control),
+            has_time=True,
         )
 
     def columns(self, x: list[Either]) -> Columns:
@@ -71,15 +81,13 @@ class JacobianForm:
         return [[bernstein.contracted(matrix, component) for component in x] for matrix in matrices]
 
     def determinant(self, columns: Columns) -> Float[Either, "n k"]:
-        a, b, *rest = columns
-        first, second, *last = self.spaces
-        product = bernstein.multiplied(first, second, a, b, products.cross)
-        if rest:
-            both = tuple((m, p + q) for (m, p), (_, q) in zip(first, second, strict=True))
-            product = bernstein.multiplied(
-                both, last[0], product, rest[0], lambda u, v: [products.dot(u, v)]
-            )
-        return product[0] / bernstein.multinomials(self.space).astype(product[0].dtype)[:, None]
+        space = self.spaces[0]
+        product = columns[0]
+        steps = zip(self.spaces[1:], columns[1:], (products.cross, _dot), strict=False)
+        for factor, column, multiply in steps:
+            product = bernstein.multiplied(space, factor, product, column, multiply)
+            space = _space_of_product(space, factor)
+        return product[0] / bernstein.multinomials(space).astype(product[0].dtype)[:, None]
 
     def coefficients(self, x: list[Either]) -> Float[Either, "n k"]:
         return self.determinant(self.columns(x))
@@ -98,13 +106,9 @@ class JacobianForm:
             lengths.append(np.sqrt(squares.max(axis=0)))
         reach = np.sqrt(len(x)) * np.max([np.abs(component).max(axis=0) for component in x], axis=0)
         error = self._growth * reach
-        whole = functools.reduce(np.multiply, lengths)
-        others = [
-            functools.reduce(np.multiply, lengths[:i] + lengths[i + 1 :])
-            for i in range(len(lengths))
-        ]
+        others = sum(math.prod(lengths[:i] + lengths[i + 1 :]) for i in range(len(lengths)))
         terms = len(x[0]) + sum(map(bernstein.count, self.spaces)) + 16 * len(self.space) + 16
-        return 4 * terms * np.finfo(float).eps * (whole + error * functools.reduce(np.add, others))
+        return 4 * terms * np.finfo(float).eps * (math.prod(lengths) + error * others)
 
     @functools.cached_property
     def _growth(self) -> float:
@@ -116,17 +120,14 @@ class JacobianForm:
 
     def mean(self, coefficients: Either) -> Values:
         """det J's mean over the reference cell: the ratio of the cells' volumes."""
-        shares = np.full(bernstein.count(self.space), 1 / bernstein.count(self.space))
+        counts = [len(bernstein.indices(*factor)) for factor in self.space]
+        shares = [np.full(count, 1 / count) for count in counts]
         if self.shape == "pyramid":  # a layer at t has the share 3 (1 - t)^2
-            below, ((_, q), n) = (
-                bernstein.count(self.space[:-1]),
-                (self.space[-1], self.space[-1][1] + 1),
-            )
-            layers = [
-                3 * (q - i + 2) * (q - i + 1) / ((q + 3) * (q + 2) * (q + 1)) for i in range(n)
-            ]
-            shares = np.kron(np.full(below, 1 / below), layers)
-        return bernstein.contracted(shares[None].astype(coefficients.dtype), coefficients)[0]
+            q = self.space[-1][1]
+            above = np.arange(q, -1, -1)
+            shares[-1] = 3 * (above + 2) * (above + 1) / ((q + 3) * (q + 2) * (q + 1))
+        weights = functools.reduce(np.kron, shares)
+        return bernstein.contracted(weights[None].astype(coefficients.dtype), coefficients)[0]
 
     def places(self, x: list[np.ndarray], at: Places) -> Float[np.ndarray, "k d"]:
         """Maps places among the factors of k cells to space."""
@@ -157,49 +158,52 @@ class JacobianForm:
 @functools.cache
 def form_of(kind: str, has_time: bool = False) -> JacobianForm:
     if has_time:
-        form = form_of(kind)
-        spaces = tuple((TIME, *space) for space in form.spaces)
-        *matrices, control = (
-            np.kron(np.eye(2), matrix) for matrix in (*form.matrices, form.control)
-        )
-        return JacobianForm(
-            form.shape, spaces, tuple(matrices), (TIME, *form.map_space), control, True
-        )
+        return form_of(kind).with_time()
     cell = lagrange_types()[kind]
     space = tuple((m, cell.order) for m in FACTORS[cell.shape])
     at = bernstein.lattice(space)
-    # all entries are multiples of 1 / 3 / 6^6, so that rounding makes them exact
-    control = np.round(
-        3 * 6**6 * np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))
-    ) / (3 * 6**6)
+    control = np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))
+    control = np.round(control * EXACT) / EXACT
     columns = [
         _derivative(space, control, f, i) for f, (m, _) in enumerate(space) for i in range(m)
     ]
     if cell.shape == "pyramid":
-        columns = [*(_divided(*column) for column in columns[:2]), columns[2]]
+        columns[:2] = [_divide_by_layer(*column) for column in columns[:2]]
     spaces, matrices = zip(*columns, strict=True)
-    return JacobianForm(cell.shape, spaces, matrices, space, control)
+    return JacobianForm(
+        shape=cell.shape, spaces=spaces, matrices=matrices, map_space=space, control=control
+    )
+
+
+def _space_of_product(*spaces: Space) -> Space:
+    return tuple(
+        (factors[0][0], sum(degree for _, degree in factors))
+        for factors in zip(*spaces, strict=True)
+    )
+
+
+def _dot(a: list[Either], b: list[Either]) -> list[Either]:
+    return [products.dot(a, b)]
 
 
 def _derivative(
     space: Space, control: np.ndarray, factor: int, axis: int
 ) -> tuple[Space, np.ndarray]:
-    (m, degree), zeros = space[factor], [(m, 0) for m, _ in space]
+    # A coefficient is the difference of two control points: a step along the axis, from corner 0.
+    m, degree = space[factor]
     lower = (*space[:factor], (m, degree - 1), *space[factor + 1 :])
-    step = (*zeros[:factor], (m, 1), *zeros[factor + 1 :])
+    step = tuple((m, int(k == factor)) for k, (m, _) in enumerate(space))
     rows = bernstein.rows_of_products(lower, step)
-    return lower, degree * bernstein.multinomials(lower)[:, None] * (
-        control[rows[axis + 1]] - control[rows[0]]
-    )
+    difference = control[rows[axis + 1]] - control[rows[0]]
+    return lower, degree * bernstein.multinomials(lower)[:, None] * difference
 
 
-def _divided(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
+def _divide_by_layer(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
     """Divides a polynomial of scaled coefficients by 1 - t; t is the last factor's coordinate."""
     *others, (m, degree) = space
     lower = (*others, (m, degree - 1))
-    return lower, matrix[
-        bernstein.rows_of_products(lower, (*((m, 0) for m, _ in others), (1, 1)))[0]
-    ]
+    layer = (*((m, 0) for m, _ in others), (1, 1))
+    return lower, matrix[bernstein.rows_of_products(lower, layer)[0]]
 
 
 def nodes_of(ids: Any, *ends: Any) -> list[Any]:

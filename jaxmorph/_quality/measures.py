@@ -47,7 +47,7 @@ def faces_by_size(kind: str) -> list[list[tuple[int, ...]]]:
     return [list(group) for _, group in itertools.groupby(faces, len)]
 
 
-def _edges(x: Vector, kind: str) -> Vector:
+def _edge_vectors(x: Vector, kind: str) -> Vector:
     start, end = columns(x, EDGES[kind])
     return end - start
 
@@ -61,10 +61,10 @@ def face_areas(kind: str, x: Vector) -> Vector:
     """Area vectors (f, k) of faces, 2-D: edges, outward for a right-handed cell."""
     if DIMENSION[kind] == 3:
         return join(area_vector(columns(x, group)) for group in faces_by_size(kind))
-    along = _edges(x, kind)
+    along = _edge_vectors(x, kind)
     if len(x) == 2:
         return Vector((along[1], -along[0]))
-    return cross(along, _normal(kind, x))
+    return cross(along, _unit_normal(kind, x))
 
 
 def area_vector(corners: Sequence[Vector]) -> Vector:
@@ -72,13 +72,13 @@ def area_vector(corners: Sequence[Vector]) -> Vector:
     return cross(corners[2] - corners[0], corners[-1] - corners[1]) * 0.5
 
 
-def _area(kind: str, x: Vector) -> Vector:
+def _area_of(kind: str, x: Vector) -> Vector:
     return area_vector([x.at(slice(i, i + 1)) for i in range(CORNERS[SHAPES[kind]])])
 
 
-def _normal(kind: str, x: Vector) -> Vector:
+def _unit_normal(kind: str, x: Vector) -> Vector:
     """Unit normals (1, k) of triangles or quads; +1 in 2-D, where areas have a sign."""
-    area = _area(kind, x)
+    area = _area_of(kind, x)
     return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else unit(area)
 
 
@@ -94,7 +94,7 @@ def volume(kind: str, x: Vector) -> Scalar:
     if kind in ("line", "tetra"):
         return jacobians(kind, x)[0][0] / math.factorial(DIMENSION[kind])
     if DIMENSION[kind] == 2:
-        area = _area(kind, x)
+        area = _area_of(kind, x)
         return (area[0] if len(area) == 1 else norm(area))[0]
     groups = [columns(x, group) for group in faces_by_size(kind)]
     return sum(dot(area_vector(corners), mean(corners)).sum(axis=0) for corners in groups) / 3
@@ -124,7 +124,7 @@ def jacobians(kind: str, x: Vector) -> tuple[Samples, Samples]:
     if not others:
         return a, namespace(a).ones_like(a)
     if len(others) == 1:
-        return dot(cross(*edges), _normal(kind, x)), a + others[0]
+        return dot(cross(*edges), _unit_normal(kind, x)), a + others[0]
     b, c = others
     return determinant(edges), a * b + b * c + c * a
 
@@ -181,14 +181,14 @@ def skewness(
             angle(corners[(i + 1) % size] - here, corners[i - 1] - here)
             for i, here in enumerate(corners)
         ]
-        terms += _deviations(xp.concatenate(angles), math.pi * (size - 2) / size)
+        terms += _deviate(xp.concatenate(angles), math.pi * (size - 2) / size)
     if kind == "tetra":
         between = angle(*columns(face_areas(kind, x), itertools.combinations(range(4), 2)))
-        terms += _deviations(math.pi - between, math.acos(1 / 3))
+        terms += _deviate(math.pi - between, math.acos(1 / 3))
     return maximum(xp.concatenate(terms))
 
 
-def _deviations(angles: Float[Either, "a k"], ideal: float) -> list[Float[Either, "a k"]]:
+def _deviate(angles: Float[Either, "a k"], ideal: float) -> list[Float[Either, "a k"]]:
     return [(angles - ideal) / (math.pi - ideal), 1 - angles / ideal]
 
 
@@ -212,14 +212,14 @@ def aspect_ratio(kind: str, x: Vector) -> Scalar:
 
 def aspect_terms(kind: str, x: Vector) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
     """Edges or axes, whose ratio or longest counts, and a signed size with a sum of sides."""
-    edges = principal_axes(kind, x) if kind == "hexahedron" else _edges(x, kind)
-    if kind not in _IDEAL:
+    edges = principal_axes(kind, x) if kind == "hexahedron" else _edge_vectors(x, kind)
+    if kind not in _IDEAL_FACTORS:
         return edges, None
     sides = area_vector(columns(x, FACES[kind])) if kind == "tetra" else edges
-    return edges, (_IDEAL[kind] * volume(kind, x), norm(sides).sum(axis=0))
+    return edges, (_IDEAL_FACTORS[kind] * volume(kind, x), norm(sides).sum(axis=0))
 
 
-_IDEAL = {"triangle": 4 * math.sqrt(3), "quad": 4.0, "tetra": 6 * math.sqrt(6)}
+_IDEAL_FACTORS = {"triangle": 4 * math.sqrt(3), "quad": 4.0, "tetra": 6 * math.sqrt(6)}
 """Longest edge times sum of sides over size, of the ideal cell."""
 
 

@@ -76,21 +76,53 @@ class Proof(Report):
     types: tuple[tuple[str, int], ...]
     depth: int
 
-    is_inverted = property(lambda self: self.is_invalid)
-    volume = property(lambda self: self.size)
-    centroid = property(lambda self: self.near)
-    valid = property(lambda self: int(self.is_valid.sum()))
-    invalid = property(lambda self: int(self.is_invalid.sum()))
-    unknown = property(lambda self: int(self.is_unknown.sum()))
-    from_start = property(
-        lambda self: 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
-    )
-    is_unknown = property(lambda self: self.counted & ~self.is_valid & ~self.is_invalid)
-    margin = property(lambda self: self.lower / self._unit)
-    min_margin = property(lambda self: self.min("margin"))
+    @property
+    def is_inverted(self) -> Mask:
+        return self.is_invalid
 
-    _unit = property(lambda self: np.where(self.size > 0, self.size, 1))
-    _least = property(lambda self: np.where(self.is_invalid, self.upper, self.lower) / self._unit)
+    @property
+    def volume(self) -> Values:
+        return self.size
+
+    @property
+    def centroid(self) -> Places:
+        return self.near
+
+    @property
+    def valid(self) -> int:
+        return int(self.is_valid.sum())
+
+    @property
+    def invalid(self) -> int:
+        return int(self.is_invalid.sum())
+
+    @property
+    def unknown(self) -> int:
+        return int(self.is_unknown.sum())
+
+    @property
+    def from_start(self) -> int:
+        return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
+
+    @property
+    def is_unknown(self) -> Mask:
+        return self.counted & ~self.is_valid & ~self.is_invalid
+
+    @property
+    def margin(self) -> Values:
+        return self.lower / self._unit
+
+    @property
+    def min_margin(self) -> float:
+        return self.min("margin")
+
+    @property
+    def _unit(self) -> Values:
+        return np.where(self.size > 0, self.size, 1)
+
+    @property
+    def _least(self) -> Values:
+        return np.where(self.is_invalid, self.upper, self.lower) / self._unit
 
     @property
     def _levels(self) -> Numbers:
@@ -205,7 +237,7 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     )
     columns = {}
     for kind, ids in solid(mesh.cells, base.shape[1]).items():
-        size = _room(np, form_of(kind, has_time))
+        size = _cells_at_once(np, form_of(kind, has_time))
         bound = functools.partial(_bounded, kind, base, ends, depth)
         columns[kind] = in_blocks(
             np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size
@@ -240,7 +272,7 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     )
 
 
-def _mean(form: JacobianForm, points: Points, ids: Int[Either, "c k"]) -> PerCell:
+def _mean_jacobian(form: JacobianForm, points: Points, ids: Int[Either, "c k"]) -> PerCell:
     return form.mean(form.coefficients(nodes_of(ids, points)))
 
 
@@ -256,7 +288,7 @@ def _bounded(
     return {
         "lower": found.lower,
         "upper": found.upper,
-        "size": np.abs(_mean(form_of(kind), base, ids)),
+        "size": np.abs(_mean_jacobian(form_of(kind), base, ids)),
         "value": sign * form.values(columns, at),
         "is_flat": found.is_flat.astype(float),
         "time": at[0],
@@ -311,7 +343,7 @@ def proven_margin(
     return as_jax(_margins(mesh.cells, sizes, ends, depth, sharpness))
 
 
-def _room(xp: Any, form: JacobianForm, parts: int = 1) -> int:
+def _cells_at_once(xp: Any, form: JacobianForm, parts: int = 1) -> int:
     return max(
         1 if xp is np else 64,
         (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts),
@@ -327,7 +359,10 @@ def _undeformed(cells: ByType, points: Points, signs: ByType) -> ByType:
         if DIMENSION[kind] == points.shape[1]:
             form = form_of(kind)
             size = in_blocks(
-                xp, functools.partial(_mean, form, points), ids.T, size=_room(xp, form)
+                xp,
+                functools.partial(_mean_jacobian, form, points),
+                ids.T,
+                size=_cells_at_once(xp, form),
             )
             sizes[kind] *= abs(xp.where(size == 0, 1, size))
     return sizes
@@ -342,7 +377,7 @@ def _margins(
     for kind, ids in cells.items():
         if DIMENSION[kind] == ends[0].shape[1]:
             form = form_of(kind, len(ends) == 2)
-            size = _room(xp, form, 2 ** (depth * sum(m for m, _ in form.space)))
+            size = _cells_at_once(xp, form, 2 ** (depth * sum(m for m, _ in form.space)))
             margin = functools.partial(_margin, form, ends, depth, sharpness)
             margins[kind] = in_blocks(xp, margin, ids.T, sizes[kind], size=size)
         else:

@@ -81,7 +81,7 @@ def quality(mesh: Mesh, points: PointsLike | None = None) -> QualityReport:
         links = link(mesh.cells)
         standards = None if points is None else standards_of(mesh, current.dtype, links)
     types = tuple((kind, len(ids)) for kind, ids in mesh.cells.items())
-    columns = as_jax(_columns(mesh.cells, links, current, standards))
+    columns = as_jax(_judge_all(mesh.cells, links, current, standards))
     return QualityReport(**columns, types=types, relative=standards is not None)
 
 
@@ -97,7 +97,7 @@ def inverted(mesh: Mesh, points: PointsLike) -> Bool[Array, " k"]:
     current = places(mesh, points)
     with jax.ensure_compile_time_eval():
         standards = standards_of(mesh, current.dtype)
-    return jnp.asarray(_flags(mesh.cells, current, standards))
+    return jnp.asarray(_mark_inverted(mesh.cells, current, standards))
 
 
 def places(mesh: Mesh, points: PointsLike | None, name: str = "points") -> Float[Array, "n d"]:
@@ -144,11 +144,11 @@ def link(cells: ByType) -> Links:
 
 
 def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Ids]:
-    return _signs(mesh.cells, links or link(mesh.cells), mesh.points)
+    return _signs_by_type(mesh.cells, links or link(mesh.cells), mesh.points)
 
 
 @by_place
-def _signs(cells: ByType, links: Links, points: Points) -> ByType:
+def _signs_by_type(cells: ByType, links: Links, points: Points) -> ByType:
     """The sign of each cell by the volume of its part of the mesh; none in lower dimension."""
     xp = namespace(points)
     volumes = by_type(volume_of, points, cells)
@@ -157,7 +157,7 @@ def _signs(cells: ByType, links: Links, points: Points) -> ByType:
         enclosed = np.bincount(links.part, links.sign * volume, len(volume))
     else:
         enclosed = jax.ops.segment_sum(links.sign * volume, links.part, num_segments=len(volume))
-    parts = _split(
+    parts = _split_by_type(
         (links.sign * xp.where(enclosed < 0, -1, 1)[links.part]).astype(np.int8), volumes
     )
     return {
@@ -168,7 +168,8 @@ def _signs(cells: ByType, links: Links, points: Points) -> ByType:
 
 class Standard(NamedTuple):
     """Cells of one type on the undeformed mesh, by which they are judged. `sign` is that of the
-    mesh, `is_folded` marks cells whose volume has another one.
+    mesh, `is_folded` marks cells whose volume has another one, `was_inverted` also those of which a
+    corner has.
     """
 
     sign: Ids
@@ -178,6 +179,7 @@ class Standard(NamedTuple):
     is_judged: Bool[Either, "s k"]
     is_degenerate: Marks
     is_folded: Marks
+    was_inverted: Marks
 
 
 def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str, Standard]:
@@ -185,12 +187,13 @@ def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str
     if mesh.polyhedra is not None:
         # pieces keep the signs that they have, where the whole polyhedron or polygon is not folded
         volumes = by_type(volume_of, jnp.asarray(mesh.points), mesh.cells)
-        (volume, sign), ids = (joined(jnp, part) for part in (volumes, signs)), mesh.cell_ids
+        volume = joined(jnp, volumes)
+        sign = joined(jnp, signs)
+        ids = mesh.cell_ids
         whole = jax.ops.segment_sum(sign * volume, ids, num_segments=int(ids.max()) + 1)[ids]
         is_sound = np.isin(ids, mesh.polyhedra.cut) & (whole > 0)
-        signs = _split(
-            jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8), volumes
-        )
+        sign = jnp.where(is_sound, jnp.where(volume < 0, -1, 1), sign).astype(jnp.int8)
+        signs = _split_by_type(sign, volumes)
     return _standards(mesh.cells, jnp.asarray(mesh.points, dtype), signs)
 
 
@@ -200,7 +203,8 @@ def _standards(cells: ByType, points: Points, signs: ByType) -> dict[str, Standa
 
 
 def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
-    xp, (volume, jacobians, noise) = namespace(x[0]), sizes_of(kind, x)
+    xp = namespace(x[0])
+    volume, jacobians, noise = sizes_of(kind, x)
     openings = _with_largest(measures.openings(kind, x), len(jacobians))
     flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)
     folded = ~flat & (sign * volume < 0)
@@ -211,33 +215,42 @@ def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
     none = ~xp.any(judged, axis=0)
     least = smallest(xp.where(judged, sizes, xp.inf))
     size = xp.where(flat, 1, sign * xp.abs(volume))
-    return Standard(sign, size, flat, xp.where(none, 1, least), judged, none, folded)
+    return Standard(
+        sign=sign,
+        volume=size,
+        is_flat=flat,
+        jacobian=xp.where(none, 1, least),
+        is_judged=judged,
+        is_degenerate=none,
+        is_folded=folded,
+        was_inverted=~xp.all(sign[None] * jacobians >= -noise, axis=0),
+    )
 
 
 @by_place
-def _columns(
+def _judge_all(
     cells: ByType, links: Links, points: Points, standards: dict[str, Standard] | None
 ) -> dict[str, Either]:
     if standards is None:
-        signs = _signs(cells, links, points)
-        columns = by_type(_judged_alone, points, cells, signs)
+        signs = _signs_by_type(cells, links, points)
+        columns = by_type(_judge_alone, points, cells, signs)
     else:
         signs = {kind: standard.sign for kind, standard in standards.items()}
-        columns = by_type(_judged, points, cells, standards)
+        columns = by_type(_judge_moved, points, cells, standards)
     columns = joined(namespace(points), columns)
     angles = non_orthogonality(points, cells, signs, links.neighbour)
     return columns | {"non_orthogonality": angles, "centroid": columns["centroid"].T}
 
 
 @by_place
-def _flags(cells: ByType, points: Points, standards: dict[str, Standard]) -> Marks:
+def _mark_inverted(cells: ByType, points: Points, standards: dict[str, Standard]) -> Marks:
     def is_inverted(kind: str, x: Vector, standard: Standard) -> Marks:
-        return _relative(*sizes_of(kind, x)[:2], standard)["is_inverted"]
+        return _judge_sizes(*sizes_of(kind, x)[:2], standard)["is_inverted"]
 
     return joined(namespace(points), by_type(is_inverted, points, cells, standards))
 
 
-def _split(values: Either, like: ByType) -> ByType:
+def _split_by_type(values: Either, like: ByType) -> ByType:
     ends = np.cumsum([len(part) for part in like.values()])[:-1]
     return dict(zip(like, namespace(values).split(values, ends), strict=True))
 
@@ -267,7 +280,7 @@ def _with_largest(values: Samples, rows: int) -> Float[Either, "rows k"]:
     return namespace(values).concatenate([values, values.max(axis=0, keepdims=True)])
 
 
-def _shape(kind: str, x: Vector) -> dict[str, Either]:
+def _measure_shape(kind: str, x: Vector) -> dict[str, Either]:
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     return {
@@ -277,11 +290,11 @@ def _shape(kind: str, x: Vector) -> dict[str, Either]:
     }
 
 
-def _judged(kind: str, x: Vector, standard: Standard) -> dict[str, Either]:
-    return _relative(*sizes_of(kind, x)[:2], standard) | _shape(kind, x)
+def _judge_moved(kind: str, x: Vector, standard: Standard) -> dict[str, Either]:
+    return _judge_sizes(*sizes_of(kind, x)[:2], standard) | _measure_shape(kind, x)
 
 
-def _relative(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
+def _judge_sizes(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
     """Judges cells relative to the undeformed mesh, by corners with their cell's sign there."""
     xp = namespace(volume)
     volume_ratio = xp.where(standard.is_flat, 1, volume) / standard.volume
@@ -294,11 +307,11 @@ def _relative(volume: Either, jacobians: Either, standard: Standard) -> dict[str
         "jacobian_ratio": jacobian_ratio,
         "is_inverted": ~((volume_ratio > 0) & (jacobian_ratio > 0)),
         "is_degenerate": standard.is_degenerate,
-        "was_inverted": standard.is_folded,
+        "was_inverted": standard.was_inverted,
     }
 
 
-def _judged_alone(kind: str, x: Vector, sign: Ids) -> dict[str, Either]:
+def _judge_alone(kind: str, x: Vector, sign: Ids) -> dict[str, Either]:
     volume, jacobians, noise = sizes_of(kind, x)
     xp = namespace(volume)
     turned = sign[None] * jacobians
@@ -310,7 +323,7 @@ def _judged_alone(kind: str, x: Vector, sign: Ids) -> dict[str, Either]:
         "is_inverted": ~xp.all(turned >= -noise, axis=0),
         "is_degenerate": xp.all(xp.abs(turned) <= noise, axis=0),
         "was_inverted": xp.zeros_like(volume, dtype=bool),
-    } | _shape(kind, x)
+    } | _measure_shape(kind, x)
 
 
 def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) -> PerCell:
@@ -347,19 +360,11 @@ def non_orthogonality(
         )
         return maximum(degrees, behind >= 0)
 
-    here = {}
-    behind = {}
-    first = 0
-    used = 0
-    for kind, ids in cells.items():
-        k = len(ids)
-        f = len(FACES[kind])
-        here[kind], behind[kind] = (
-            xp.arange(first, first + k),
-            neighbour[used : used + f * k].reshape(k, f).T,
-        )
-        first = first + k
-        used = used + f * k
+    # Cells, and the faces of each, stand one type after another.
+    ends = np.cumsum([len(FACES[kind]) * len(ids) for kind, ids in cells.items()])[:-1]
+    sides = dict(zip(cells, xp.split(neighbour, ends), strict=True))
+    behind = {k: sides[k].reshape(len(ids), len(FACES[k])).T for k, ids in cells.items()}
+    here = _split_by_type(xp.arange(len(origins[0])), cells)
     return joined(xp, by_type(angles, points, cells, signs, behind, here))
 
 

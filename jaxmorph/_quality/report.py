@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.topology import DIMENSION
-from .._host.package.arguments import checked, whole
+from .._host.package.arguments import whole
 from .._kernels.module import Module
 from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
@@ -62,9 +62,14 @@ class Report:
         return int(np.count_nonzero(self.counted))
 
     @property
+    def is_spoilt(self) -> Any:
+        """Mask of the cells that are blamed on a motion; of a mesh by itself, on the mesh."""
+        return self.is_inverted
+
+    @property
     def inverted(self) -> Any:
         """Number of inverted cells."""
-        return self._over_cells(_sum, self.is_inverted)
+        return self._over_cells(_add_flags, self.is_inverted)
 
     def min(self, name: str) -> Any:
         """Returns the smallest value of the measure called `name`."""
@@ -74,7 +79,6 @@ class Report:
         """Returns the largest value of the measure called `name`."""
         return self._over_cells(lambda xp, values: largest(values, axis=-1), self._measure(name))
 
-    @checked
     def mean(self, name: str, *, weighted: bool = True) -> Any:
         """Averages the measure `name` over cells, weighted by size unless `weighted` is False."""
         if weighted:
@@ -114,10 +118,10 @@ class Report:
         return ~np.asarray(self.is_inverted)
 
     def raise_if_inverted(self) -> None:
-        """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
-        Inside `jit` it does not work: there `inverted` is a value like any other.
+        """Raises `ValueError` on the host for cells of `is_spoilt`: how many, where the first is.
+        Inside `jit` it does not work: there the mask is a value like any other.
         """
-        bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
+        bad = np.flatnonzero(np.asarray(self.is_spoilt) & self.counted)
         if len(bad):
             are = "cell is" if len(bad) == 1 else "cells are"
             raise ValueError(
@@ -154,7 +158,7 @@ def place_of(report: Report, cell: int | np.integer) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
 
-def _number(reduction: str, name: str) -> Any:
+def _reduce_by(reduction: str, name: str) -> Any:
     return property(lambda report: getattr(report, reduction)(name))
 
 
@@ -184,8 +188,9 @@ class QualityReport(Report, Module):
     - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh, so
       the cell is not judged. In float32 these may be the thinnest cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
-    - `was_inverted`: the cell's volume had the wrong sign on the undeformed mesh already; False
-      without `points`.
+    - `was_inverted`: the undeformed mesh by itself has the cell inverted; False without `points`.
+    - `is_spoilt`: inverted, and not before the motion. Without `points` inverted, or flat: no
+      corner's Jacobian is beyond round-off.
     - `degenerate`, `from_start`: numbers of such cells, and of inverted cells that were so before.
 
     Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers
@@ -207,30 +212,38 @@ class QualityReport(Report, Module):
     is_inverted: Mask
     is_degenerate: Mask
     centroid: Float[Array, "k d"]
+    was_inverted: Mask
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
-    was_inverted: Mask | None = None
 
-    area = property(lambda self: self.volume)
-    degenerate = property(lambda self: self._over_cells(_sum, self.is_degenerate))
+    @property
+    def area(self) -> Float[Array, "..."]:
+        return self.volume
+
+    @property
+    def degenerate(self) -> Array:
+        return self._over_cells(_add_flags, self.is_degenerate)
+
+    @property
+    def is_spoilt(self) -> Mask:
+        if self.relative:
+            return self.is_inverted & ~self.was_inverted
+        return self.is_inverted | self.is_degenerate
 
     @property
     def from_start(self) -> Int[Array, "..."]:
-        was = jnp.zeros_like(self.is_inverted) if self.was_inverted is None else self.was_inverted
-        return self._over_cells(
-            lambda xp, flags, was: xp.sum(flags & was, axis=-1), self.is_inverted, was
-        )
+        return self._over_cells(_sum, self.is_inverted & self.was_inverted)
 
-    mean_skewness = _number("mean", "skewness")
-    max_skewness = _number("max", "skewness")
-    mean_aspect_ratio = _number("mean", "aspect_ratio")
-    max_aspect_ratio = _number("max", "aspect_ratio")
-    mean_non_orthogonality = _number("mean", "non_orthogonality")
-    max_non_orthogonality = _number("max", "non_orthogonality")
-    min_volume = _number("min", "volume")
-    min_jacobian = _number("min", "jacobian")
-    min_volume_ratio = _number("min", "volume_ratio")
-    min_jacobian_ratio = _number("min", "jacobian_ratio")
+    mean_skewness = _reduce_by("mean", "skewness")
+    max_skewness = _reduce_by("max", "skewness")
+    mean_aspect_ratio = _reduce_by("mean", "aspect_ratio")
+    max_aspect_ratio = _reduce_by("max", "aspect_ratio")
+    mean_non_orthogonality = _reduce_by("mean", "non_orthogonality")
+    max_non_orthogonality = _reduce_by("max", "non_orthogonality")
+    min_volume = _reduce_by("min", "volume")
+    min_jacobian = _reduce_by("min", "jacobian")
+    min_volume_ratio = _reduce_by("min", "volume_ratio")
+    min_jacobian_ratio = _reduce_by("min", "jacobian_ratio")
 
     def __str__(self) -> str:
         if not is_known(self.volume) or self.volume.ndim > 1:
@@ -262,7 +275,7 @@ class QualityReport(Report, Module):
         return array(reduce(np if known else jnp, *counted))
 
 
-def _sum(xp: Any, flags: Either) -> Any:
+def _add_flags(xp: Any, flags: Either) -> Any:
     return xp.sum(flags, axis=-1)
 
 

@@ -71,38 +71,39 @@ def smooth_quality(
         links = link(mesh.cells)
         standards = standards_of(mesh, current.dtype, links)
     options = jnp.asarray(sharpness, current.dtype), jnp.asarray(softness, current.dtype)
-    return _measured(mesh.cells, links.neighbour, current, standards, options)
+    return _measure_softly(mesh.cells, links.neighbour, current, standards, options)
 
 
 @compiled
-def _measured(
+def _measure_softly(
     cells: ByType, behind, points, standards: dict[str, Standard], options
 ) -> SmoothQuality:
-    shapes = functools.partial(_shapes, options)
+    shapes = functools.partial(_measure_shapes, options)
     skewness, aspect, jacobian = joined(jnp, by_type(shapes, points, cells, standards))
     signs = {kind: standard.sign for kind, standard in standards.items()}
     largest_angle = functools.partial(_largest_angle, sharpness=options[0])
     angles = non_orthogonality(points, cells, signs, behind, largest_angle)
-    return SmoothQuality(skewness, aspect, angles, jacobian)
+    return SmoothQuality(
+        skewness=skewness, aspect_ratio=aspect, non_orthogonality=angles, jacobian_ratio=jacobian
+    )
 
 
-def _shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, ...]:
+def _measure_shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[Array, ...]:
     sharpness, softness = options
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
-    skewness = measures.skewness(
-        kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0)
-    )
+    largest = functools.partial(soft_maximum, sharpness=sharpness, axis=0)
+    skewness = measures.skewness(kind, shape, largest)
     ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
     least = -_soft_maximum_where(-ratios, standard.is_judged[: len(ratios)], sharpness)
     ratio = jnp.where(standard.is_degenerate, 1, least)
     linear, shape = measures.linear_cells_at_nodes(kind, shape)
     sign = jnp.tile(standard.sign, shape[0].shape[1] // len(size))
-    aspect = jnp.log(_aspect_ratio(linear, shape, sign, sharpness, softness)).reshape(-1, len(size))
-    return skewness, jnp.exp(soft_maximum(aspect, sharpness, axis=0)), ratio
+    aspect = jnp.log(_soft_aspect_ratio(linear, shape, sign, sharpness, softness))
+    return skewness, jnp.exp(largest(aspect.reshape(-1, len(size)))), ratio
 
 
-def _aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> PerCell:
+def _soft_aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> PerCell:
     if kind == "line":
         return jnp.ones_like(x[0][0])
     edges, under = measures.aspect_terms(kind, x)

@@ -119,12 +119,31 @@ class Judged:
             return now
         return np.where(self._old, quality(self.mesh.moved(self.points)).is_inverted, now)
 
-    _old = property(lambda self: np.zeros(1, bool) if self.before is None else self.before.inverted)
+    @property
+    def _old(self) -> Bool[np.ndarray, " k"]:
+        if self.before is None:
+            return np.zeros(len(self.report.counted), dtype=bool)
+        return self.before.inverted
 
     @property
     def spoilt(self) -> np.ndarray:
-        worst = self.report.worst(int(self.report.inverted))
-        return worst[(self.inverted & ~self._old)[worst]]
+        """Ids of the cells for which the motion, or a mesh by itself, is blamed, worst first."""
+        mask = self.inverted & ~self._old if self.by_faces else np.asarray(self.corners.is_spoilt)
+        worst = self.report.worst(self.report.count) if mask.any() else np.zeros(0, dtype=int)
+        return worst[mask[worst]]
+
+    @property
+    def ratio(self) -> float:
+        """The smallest corner Jacobian over its initial value, of polyhedra the smallest volume, of
+        cells that were sound.
+        """
+        if self.mesh.polyhedra is None:
+            return float(self.values("jacobian_ratio").min())
+        return self._least("volume_ratio")[0]
+
+    def _least(self, name: str) -> tuple[float, int]:
+        values = np.where(self._old, np.inf, getattr(self.report, name))[self.counted]
+        return float(values.min()), int(self.counted[values.argmin()])
 
     def values(self, key: str) -> np.ndarray:
         """A measure of the counted cells. Raises `ValueError` for corners of polyhedra."""
@@ -147,6 +166,8 @@ class Judged:
         )
         in_file = np.empty_like(of_mesh)
         in_file[self.mesh.cell_ids] = of_mesh
+        if key == "jacobian_ratio":  # cells that were inverted before have none to keep
+            in_file = np.where(self._old, np.inf, in_file)
         return in_file[self.counted]
 
     def _proven_margin(self) -> np.ndarray:
@@ -196,6 +217,9 @@ class Judged:
             last = (("min", "pyramid"), RATIOS[0])
         weight = float(np.abs(np.asarray(report.volume)[self.counted]).sum())
         for kind, name in (*ROWS, ("min", "volume"), *last):
+            if (kind, name) in RATIOS:
+                rows[kind, name] = self.number(kind, *self._least(name))
+                continue
             value = float(getattr(report, kind)(name))
             key = (kind, keys.get(name, name))
             if kind != "mean":
@@ -288,10 +312,12 @@ Rows = dict[tuple[str, str], Number]
 class Verdict:
     """Whether a mesh is good, from `judge`; `str` of it is a table.
 
-    - `ok`: the motion inverts no cell, a mesh by itself has none, and no limit is exceeded.
+    - `ok`: the motion inverts no cell, and no limit is exceeded. A mesh by itself has no inverted
+      cell, and none without volume.
     - `cells`, `inverted`, `degenerate`: numbers of cells; `rule`: by what a cell is inverted.
-    - `spoilt`: number of cells that the motion has inverted; `worst`: the worst, its cell and
-      place.
+    - `spoilt`: number of cells that the motion has inverted, or that are bad in a mesh by itself;
+      `worst`: the worst, its cell and place.
+    - `note`: a sentence on cells that were inverted before the motion, or "".
     - `bad` (k,): ids of the cells that are inverted or beyond a limit; none for joined parts.
     - `rows`: means and extremes by kind and measure, such as `("max", "skewness")`.
     - `gates`: each limit, with the number of cells `beyond` it.
@@ -330,6 +356,20 @@ class Verdict:
     def corners(self) -> QualityReport | None:
         return self.judged and self.judged.corners
 
+    @property
+    def note(self) -> str:
+        old = self.before
+        if old is None or not old.inverted or old.worst is None:
+            return ""
+        cells, were, them = (
+            ("cell", "was", "it") if old.inverted == 1 else ("cells", "were", "them")
+        )
+        return (
+            f"{old.inverted} {cells} of {old.cells} {were} folded before the motion, the worst is "
+            f"{old.worst.full_name} near {old.worst.place}: the motion is not blamed for {them}. "
+            "jm.improve may unfold what is folded."
+        )
+
     @classmethod
     def together(cls, parts: "Sequence[Verdict]") -> "Verdict":
         """Joins the verdicts on the parts of a mesh. Raises `ValueError` for anything else."""
@@ -362,9 +402,10 @@ class Verdict:
         if self.worst is not None:
             are = "is" if self.spoilt == 1 else "are"
             s = "s" * (self.cells != 1)
+            how = "inverted" if self.before or not self.degenerate else "inverted or without volume"
             where = f"the worst is {self.worst.full_name} near {self.worst.place}"
             sentences.append(
-                f"{self.spoilt} of {self.cells} cell{s} {are} inverted, {where}, by {self.rule}."
+                f"{self.spoilt} of {self.cells} cell{s} {are} {how}, {where}, by {self.rule}."
             )
         for gate in self.gates:
             if gate.beyond:
@@ -424,7 +465,8 @@ class Verdict:
         return lines
 
     def __str__(self) -> str:
-        return "\n\n".join(filter(None, [self.table(), "\n".join(self.faults())]))
+        said = filter(None, [self.note, *self.faults()])
+        return "\n\n".join(filter(None, [self.table(), "\n".join(said)]))
 
     @property
     def facts(self) -> dict[str, Any]:

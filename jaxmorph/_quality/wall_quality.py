@@ -33,10 +33,21 @@ class WallQuality(Module):
     angle: Float[Array, " w"]
     height: Float[Array, " w"]
 
-    mean_angle = property(lambda self: jnp.mean(self.angle, axis=-1))
-    max_angle = property(lambda self: largest(self.angle, axis=-1))
-    min_height = property(lambda self: smallest(self.height, axis=-1))
-    max_height = property(lambda self: largest(self.height, axis=-1))
+    @property
+    def mean_angle(self) -> Array:
+        return jnp.mean(self.angle, axis=-1)
+
+    @property
+    def max_angle(self) -> Array:
+        return largest(self.angle, axis=-1)
+
+    @property
+    def min_height(self) -> Array:
+        return smallest(self.height, axis=-1)
+
+    @property
+    def max_height(self) -> Array:
+        return largest(self.height, axis=-1)
 
     def __str__(self) -> str:
         angle = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)"
@@ -89,11 +100,11 @@ def wall_quality(
     lines = first_lines(jax.tree.map(np.asarray, mesh.cells), np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
-    return WallQuality(*as_jax((lines.nodes, *_measured(lines, reference, current, softness))))
+    return WallQuality(*as_jax((lines.nodes, *_measure_lines(lines, reference, current, softness))))
 
 
 @by_place
-def _measured(
+def _measure_lines(
     lines: Lines, reference: Points, points: Points, softness: Any
 ) -> tuple[Heights, Heights]:
     xp = namespace(points)

@@ -18,10 +18,11 @@ from jaxmorph.extend import between, checked, finite_array
 Section = Callable[[np.ndarray], np.ndarray]
 
 REFERENCE_POINTS = 39_666
-NOSE_SPACING, TRAILING_EDGE_SPACING = (
-    0.003,
-    1.05e-3,
-)  # chords, along the wall, on the grid of REFERENCE_POINTS
+
+# chords, along the wall, on the grid of REFERENCE_POINTS
+NOSE_SPACING = 0.003
+TRAILING_EDGE_SPACING = 1.05e-3
+
 FARFIELD_X = 17.0
 RAY_LENGTH = 15.0
 WAKE_FIRST_CELL = 1e-3
@@ -42,7 +43,7 @@ class Counts(NamedTuple):
 REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
 
 # Corners of a hexahedron, in VTK's order, of the cells into which it is divided; 8 is its middle.
-PARTS = {
+BRICK_PARTS = {
     "hexahedron": ((0, 1, 2, 3, 4, 5, 6, 7),),
     "wedge": ((0, 5, 1, 3, 6, 2), (0, 4, 5, 3, 7, 6)),
     "tetra": ((0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)),
@@ -112,14 +113,10 @@ def naca4(
     camber = int(code[0]) / 100
     place = int(code[1]) / 10
     thickness = int(code[2:]) / 100
-    if thickness == 0:
+    if thickness == 0 or (camber > 0 and place == 0):
         raise ValueError(
-            f"`code` is {code!r}: by its last two digits the section has no thickness."
-        )
-    if camber > 0 and place == 0:
-        raise ValueError(
-            f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 "
-            "tenths."
+            f"`code` is {code!r}: it has no thickness (the last two digits), or a camber without "
+            "its place (the second digit)."
         )
     section = functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015)
     return c_grid(section, points=points, first_cell=first_cell)
@@ -130,11 +127,8 @@ def _section(
 ) -> np.ndarray:
     """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above."""
     x = t**2
-    half = (
-        5
-        * thickness
-        * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
-    )
+    root = 0.2969 * np.abs(t)
+    half = 5 * thickness * (root + x * (-0.126 + x * (-0.3516 + x * (0.2843 - last * x))))
     ahead = x < place
     scale = camber / np.where(ahead, place, 1 - place) ** 2
     line = scale * (np.where(ahead, 0, 1 - 2 * place) + 2 * place * x - x**2)
@@ -180,7 +174,7 @@ def wing(
     places = np.stack([x, np.broadcast_to(span * eta, x.shape), z], axis=-1).reshape(-1, 3)
     layers = cells + n * np.arange(stations)[:, None, None]
     corners = np.concatenate([layers[1:], layers[:-1]], axis=-1).reshape(-1, 8)
-    ids = ids_of(stations, n)
+    ids = block_ids(stations, n)
     wall, far = (ids[:, section.patch(name)].ravel() for name in ("airfoil", "farfield"))
     patches = {"wing": wall, "farfield": far, "root": ids[0], "tip": ids[-1]}
     return jm.Mesh(places, {"hexahedron": corners}, patches)
@@ -204,10 +198,10 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
     **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not
     between 0 and 1.
     """
-    if kind not in (*PARTS, "mixed") or cells < 3:
+    if kind not in (*BRICK_PARTS, "mixed") or cells < 3:
         raise ValueError(
-            f"expected one of {', '.join(PARTS)}, mixed, and 3 cells at least, not {kind!r} and "
-            f"{cells}."
+            f"expected one of {', '.join(BRICK_PARTS)}, mixed, and 3 cells at least, not "
+            f"{kind!r} and {cells}."
         )
     first = 1 / cells if first_cell is None else first_cell
     if not 0 < first < 1:
@@ -216,18 +210,18 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
     x = np.linspace(0, 1, cells + 1)
     height, across, along = np.meshgrid(z, x, x, indexing="ij")
     points = np.stack([along, across, height], axis=-1).reshape(-1, 3)
-    ids = ids_of(*(cells + 1,) * 3)
+    ids = block_ids(*(cells + 1,) * 3)
     sides = np.concatenate([ids[:, [0, -1]].ravel(), ids[:, :, [0, -1]].ravel()])
     patches = {"floor": ids[0].ravel(), "lid": ids[-1].ravel(), "sides": sides}
     whole = hexahedra(ids)
     if kind != "mixed":
-        return jm.Mesh(*_divided(points, {kind: whole}), patches)
-    below, middle = (share * cells * cells for share in (cells // 2, cells // 2 + 1))
-    layers = {"hexahedron": whole[:below], "pyramid": whole[below:middle], "wedge": whole[middle:]}
-    return jm.Mesh(*_divided(points, layers), patches)
+        return jm.Mesh(*_in_parts(points, {kind: whole}), patches)
+    below, middle, above = np.split(whole, cells**2 * np.array([cells // 2, cells // 2 + 1]))
+    layers = {"hexahedron": below, "pyramid": middle, "wedge": above}
+    return jm.Mesh(*_in_parts(points, layers), patches)
 
 
-def _divided(
+def _in_parts(
     points: np.ndarray, layers: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     cells = {}
@@ -236,7 +230,7 @@ def _divided(
             middles = points[corners].mean(axis=1)
             corners = np.column_stack([corners, len(points) + np.arange(len(corners))])
             points = np.concatenate([points, middles])
-        parts = np.array(PARTS[kind])
+        parts = np.array(BRICK_PARTS[kind])
         cells[kind] = corners[:, parts].reshape(-1, parts.shape[1])
     return points, cells
 
@@ -269,61 +263,53 @@ def bodies(
         )
     ends = (bottom, top), (left, right)
     axes = [np.linspace(low, high, 1 + max(1, round((high - low) / spacing))) for low, high in ends]
-    sides = {
-        name: _on_lines(name, finite_array(f"boxes[{name!r}]", four, (4,)), axes)
+    sides = [
+        _on_lines(name, finite_array(f"boxes[{name!r}]", four, (4,)), axes)
         for name, four in boxes.items()
-    }
+    ]
+    low, high = np.reshape(sides, (-1, 2, 2, 1)).transpose(2, 0, 1, 3)
 
-    def within(y, x, margin):
-        return [
-            (y > a - margin) & (y < b + margin) & (x > c - margin) & (x < d + margin)
-            for (a, b), (c, d) in sides.values()
-        ]
+    def within(places: np.ndarray, margin: float) -> np.ndarray:
+        return ((places > low - margin) & (places < high + margin)).all(axis=1)
 
-    places, cells = cut(
-        axes, lambda y, x: np.any([np.zeros(len(x), bool), *within(y, x, 0.0)], axis=0)
-    )
+    places, cells = without_solid(axes, lambda *places: within(np.array(places), 0.0).any(axis=0))
     y, x = places.T
-    patches = dict(zip(boxes, within(y, x, 1e-9), strict=True))
+    patches = dict(zip(boxes, within(places.T, 1e-9), strict=True))
     patches["farfield"] = (y == bottom) | (y == top) | (x == left) | (x == right)
-    return jm.Mesh(
-        np.stack([x, y], axis=1),
-        {"quad": cells},
-        {k: np.flatnonzero(v) for k, v in patches.items()},
-    )
+    nodes = {name: np.flatnonzero(on) for name, on in patches.items()}
+    return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, nodes)
 
 
 def _on_lines(name: str, sides: np.ndarray, axes: Sequence[np.ndarray]) -> list[np.ndarray]:
-    places = []
+    """The ends of a body along y and x, on grid lines."""
+    ends = []
     for axis, pair in zip(axes, (sides[2:], sides[:2]), strict=True):
         first, last = np.abs(axis[:, None] - pair).argmin(axis=0)
         if not 0 < first < last < len(axis) - 1:
-            at = tuple(sides.tolist())
             raise ValueError(
-                f"body {name!r} at {at} has no cell within it or beside it: try a smaller spacing."
+                f"body {name!r} at {tuple(sides.tolist())} has no cell within it or beside it: try "
+                "a smaller spacing."
             )
-        places.append(axis[[first, last]])
-    return places
+        ends.append(axis[[first, last]])
+    return ends
 
 
-def ids_of(*shape: int) -> np.ndarray:
+def block_ids(*shape: int) -> np.ndarray:
     return np.arange(np.prod(shape)).reshape(shape)
 
 
 def quads(ids: np.ndarray) -> np.ndarray:
     """Makes the cells (k, 4) of a block, counter-clockwise: rows along y, columns along x."""
-    return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(
-        -1, 4
-    )
+    below = ids[:-1]
+    above = ids[1:]
+    corners = [below[:, :-1], below[:, 1:], above[:, 1:], above[:, :-1]]
+    return np.stack(corners, axis=-1).reshape(-1, 4)
 
 
 def hexahedra(ids: np.ndarray) -> np.ndarray:
     """Makes the cells (k, 8) of a block: layers along z, rows along y, columns along x."""
-    floor = ids[:-1]
-    lid = ids[1:]
-    return np.concatenate(
-        [np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1
-    ).reshape(-1, 8)
+    layers = np.stack([quads(layer) for layer in ids])
+    return np.concatenate([layers[:-1], layers[1:]], axis=-1).reshape(-1, 8)
 
 
 def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarray:
@@ -332,16 +318,18 @@ def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarra
     between("first_cell", first, 0)
     if first * cells >= 1:
         return np.linspace(0, 1, samples + 1)
-    growth = root(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0)
+    growth = zero_of(
+        lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0
+    )
     return np.expm1(growth * np.linspace(0, 1, samples + 1)) / np.expm1(growth)
 
 
-def root(function: Callable[[float], float], lower: float, upper: float) -> float:
+def zero_of(function: Callable[[float], float], lower: float, upper: float) -> float:
     return float(cast(float, brentq(function, lower, upper, xtol=1e-14)))
 
 
-def cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
-    ids = ids_of(*map(len, axes))
+def without_solid(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
+    ids = block_ids(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     cells = quads(ids) if len(axes) == 2 else hexahedra(ids)
     cells = cells[~is_solid(*places[cells].mean(axis=1).T)]
@@ -370,10 +358,9 @@ def c_grid(
     if not SMALLEST_CELL <= first_cell <= largest:
         raise ValueError(
             f"`first_cell` is {first_cell}; {counts.normal} growing cells on {RAY_LENGTH:g} "
-            "chords need one "
-            f"between {SMALLEST_CELL:g} and {largest:.3g} chords."
+            f"chords need one between {SMALLEST_CELL:g} and {largest:.3g} chords."
         )
-    wall, angles = _wall(section, counts)
+    wall, angles = _wall_nodes(section, counts)
     is_sharp = bool(np.abs(wall[-1] - wall[0]).max() < 1e-12)
     if not (is_sharp or wall[-1, 1] - wall[0, 1] > 1e-9):
         raise ValueError(
@@ -383,14 +370,15 @@ def c_grid(
     angles = np.pad(angles, counts.wake, mode="edge")
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     # vertical means vertical: the cosine of a rounded pi / 2 is not zero
-    directions[: counts.wake + 1], directions[-counts.wake - 1 :] = (0, -1), (0, 1)
+    directions[: counts.wake + 1] = 0, -1
+    directions[-counts.wake - 1 :] = 0, 1
     rays = inner + _ray_lengths(weights, counts.normal, first_cell)[:, :, None] * directions
     mesh = _assemble(rays, counts, is_sharp)
     _check_convex(mesh)
     return mesh
 
 
-def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
+def _wall_nodes(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
     """Spaces nodes (2 half + 1, 2) from the lower trailing edge; rays' angles are in radians."""
     lower, upper = (_half(section, end, counts.half) for end in (-1.0, 1.0))
     t = np.concatenate([lower[::-1], upper[1:]])
@@ -426,7 +414,7 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
     """
     ratio = np.sqrt(last / first)
     intensity = 1 / (cells * np.sqrt(first * last))
-    delta = root(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)
+    delta = zero_of(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)
     u = 0.5 * (1 + np.tanh(delta * (np.linspace(0, 1, samples + 1) - 0.5)) / np.tanh(delta / 2))
     u[[0, -1]] = 0, 1
     return u / (ratio + (1 - ratio) * u)
@@ -457,17 +445,18 @@ def _assemble(rays: np.ndarray, counts: Counts, is_sharp: bool) -> jm.Mesh:
     # The C's nodes are numbered layer by layer from the wall, those of the strip behind the base
     # follow, exit last. It has the innermost nodes of both wakes as its first and last line; behind
     # a sharp edge these are one line.
-    ids = ids_of(*rays.shape[:2])
+    ids = block_ids(*rays.shape[:2])
     lower = rays[0, counts.wake :: -1]
     upper = rays[0, -counts.wake - 1 :]
-    across = np.linspace(0, 1, counts.base + 1)[1:-1, None, None]
-    strip = (lower + across * (upper - lower))[: 0 if is_sharp else None]
-    between = ids.size + ids_of(*strip.shape[:2])
+    across = np.linspace(0, 1, 2 if is_sharp else counts.base + 1)[1:-1, None, None]
+    strip = lower + across * (upper - lower)
+    between = ids.size + block_ids(*strip.shape[:2])
     first = ids[0, counts.wake :: -1]
     last = ids[0, -counts.wake - 1 :]
     if is_sharp:
         last[:] = first
-    behind = quads(np.vstack([first, between, last][: 1 if is_sharp else None]))
+    lines = np.vstack([first, between, last])
+    behind = quads(lines[:1] if is_sharp else lines)
     points = np.concatenate([rays.reshape(-1, 2), strip.reshape(-1, 2)])
     cells = np.concatenate([quads(ids), behind])
     patches = {
@@ -490,6 +479,5 @@ def _check_convex(mesh: jm.Mesh) -> None:
         x, y = corners[bad[0]].mean(axis=0)
         raise ValueError(
             f"{bad.size} of {len(quads)} cells around this section are not convex, first cell "
-            f"{bad[0]} near "
-            f"({x:.4g}, {y:.4g}). Try less camber, a smoother section or more points."
+            f"{bad[0]} near ({x:.4g}, {y:.4g}). Try less camber, a smoother section or more points."
         )

@@ -16,11 +16,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # the locale may lack a letter of a name
+    from ._output import open_ended
+
     try:
         from ._entry import answer
 
-        return answer(words)
+        with open_ended():
+            return answer(words)
+        return 0
     except KeyboardInterrupt:
         name = " ".join(["jaxmorph", *(word for word in words[:1] if not word.startswith("-"))])
         print(f"{name}: interrupted.", file=sys.stderr)
         return 130
+    finally:
+        if sys.stdout is not None:  # a service may have closed it
+            with open_ended():
+                sys.stdout.flush()

@@ -141,7 +141,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     say_motion(request, patches, half.plan, path[-1], out)
     for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
         out.warn(warning)
-    write_job(request, moves, out)
+    write_job(request, out)
     return half, path
 
 

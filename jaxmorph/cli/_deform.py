@@ -15,9 +15,8 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph.extend import complete, quickly_compiled
+from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
-from ._early import lattice_files
 from ._job import text_of
 from ._method import Chunks, Patches, described, mesh_of, patches_of
 from ._motion import Distances, Motion, distances, motion
@@ -33,6 +32,7 @@ from ._way import (
     in_background,
     moved,
     say_verdict,
+    warn_of_size,
 )
 
 SMALL = 10_000
@@ -99,20 +99,27 @@ class Attempt:
 
 def deform(request: Deform, out: Output) -> int:
     with out.progress(f"reading {title(request.file)}"):
-        mesh = mesh_of(request.file, request.zone)
+        mesh = mesh_of(request.file, request.zone, request.tags)
     with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):
         return _deform(request, mesh, out)
 
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     io.check_output(request.output, mesh)
-    check_picture(request.picture, mesh)
+    check_picture(request.picture)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
     patches = patches_of(request, mesh)
     attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
     with out.progress("preparing"):
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
+    crossed = None
+    if request.steps == AUTO:
+        with out.progress("inspecting the motion"):
+            crossed = wall_crossings(plan, mesh, attempt.path(), nodes=nodes)
+    if crossed:  # no number of steps helps
+        request = dataclasses.replace(request, steps=1)
+        attempt = dataclasses.replace(attempt, request=request)
     if request.steps == AUTO:
         with out.progress("seeking the fewest steps"):
             least = request.gates.min_jacobian_ratio or 0.0
@@ -126,7 +133,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     say_motion(request, patches, plan, attempt.path()[-1], out)
     if attempt.reached is not None:
         reach = (
-            f"keep the cells for {attempt.reached:.1%} of the motion"
+            f"keep the cells for {attempt.reached:.1%} of the motion, and not for all of it"
             if attempt.reached < 1
             else "keep the cells"
         )
@@ -158,7 +165,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
         out.say(
             wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()}
         )
-    write_job(request, attempt.motion, out)
+    write_job(request, out)
     picture = request.picture
     draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
     if picture is not None:
@@ -168,7 +175,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
             out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad:
-        bad[-1] += _advice(attempt, out)
+        bad[-1] += "" if inspection.is_hopeless else _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
 
 
@@ -276,22 +283,17 @@ def say_motion(
         method=name,
         steps=request.step_count,
     )
+    length = float(np.ptp(np.asarray(mesh.points)[patches.nodes], axis=0).max())
+    warn_of_size(float(way.max()) / length if length else 0.0, out)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=sources)
 
 
-def write_job(request: Deform, moves: Motion, out: Output) -> None:
+def write_job(request: Deform, out: Output) -> None:
     if request.save_job is not None:
         with complete(request.save_job) as partial:
             partial.write_bytes(text_of(request, request.save_job.parent).encode())
         out.say(f"job      {request.save_job}")
-    for name, group in moves.groups.items():
-        if group.flags.lattice is not None:
-            box: Any = dict(zip(group.shape.names, group.shape.shapes, strict=True))["box"]
-            states = (None, moves.parameters[name]["box"])
-            for file, values in zip(lattice_files(group.flags.lattice), states, strict=True):
-                io.write_lattice(file, box.lattice(values))
-                out.say(f"lattice  {file}")
 
 
 def _advice(attempt: Attempt, out: Output) -> str:

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxmorph import METHODS
-from jaxmorph._host.package.text import GRADIENTS, LATTICES, SENSITIVITIES, is_folder
+from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES, is_folder
 from jaxmorph.extend import input_path, output_path, patch_names
 
 from ._job import job_of
 from ._parser import (
     Folder,
-    Lattice,
     MeshFile,
     NewMesh,
     Picture,
@@ -45,8 +44,6 @@ OWNERS = {
     "about": ("rotate", "scale", "bend", "twist"),
     "along": ("bend", "twist"),
     "length": ("bend", "twist"),
-    "displacement_from": ("displacement",),
-    "lattice": ("box",),
 }
 """Flags that make sense only beside others, and these others."""
 
@@ -60,6 +57,9 @@ def check(request: Request) -> None:
         OF_COMMAND[type(request)](request, inputs, outputs)
     check_apart(inputs, outputs)
     if isinstance(request, Deform | Planned):
+        both = [name for name in request.moving if name in request.boundary.fixed]
+        if both:
+            raise ValueError(f"{both[0]} is named after --moving and after --fixed. Remove one.")
         names = itertools.chain(request.moving, *vars(request.boundary).values())
         if request.file.suffix.lower() == ".su2" and (listed := markers(request.file)):
             patch_names(tuple(names), listed, {})
@@ -72,9 +72,9 @@ def _checked(request: Any, kinds: tuple[Any, ...]) -> Files:
         metavar = field.metadata["settings"].get("metavar")
         flag = metavar if field.metadata["names"] == ("",) else flag_of(field.name)
         for path in _paths(value) if kind in kinds else ():
-            files += [(flag, file) for file in (lattice_files(path) if kind is Lattice else [path])]
+            files.append((flag, path))
             try:
-                CHECKS[kind](files[-1][1])
+                CHECKS[kind](path)
             except ValueError as error:
                 raise ValueError(f"{flag} {error}") from None
     return files
@@ -87,7 +87,7 @@ def _paths(value: Any) -> list[Path]:
 
 
 def _check_mesh(path: Path) -> None:
-    if is_folder(input_path(path)) and not path.is_dir():
+    if not input_path(path).is_file() and is_folder(path) and not path.is_dir():
         raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
     path.stat()
 
@@ -102,13 +102,12 @@ CHECKS: dict[Any, Callable[[Path], Any]] = {
     MeshFile: _check_mesh,
     NewMesh: lambda path: output_path(path, folder=path.suffix != ".pvd" and is_folder(path)),
     Written: output_path,
-    Picture: lambda path: output_path(path, ".png", ".html"),
-    Lattice: lambda path: output_path(path, *LATTICES),
+    Picture: lambda path: output_path(path, ".png"),
     Folder: _check_folder,
 }
 
 INPUTS = (Path, MeshFile)
-OUTPUTS = (NewMesh, Written, Picture, Lattice, Folder)
+OUTPUTS = (NewMesh, Written, Picture, Folder)
 
 
 def check_apart(inputs: Files, outputs: Files) -> None:
@@ -129,16 +128,12 @@ def _identity(path: Path) -> Any:
     return about.st_dev, about.st_ino  # those of links are the same
 
 
-def lattice_files(file: Path) -> tuple[Path, Path]:
-    return file.with_stem(f"{file.stem}_before"), file.with_stem(f"{file.stem}_after")
-
-
 def is_given(group: MotionFlags, name: str) -> bool:
     return getattr(group, name) not in (None, ())
 
 
 def _check_deform(request: Deform, *_: Files) -> None:
-    for name in ("picture", "chunk", "zone"):
+    for name in ("picture", "chunk", "zone", "tags"):
         if request.decomposed and getattr(request, name) is not None:
             raise ValueError(
                 f"--{name} and --decomposed cannot be combined. Remove one of the two."

@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import os
 import platform
+import re
 import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -35,7 +36,8 @@ def answer(words: Sequence[str]) -> int:
     name = _checked(words, top, parsers)
     out = Output(name, as_json="--json" in words)
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: out.warn(one_line(message))
+        warnings.filterwarnings("always", DAMAGED)  # each entry, though two are of one name
+        warnings.showwarning = lambda message, *_: is_healed(message) or out.warn(one_line(message))
         try:
             request = request_of(words, parsers)
             importlib.import_module("._early", __package__).check(request)
@@ -156,6 +158,32 @@ class Version(argparse.Action):
         others = ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy"))
         print(f"jaxmorph {jaxmorph.__version__} ({others}, Python {platform.python_version()})")
         parser.exit()
+
+
+DAMAGED = "Error (reading|writing) persistent compilation cache entry"
+"""What JAX's warnings of a cut or changed file in its cache begin with."""
+
+
+def is_healed(message: object) -> bool:
+    """Removes the entry of JAX's cache that a warning is of: what is compiled now replaces it.
+
+    JAX keeps damaged entries, and does not say which one it read: the one of the latest time of
+    use. An entry without a time, from a process that ended early, keeps others from being written.
+    """
+    if not re.match(DAMAGED, str(message)):
+        return False
+    import jax
+
+    config: Any = jax.config
+    times = {}
+    for file in Path(config.jax_compilation_cache_dir or os.devnull).glob("*-cache"):
+        used = file.with_name(f"{file.name.removesuffix('-cache')}-atime")
+        times[file] = int.from_bytes(used.read_bytes(), "little") if used.exists() else None
+    known = [time for time in times.values() if time is not None]
+    bad = [file for file, time in times.items() if known and time in (None, max(known))]
+    for file in bad:
+        file.unlink(missing_ok=True)
+    return bool(bad)
 
 
 def begin_jax() -> None:

@@ -70,8 +70,8 @@ faces must be moving, fixed, symmetry, sliding, periodic or free. Nodes of a
 free patch follow like inner nodes, and may leave the boundary. --fixed may be
 left out if no patch stays.
 
-Cyclic patches of an OpenFOAM case and periodic interfaces of a CGNS file are
-periodic unless a flag names them. Nodes of an OpenFOAM case's symmetry and
+Cyclic patches of an OpenFOAM case, periodic interfaces of a CGNS file and groups
+that gmsh pairs are periodic unless a flag names them. Nodes of an OpenFOAM case's symmetry and
 symmetryPlane patches, and of the axis between wedges, stay in their plane.
 
 --decomposed needs jaxmorph[mpi] for several processes. OUT gets all parts, or
@@ -84,21 +84,16 @@ B-splines) and continuity (k keeps the k + 1 outer layers in place). Nodes
 outside of the box stay. Corners (eight in the order of a cell, in 2-D four) may
 stand in place of low and high.
 
---hicks-henne is such a file with upper and lower, lists of [centre, height],
-and width (3). --cst has upper and lower, lists of weights and the ordinate of
-the edge, and exponents. Both are added across the chord: nose, tail and up, in
-2-D found where they are missing.
-
 A job is a TOML file with the flags by name: file, output, fixed, ..., and a
 [[moving]] (patches, rotate, about, ...) for each motion. There mode is
 [["FILE", AMPLITUDE], ...], and box is a file or a table. Paths are relative to
 the folder of the job. Flags on the command line win.
 
 --set changes design variables, the numbers of the motions in the units of the
-flags: displacement, mode[0], box[1,2,0], hicks-henne.upper[0], cst.lower[1],
-scale, twist, bend, rotate, translate[0]. NAME=NUMBER,NUMBER changes a whole
-list. If several motions have a variable of the name, put the motion's name
-first: flap.rotate=5. In a job, set is a table.
+flags: displacement, mode[0], box[1,2,0], scale, twist, bend, rotate,
+translate[0]. NAME=NUMBER,NUMBER changes a whole list. If several motions have a
+variable of the name, put the motion's name first: flap.rotate=5. In a job, set
+is a table.
 
 The table of quality ends with the first grid line at the moving wall: the
 degrees by which its direction to the wall has changed, and the height of its
@@ -115,10 +110,7 @@ examples:
   a half wing on its symmetry plane, twisted and bent along its span y:
     jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
         --symmetry symmetry --along 0 1 0 --axis 1 0 0 --twist -3 --bend 8 \\
-        --picture bent.html
-  the motion from one surface to another of the same triangles:
-    jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
-        --displacement bent.stl --displacement-from straight.stl
+        --picture bent.png
   a blade between the sides of its passage, which repeat each other:
     jaxmorph deform cascade.su2 pitched.su2 --moving blade --rotate 10 \\
         --fixed inlet outlet --periodic lower upper

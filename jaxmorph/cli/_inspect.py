@@ -17,14 +17,14 @@ from ._way import check_picture, draw, faults
 
 def quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
-        mesh = mesh_of(request.file, request.zone)
+        mesh = mesh_of(request.file, request.zone, request.tags)
         points = None if request.moved is None else _same_mesh(request, mesh, request.moved).points
-    check_picture(request.picture, mesh)
+    check_picture(request.picture)
     with out.progress("judging the cells"):
         verdict = jm.judge(mesh, points, request.gates.limits, is_straight=False)
         proof = jm.proof(mesh, points) if request.proof else None
     bad = faults(verdict)
-    tables = [verdict.table()]
+    tables = [verdict.table(), *filter(None, [verdict.note])]
     out.say(gates=verdict.gate_facts, after=verdict.facts)
     if verdict.before is not None:
         out.say(before=verdict.before.facts)
@@ -47,7 +47,7 @@ def quality(request: Quality, out: Output) -> int:
 
 
 def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
-    moved = mesh_of(file, request.zone)
+    moved = mesh_of(file, request.zone, request.tags)
     ours = _ids(mesh)
     theirs = _ids(moved)
     if ours.keys() != theirs.keys() or not all(
@@ -65,13 +65,15 @@ def _ids(mesh: Mesh) -> Mapping[str, Any]:
 def info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
-        meshes = list(io.read_zones(request.file) if is_su2 else [io.read(request.file)])
+        meshes = list(
+            io.read_zones(request.file) if is_su2 else [mesh_of(request.file, tags=request.tags)]
+        )
     if len(meshes) > 1 and request.picture is not None:
         raise ValueError(
             f"--picture is of one zone, {request.file} has {len(meshes)}: quality --zone 1 "
             "--picture ..."
         )
-    check_picture(request.picture, meshes[0])
+    check_picture(request.picture)
     zones: list[dict[str, Any]] = []
     for number, mesh in enumerate(meshes, start=1):
         facts = _facts(mesh)
@@ -85,13 +87,14 @@ def info(request: Info, out: Output) -> int:
 
 def convert(request: Convert, out: Output) -> int:
     with out.progress("reading"):
-        mesh = io.read(request.file)
+        mesh = mesh_of(request.file, tags=request.tags)
     lost = list(io.losses(request.output, mesh))
     for sentence in lost:
         out.warn(sentence)
+    old = ", in place of an older file" if request.output.is_file() else ""
     with out.progress("writing"):
         io.write(request.output, mesh)
-    out.say(f"wrote {request.output}: {mesh}", output=str(request.output), lost=lost)
+    out.say(f"wrote {request.output}: {mesh}{old}", output=str(request.output), lost=lost)
     return 0
 
 
@@ -113,6 +116,7 @@ def _facts(mesh: Mesh) -> dict[str, Any]:
         "kinds": dict(mesh.kinds),
         "of_no_cell": np.setdiff1d(np.arange(len(points)), np.concatenate([[], *corners])).tolist(),
         "groups": {group: list(names) for group, names in mesh.groups.items()},
+        "periodic": [pair.patches for pair in io.periodic(mesh)],
         "boxes": {box.name: [number - 1 for number in box.shape.counts] for box in io.boxes(mesh)},
         "notes": list(getattr(mesh.source, "notes", ())),
     }
@@ -133,6 +137,7 @@ def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     yield from _list(
         "groups", [f"{group}: {', '.join(names)}" for group, names in facts["groups"].items()]
     )
+    yield from _list("periodic", [f"--periodic {' '.join(pair)}" for pair in facts["periodic"]])
     yield from _list("boxes", list(map(_line_of_box, io.boxes(mesh))))
     yield from _list("notes", facts["notes"])
 

@@ -20,9 +20,9 @@ Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 PlanRequest = Deform | Planned
 
 
-def mesh_of(path: Path, zone: int | None = None) -> jm.Mesh:
-    if zone is None:
-        return io.read(path)
+def mesh_of(path: Path, zone: int | None = None, tags: Path | None = None) -> jm.Mesh:
+    if zone is None or tags is not None:
+        return io.read(path, tags=tags)
     meshes = io.read_zones(path)
     if not 1 <= zone <= len(meshes):
         raise ValueError(f"--zone {zone}: {path} has {count(len(meshes), 'zone')}.")

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -14,24 +13,18 @@ from jaxtyping import Float, Int
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io, shapes
-from jaxmorph._host.package.text import read
-from jaxmorph.extend import finite_array
 
 from ._early import is_given
 from ._output import coordinates, some
-from ._requests import Deform, MotionFlags, Table
+from ._requests import Deform, MotionFlags
 
 Points = Float[np.ndarray, "m d"]
 Parametrised = tuple[shapes.AbstractShape, Any]
-
-SIDES = ("upper", "lower")
-CHORD = ("nose", "tail", "up")
 
 
 class MotionGroup(NamedTuple):
     """Patches that move: shapes and parameters by flag, and the rows of their nodes."""
 
-    flags: MotionFlags
     patches: tuple[str, ...]
     shape: shapes.Chain
     values: dict[str, Any]
@@ -151,8 +144,6 @@ def _group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) 
     patch = MovingPatch(flags, mesh, mesh.patch(*flags.patches), request.boundary.symmetry)
     if not len(patch.nodes):
         raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
-    if flags.lattice is not None:
-        io.check_lattice_output(flags.lattice)
     made = {}
     values = {}
     for name in (name for name in PARTS if is_given(flags, name)):
@@ -163,7 +154,7 @@ def _group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) 
         except ValueError as error:
             raise ValueError(f"--{key}: {str(error).removeprefix(f'--{key}: ')}") from None
     rows = np.searchsorted(moving, patch.nodes)
-    return MotionGroup(flags, mesh.patch_names(*flags.patches), shapes.Chain(made), values, rows)
+    return MotionGroup(mesh.patch_names(*flags.patches), shapes.Chain(made), values, rows)
 
 
 class MovingPatch(NamedTuple):
@@ -188,13 +179,9 @@ class MovingPatch(NamedTuple):
 def _displacement(patch: MovingPatch) -> Parametrised:
     group = patch.group
     assert group.displacement is not None
-    how: dict[str, Any] = {
-        "before": group.displacement_from,
-        "is_position": group.displacement_is == "position",
-    }
-    turn = jm.Turn.of(
-        patch.points, io.read_displacement(group.displacement, patch.mesh, patch.nodes, **how)
-    )
+    is_position = group.displacement_is == "position"
+    u = io.read_displacement(group.displacement, patch.mesh, patch.nodes, is_position=is_position)
+    turn = jm.Turn.of(patch.points, u)
     return shapes.Function(lambda x, share: x + turn.at(share), 0.0), 1.0
 
 
@@ -282,63 +269,11 @@ def _turned(name: str, patch: MovingPatch) -> Parametrised:
     return shapes.Function(turn, 0.0), getattr(flags, name)
 
 
-def _bumps(rows: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
-    return shapes.HicksHenne(rows[:, 0], table.get("width", 3.0), chord=chord), rows[:, 1]
-
-
-def _class_functions(weights: np.ndarray, table: Table, chord: shapes.Chord) -> Parametrised:
-    if len(weights) < 3:
-        raise ValueError(
-            f"a side has {len(weights)} numbers; two weights or more are expected, then the "
-            "ordinate of the edge."
-        )
-    exponents = finite_array("exponents", table.get("exponents", [0.5, 1.0]), (2,)).tolist()
-    return shapes.CST(len(weights) - 2, tuple(exponents), chord=chord), weights
-
-
-SIDED: dict[str, tuple[str, tuple[int | None, ...], Callable]] = {
-    "hicks_henne": ("width", (None, 2), _bumps),
-    "cst": ("exponents", (None,), _class_functions),
-}
-"""Shapes of an airfoil's sides: one more name of their table, shape of a side's numbers, maker."""
-
-
-def _on_sides(name: str, patch: MovingPatch) -> Parametrised:
-    (more, shape, make), source = SIDED[name], getattr(patch.group, name)
-    table = read(str(source), source.read_bytes()) if isinstance(source, Path) else source
-    if set(table) - {*SIDES, more, *CHORD} or not set(table) & set(SIDES):
-        listed = ", ".join(table) or "nothing"
-        known = ", ".join((more, *CHORD))
-        raise ValueError(f"upper or lower expected, and perhaps {known}; found {listed}.")
-    chord = _chord(table, patch)
-    upper = shapes.wall_normals(patch.mesh, *patch.group.patches) @ np.asarray(chord.up) >= 0
-    made = {}
-    values = {}
-    for side, mask in zip(SIDES, (upper, ~upper), strict=True):
-        if side in table:
-            one, values[side] = make(finite_array(side, table[side], shape), table, chord)
-            made[side] = shapes.Part(one, mask)
-    return shapes.Chain(made), values
-
-
-def _chord(table: Table, patch: MovingPatch) -> shapes.Chord:
-    ends = {end: finite_array(end, table[end], (patch.dimension,)) for end in CHORD if end in table}
-    if not ends and patch.dimension == 2:
-        return shapes.Chord.along(patch.points)
-    if not {"nose", "tail"} <= set(ends):
-        raise ValueError(
-            f"a chord has a nose and a tail, and up in 3-D; found {', '.join(ends) or 'none'}."
-        )
-    return shapes.Chord(**ends)
-
-
 PARTS: dict[str, Callable[[MovingPatch], Parametrised]] = {
     "displacement": _displacement,
     "onto": _onto,
     "mode": _modes,
     "box": _box,
-    "hicks_henne": functools.partial(_on_sides, "hicks_henne"),
-    "cst": functools.partial(_on_sides, "cst"),
     "scale": _scale,
     "twist": functools.partial(_turned, "twist"),
     "bend": functools.partial(_turned, "bend"),

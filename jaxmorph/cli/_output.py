@@ -83,7 +83,7 @@ class Output:
     def say(self, text: str | None = None, **facts: Any) -> None:
         self.facts.update(facts)
         if text is not None and not self.as_json and not self.is_silent:
-            print(text, flush=True)
+            _show(text)
 
     def complain(self, text: str, key: str = "problems") -> None:
         self.facts.setdefault(key, []).append(text)
@@ -98,8 +98,9 @@ class Output:
     def seconds(self) -> float:
         return time.monotonic() - self.began
 
-    def wrote(self, path: Path) -> None:
-        self.say(f"wrote {path} ({self.seconds:.1f} s)", output=str(path))
+    def wrote(self, path: Path, was_there: bool = False) -> None:
+        old = ", in place of an older file" if was_there else ""
+        self.say(f"wrote {path} ({self.seconds:.1f} s){old}", output=str(path), replaced=was_there)
 
     def end(self, status: int) -> int:
         if self.is_silent:
@@ -114,15 +115,31 @@ class Output:
             plain = json.loads(
                 json.dumps(facts), parse_constant=lambda _: None
             )  # JSON has no NaN, no infinity
-            print(json.dumps(plain, allow_nan=False), flush=True)
+            _show(json.dumps(plain, allow_nan=False))
         elif self.verbose:
             stages = self.stages | {"all": self.seconds}
             lines = [
                 f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s"
                 for name, taken in stages.items()
             ]
-            print("\n".join(["timings", *lines]), flush=True)
+            _show("\n".join(["timings", *lines]))
         return status
+
+
+def _show(text: str) -> None:
+    with open_ended():
+        print(text, flush=True)
+
+
+@contextlib.contextmanager
+def open_ended() -> Iterator[None]:
+    """Goes on where the reader of the output has enough, as `head` has: the rest goes nowhere."""
+    try:
+        yield
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def wrapped(text: str, indent: int = 9) -> str:

@@ -17,11 +17,10 @@ MeshFile = NewType("MeshFile", Path)
 NewMesh = NewType("NewMesh", Path)
 Written = NewType("Written", Path)
 Picture = NewType("Picture", Path)
-Lattice = NewType("Lattice", Path)
 Folder = NewType("Folder", Path)
 """Kinds of values: a `Path` or a `MeshFile` is read, the other files and folders are written."""
 
-FILES = (Path, MeshFile, NewMesh, Written, Picture, Lattice, Folder)
+FILES = (Path, MeshFile, NewMesh, Written, Picture, Folder)
 
 Fields = type[Any]
 """A dataclass whose fields are made by `flag`, `positional`, `switch` and `part`."""

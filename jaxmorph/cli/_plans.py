@@ -27,7 +27,7 @@ BATCH = 8
 
 def _read(request: PlanRequest, out: Output) -> Patches:
     with out.progress(f"reading {title(request.file)}"):
-        mesh = mesh_of(request.file, getattr(request, "zone", None))
+        mesh = mesh_of(request.file, getattr(request, "zone", None), request.tags)
     return patches_of(request, mesh)
 
 
@@ -176,6 +176,7 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
     moving = patches.nodes
     wall = np.asarray(mesh.points, float)[moving]
     moves = None if job is None else motion(job, mesh, moving)
+    was_there = request.output.is_file()
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
     if len(given) == len(mesh.points):
@@ -201,7 +202,7 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
         _write_variables(
             request, moves, shapes.project(moves.shape, wall, moves.parameters, given), out
         )
-    out.wrote(request.output)
+    out.wrote(request.output, was_there)
     return 0
 
 
@@ -249,6 +250,7 @@ def _write_variables(
 def export(request: ExportRequest, out: Output) -> int:
     patches = _read(request, out)
     plan = _prepared(request, patches, out)
+    old = request.output is not None and request.output.is_file()
     with out.progress("writing the plan"):
         if request.output is None:
             files = io.export_case(request.file, patches.mesh, plan)
@@ -257,5 +259,5 @@ def export(request: ExportRequest, out: Output) -> int:
             files = [request.output]
     out.say(moving=plan.n_moving)
     for file in files:
-        out.wrote(file)
+        out.wrote(file, old)
     return 0

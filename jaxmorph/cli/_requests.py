@@ -17,7 +17,6 @@ from ._parser import (
     Angle,
     Fields,
     Folder,
-    Lattice,
     MeshFile,
     NewMesh,
     Picture,
@@ -38,7 +37,7 @@ ZONE = (
     "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 )
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
-BY_SKEWNESS = "draw the mesh by its skewness: .png, in 3-D also a page (.html)"
+BY_SKEWNESS = "draw the mesh by its skewness: .png"
 
 AUTO = "auto"  # as many steps as it takes
 OUTPUT = ("--output", "-o")
@@ -61,7 +60,7 @@ def _completer(prefix: str, parsed_args: argparse.Namespace, **_: object) -> lis
             return markers(parsed_args.file)
         from jaxmorph import io
 
-        mesh = io.read(parsed_args.file)
+        mesh = io.read(parsed_args.file, tags=parsed_args.tags)
         return [*mesh.patches, *mesh.groups]
     return []
 
@@ -134,9 +133,6 @@ class MotionFlags:
     displacement: Path | None = flag(
         "new positions: node id, x, y[, z]; .npz, .stl, .obj", everyday=True
     )
-    displacement_from: Path | None = flag(
-        "the undeformed surface (.stl, .obj, .npz) of a deformed one"
-    )
     displacement_is: str = flag(
         "whether x, y[, z] of the file are new positions (default) or displacements",
         choices=("position", "displacement"),
@@ -150,15 +146,6 @@ class MotionFlags:
         default=(),
     )
     box: Path | Table | None = flag("a free-form deformation box, see below", **TABLE)
-    hicks_henne: Path | Table | None = flag(
-        "bumps of Hicks and Henne on an airfoil's sides, see below", **TABLE
-    )
-    cst: Path | Table | None = flag(
-        "class and shape functions to add to its sides, see below", **TABLE
-    )
-    lattice: Lattice | None = flag(
-        "the box's lattice for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts"
-    )
     scale: list[float] | None = flag("factor, or a factor for each coordinate", metavar="S")
     twist: Angle | None = flag(
         "degrees by which the end of the line --along turns about the line, 3-D only"
@@ -196,8 +183,6 @@ MOTIONS = (
     "displacement",
     "onto",
     "box",
-    "hicks_henne",
-    "cst",
 )
 """The fields of a group that move something."""
 
@@ -279,7 +264,12 @@ class Spoken:
 
 
 @dataclasses.dataclass(frozen=True)
-class Planned(Spoken):
+class Meshed(Spoken):
+    tags: Path | None = flag("an XDMF file of numbered facets of an XDMF mesh: its patches")
+
+
+@dataclasses.dataclass(frozen=True)
+class Planned(Meshed):
     file: MeshFile = positional(MESH, "IN")
     moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = part(BoundaryFlags)
@@ -287,7 +277,7 @@ class Planned(Spoken):
 
 
 @dataclasses.dataclass(frozen=True)
-class Deform(Spoken):
+class Deform(Meshed):
     file: MeshFile = positional(MESH, "IN")
     output: NewMesh = positional(
         "the new mesh, in the format of its ending; for a case a new folder, or CASE/TIME", "OUT"
@@ -297,9 +287,7 @@ class Deform(Spoken):
     )
     job: Path | None = flag("read the flags from a TOML file")
     save_job: Written | None = flag("write a TOML file with the flags of this run")
-    picture: Picture | None = flag(
-        "draw the mesh before and after: .png, in 3-D also a page (.html)", everyday=True
-    )
+    picture: Picture | None = flag("draw the mesh before and after: .png", everyday=True)
     zone: int | None = flag(ZONE)
     groups: tuple[MotionFlags, ...] = dataclasses.field(
         default=(), metadata={"fields": MotionFlags}
@@ -399,15 +387,13 @@ class SU2(Spoken):
     )
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
     zone: int | None = flag(ZONE)
-    picture: Picture | None = flag(
-        "def: draw the mesh before and after: .png, in 3-D also .html", everyday=True
-    )
+    picture: Picture | None = flag("def: draw the mesh before and after: .png", everyday=True)
     method: MethodFlags = part(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
 
 
 @dataclasses.dataclass(frozen=True)
-class Quality(Spoken):
+class Quality(Meshed):
     file: MeshFile = positional(MESH, "FILE")
     moved: MeshFile | None = positional("the same mesh, deformed", "FILE2", nargs="?")
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
@@ -417,13 +403,13 @@ class Quality(Spoken):
 
 
 @dataclasses.dataclass(frozen=True)
-class Info(Spoken):
+class Info(Meshed):
     file: MeshFile = positional(MESH, "FILE")
     picture: Picture | None = flag(BY_SKEWNESS, everyday=True)
 
 
 @dataclasses.dataclass(frozen=True)
-class Convert(Spoken):
+class Convert(Meshed):
     file: MeshFile = positional(MESH, "IN")
     output: NewMesh = positional("the same mesh, in the format of its ending", "OUT")
 

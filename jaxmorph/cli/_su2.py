@@ -7,7 +7,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io, shapes
-from jaxmorph.extend import quickly_compiled
+from jaxmorph.extend import quickly_compiled, wall_crossings
 from jaxmorph.integrations import su2
 
 from ._deform import SMALL
@@ -15,7 +15,7 @@ from ._early import check_apart
 from ._method import Patches, described
 from ._output import Output, count, steepest, title
 from ._requests import SU2
-from ._way import Way, check_picture, draw, faults, finish, say_verdict
+from ._way import Way, check_picture, draw, faults, finish, say_verdict, warn_of_size
 
 
 def run(request: SU2, out: Output) -> int:
@@ -69,7 +69,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
     output = request.output or config.output
     bad = []
     io.check_output(output, mesh)
-    check_picture(request.picture, mesh)
+    check_picture(request.picture)
     moved = mesh
     verdict = None
     if config.names:
@@ -81,10 +81,14 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
             out.say(f"symmetry {', '.join(config.symmetry)}", symmetry=list(config.symmetry))
         text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
         out.say(text, largest=config.largest, share=config.share)
+        warn_of_size(config.share, out)
         with out.progress(f"deforming in {count(config.steps, 'step')}"):
             moved = mesh.moved(
                 np.asarray(jm.march(plan, config.path.astype(plan.points.dtype))[1], float)
             )
+        with out.progress("inspecting the motion"):
+            if crossed := wall_crossings(plan, mesh, config.path, np.asarray(moved.points)):
+                out.warn(str(crossed))
         with out.progress("judging the cells"):
             verdict = Way(output, mesh, (np.asarray(moved.points),)).judge()
         say_verdict(verdict, out)
@@ -129,12 +133,13 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     for k in steepest(gradient):
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")
     out.say("", gradient=dict(zip(config.names, gradient.tolist(), strict=True)))
+    was_there = output.is_file()
     su2.write_gradient(
         output,
         gradient,
         config.options.text("OBJECTIVE_FUNCTION", "DRAG").split(",")[0].strip("() "),
     )
-    out.wrote(output)
+    out.wrote(output, was_there)
     return 0
 
 

@@ -17,6 +17,10 @@ from jaxmorph import Mesh, io
 from ._output import Output, wrapped
 from ._parser import flag_of
 
+SMALLEST = 1e-4
+LARGEST = 10.0
+"""Displacements over the length of what moves beyond which units are doubted."""
+
 PROVEN = "min_proven_margin"
 
 T = TypeVar("T")
@@ -101,12 +105,19 @@ def in_double(
     return points
 
 
-def check_picture(picture: Path | None, mesh: Mesh) -> None:
-    """Raises `ValueError` or `ImportError` for a picture that is sure to fail."""
+def warn_of_size(share: float, out: Output) -> None:
+    """Warns of a motion by a `share` of the length of what moves that looks like another unit."""
+    if 0 < share < SMALLEST or share > LARGEST:
+        out.warn(
+            f"the wall moves by {share:.3g} times the length of what moves: has the motion the "
+            "unit of the mesh (m or mm), and are angles in degrees?"
+        )
+
+
+def check_picture(picture: Path | None) -> None:
+    """Raises `ImportError` where an extra is missing."""
     if picture is not None:
-        if mesh.points.shape[1] == 2 and picture.suffix.lower() != ".png":
-            raise ValueError(f"--picture {picture}: a picture of this mesh ends in .png.")
-        from jaxmorph import plot  # noqa: F401  raises where an extra is missing
+        from jaxmorph import plot  # noqa: F401
 
 
 def draw(
@@ -145,9 +156,10 @@ def finish(
     """Writes a mesh where it is good or bad ones are allowed; returns the exit status."""
     if not is_kept(bad, allow_inverted, output, out):
         return 1
+    was_there = output.is_file()
     with out.progress(f"writing {output.name}"):
         write()
-    out.wrote(output)
+    out.wrote(output, was_there)
     return 1 if bad else 0
 
 
@@ -167,6 +179,8 @@ def say_verdict(
         after=verdict.facts,
         gates=verdict.gate_facts,
     )
+    if verdict.note:
+        out.say(f"{wrapped(verdict.note)}\n", folded_before=verdict.before.inverted)
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
         valid = verdict.cells - gate.beyond
         when = instants(is_straight, steps)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph.extend import lagrange_types, together
+from jaxmorph.extend import solid, together
 
 
 def check_comm(comm: Any) -> None:
@@ -16,17 +16,6 @@ def check_comm(comm: Any) -> None:
             "`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not a "
             f"{type(comm).__name__}."
         )
-
-
-def solid(mesh: jm.Mesh) -> dict[str, Any]:
-    """Selects the cells that fill the space, without boundary elements and empty types."""
-    cells = lagrange_types()
-    dimension = mesh.points.shape[1]
-    return {
-        kind: ids
-        for kind, ids in mesh.cells.items()
-        if cells[kind].dimension == dimension and len(ids)
-    }
 
 
 def faces_of(
@@ -42,7 +31,7 @@ def faces_of(
         return None
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
     # between them
-    marked = _marked(comm, solid(mesh.linear), nodes, is_shared)
+    marked = _marked(comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared)
     cells = {kind: ids[is_first] for kind, ids, is_first, _ in marked}
 
     def outer() -> dict[str, np.ndarray]:
@@ -139,7 +128,8 @@ def surface_of(
     # A node that several lists have belongs to the first: what moves, what is fixed, the rest.
     lists = [share[role] for role in range(3) for share in shares]
     role = np.repeat(np.repeat(np.arange(3), comm.size), [len(own) for own, _ in lists])
-    everyone, places = (np.concatenate([entry[k] for entry in lists]) for k in range(2))
+    everyone = np.concatenate([own for own, _ in lists])
+    places = np.concatenate([own for _, own in lists])
     names, first, back = np.unique(everyone, return_index=True, return_inverse=True)
     torn = everyone[(places != places[first][back]).any(axis=1)]
     if torn.size:
@@ -158,4 +148,4 @@ def surface_of(
 def _parallel(planes: Sequence[jm.Plane]) -> list[jm.Plane]:
     """Selects the planes that are not the only one of their direction."""
     cosines = np.abs([[plane.normal @ other.normal for other in planes] for plane in planes])
-    return [plane for plane, row in zip(planes, cosines, strict=True) if (row > 0.5).sum() > 1]
+    return [plane for plane, row in zip(planes, cosines, strict=True) if (row > 1 - 1e-9).sum() > 1]

@@ -43,7 +43,8 @@ class ShapeBuilder(Builder):
 
     def __init__(self, shape: Any, parameters: PyTree = None):
         super().__init__()
-        self.shape, self.parameters = shape, first_parameters(shape, parameters)
+        self.shape = shape
+        self.parameters = first_parameters(shape, parameters)
 
     def get_mesh_coordinate_subsystem(self, scenario_name=None) -> "Geometry":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
         return Geometry(shape=self.shape, parameters=self.parameters)
@@ -76,7 +77,9 @@ class VolumeBuilder(Builder):
             raise ValueError(
                 f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D."
             )
-        self.plan, self.mesh, self.raise_if_inverted = plan, mesh, raise_if_inverted
+        self.plan = plan
+        self.mesh = mesh
+        self.raise_if_inverted = raise_if_inverted
 
     def initialize(self, comm) -> None:
         if comm.size > 1:
@@ -119,7 +122,7 @@ class Geometry(TracedComponent):
         )
 
     def traced(self) -> Traced:
-        return eqx.Partial(_moved, self.options["shape"], self.options["parameters"])
+        return eqx.Partial(_move_wall, self.options["shape"], self.options["parameters"])
 
 
 class Volume(MovedMesh):
@@ -140,13 +143,13 @@ class Volume(MovedMesh):
         self.add_output("aero_vol_coords", points.ravel(), distributed=True, units="m", tags=tags)
 
     def traced(self) -> Traced:
-        return eqx.Partial(_deformed, self.options["plan"])
+        return eqx.Partial(_deform_volume, self.options["plan"])
 
 
-def _moved(shape: Any, parameters: PyTree, values: Values) -> Float[Array, " k"]:
+def _move_wall(shape: Any, parameters: PyTree, values: Values) -> Float[Array, " k"]:
     x = jnp.reshape(values[SURFACE.Geometry.COORDINATES_INPUT], (-1, 3))
     return shape(x, from_inputs(parameters, values)).ravel()
 
 
-def _deformed(plan: jm.Plan, values: Values) -> Float[Array, "n 3"]:
+def _deform_volume(plan: jm.Plan, values: Values) -> Float[Array, "n 3"]:
     return jm.deform(plan, jnp.reshape(values[SURFACE.COORDINATES], (-1, 3)) - plan.moving_points)

@@ -16,9 +16,7 @@ from jaxtyping import Array, ArrayLike, Float, PyTree
 
 import jaxmorph as jm
 from jaxmorph import shapes
-from jaxmorph.extend import warn
-
-from ._pieces import solid
+from jaxmorph.extend import solid, warn
 
 Values = dict[str, Any]
 Points = Float[Array, "n d"]
@@ -80,7 +78,7 @@ class TracedComponent(om.ExplicitComponent):
 
     def compute(self, inputs, outputs, discrete_inputs=None, discrete_outputs=None) -> None:
         (name,) = outputs.keys()
-        value = _value(self.traced(), _arrays(inputs))
+        value = _value(self.traced(), _as_arrays(inputs))
         outputs[name] = np.asarray(value).reshape(outputs[name].shape)
         self.judge(value)
 
@@ -92,14 +90,12 @@ class TracedComponent(om.ExplicitComponent):
     ) -> None:
         if not list(d_inputs.keys()) or not list(d_outputs.keys()):
             return
-        (name,), values = d_outputs.keys(), _arrays(inputs)
+        (name,) = d_outputs.keys()
+        values = _as_arrays(inputs)
         if mode == "fwd":
-            tangents = {key: np.zeros_like(value) for key, value in values.items()} | _arrays(
-                d_inputs
-            )
-            d_outputs[name] += np.asarray(_forward(self.traced(), values, tangents)).reshape(
-                d_outputs[name].shape
-            )
+            zeros = {key: np.zeros_like(value) for key, value in values.items()}
+            change = _forward(self.traced(), values, zeros | _as_arrays(d_inputs))
+            d_outputs[name] += np.asarray(change).reshape(d_outputs[name].shape)
         else:
             slopes = _reverse(self.traced(), values, np.array(d_outputs[name]))
             for key in d_inputs:
@@ -123,8 +119,9 @@ class MovedMesh(TracedComponent):
                 "raise_if_inverted=False."
             )
             return
-        judged = jm.Mesh(mesh.points, solid(mesh))
-        self._is_inverted = jax.jit(lambda points: jm.inverted(judged, points).any())
+        judged = jm.Mesh(mesh.points, solid(mesh.cells, mesh.points.shape[1]))
+        old = jm.quality(judged).is_inverted
+        self._is_inverted = jax.jit(lambda points: (jm.inverted(judged, points) & ~old).any())
 
     def judge(self, value: Array) -> None:
         """Raises `AnalysisError` where cells have inverted, or points are not finite."""
@@ -197,14 +194,10 @@ class ShapeDisplacement(TracedComponent):
     option_names = ("shape", "plan", "parameters", "positions", "flat", "units")
 
     def setup(self) -> None:
-        start = add_parameters(
-            self, first_parameters(self.options["shape"], self.options["parameters"])
-        )
-        self.add(
-            "positions" if self.options["positions"] else "displacements",
-            self.traced()(start),
-            self.add_output,
-        )
+        parameters = first_parameters(self.options["shape"], self.options["parameters"])
+        start = add_parameters(self, parameters)
+        name = "positions" if self.options["positions"] else "displacements"
+        self.add(name, self.traced()(start), self.add_output)
 
     def traced(self) -> Traced:
         shape, plan, given, positions = (
@@ -255,7 +248,7 @@ def _wall(shape: Any, plan: jm.Plan, parameters: PyTree, positions: bool, values
     return plan.moving_points + u if positions else u
 
 
-def _arrays(vector: Any) -> Values:
+def _as_arrays(vector: Any) -> Values:
     return {name: np.array(values) for name, values in vector.items()}
 
 

@@ -1,4 +1,4 @@
-"""Other libraries in a process of their own, which a damaged file may end: it ends nothing else."""
+"""VTK in a process of its own, which a damaged file may end: it ends nothing else."""
 
 import multiprocessing.spawn
 import os
@@ -13,8 +13,8 @@ UNPACKED = 200
 """Bytes of memory that any file may need, and that a byte of it may need."""
 
 
-def run_apart(task: str, path: Path, size: int, folder: str) -> bytes:
-    """Runs a task of `_apart_script.py` on a file of so many bytes, and returns what it prints.
+def run_apart(path: Path, size: int, folder: str) -> bytes:
+    """Runs `_apart_script.py` on a file of so many bytes, and returns what it prints.
 
     Raises `ValueError` for a process that ended by a signal, or with a message.
     """
@@ -25,7 +25,7 @@ def run_apart(task: str, path: Path, size: int, folder: str) -> bytes:
         "py" not in Path(python).name.lower()
     ):  # this process may be another program that has Python in it
         python = shutil.which("python3") or "python3"
-    words = [python, "-P", str(script), task, str(path.absolute()), folder, str(most)]
+    words = [python, "-P", str(script), str(path.absolute()), folder, str(most)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(
         words, capture_output=True, stdin=subprocess.DEVNULL, env=environment, check=False
@@ -37,6 +37,5 @@ def run_apart(task: str, path: Path, size: int, folder: str) -> bytes:
         )
     if done.returncode:
         why = done.stderr.decode(errors="replace").strip().split("\n")[-1]
-        reader = {"vtk": "VTK", "gmsh": "gmsh"}.get(task, "meshio")
-        raise ValueError(f"no mesh that {reader} reads, or a damaged one ({why[:300]}).")
+        raise ValueError(f"no mesh that VTK reads, or a damaged one ({why[:300]}).")
     return done.stdout

@@ -1,18 +1,12 @@
-"""Reads a file by another library, apart: `_apart_script.py TASK FILE FOLDER BYTES`.
+"""Reads a file by VTK, apart: `_apart_script.py FILE FOLDER BYTES`.
 
-Libraries trust what a file says of itself. A damaged file may end the process, or ask for any
-memory. So this script, which imports nothing of the package, reads the file within `BYTES` of
-memory, and puts into the folder what is read. Tasks are
-
-- `vtk`: each data set in VTK's XML, raw and uncompressed. One line of JSON is printed: the names of
-  the data sets, and what VTK said;
-- `gmsh`: `mesh.pickle`, points in the order of their numbers, for the elements of each entity its
-  dimension and number, gmsh's type, ids of nodes and groups, and names of groups;
-- a name of meshio's formats: `mesh.pickle`, meshio's mesh.
+VTK trusts what a file says of itself. A damaged file may end the process, or ask for any memory. So
+this script, which imports nothing of the package, reads the file within `BYTES` of memory, and puts
+each data set into the folder in VTK's XML, raw and uncompressed. One line of JSON is printed: the
+names of the data sets, and what VTK said.
 """
 
 import json
-import pickle
 import re
 import sys
 from collections.abc import Iterator
@@ -25,56 +19,15 @@ MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
 
 
-def main(task: str, file: str, folder: str, most: str) -> None:
-    if task == "vtk":
-        by_vtk(Path(file), Path(folder), int(most))
-        return
-    try:
-        found = by_gmsh(file, int(most)) if task == "gmsh" else by_meshio(task, file, int(most))
-    except (Exception, SystemExit) as error:  # libraries answer damage by a dozen classes
-        raise SystemExit(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}") from None
-    Path(folder, "mesh.pickle").write_bytes(pickle.dumps(found))
-
-
-def by_meshio(kind: str, file: str, most: int) -> Any:
-    import meshio
-
-    limit_memory(most)
-    return meshio.read(file, file_format=kind)
-
-
-def by_gmsh(file: str, most: int) -> tuple[Any, list[tuple], dict[tuple[int, int], str]]:
-    import gmsh
-    import numpy as np
-
-    limit_memory(most)
-    gmsh.initialize(argv=["gmsh", "-noenv"], readConfigFiles=False, interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.open(file)
-    mesh = gmsh.model.mesh
-    found = []
-    names = {}
-    tags, places, _ = map(np.asarray, mesh.getNodes())
-    # gmsh's tags of nodes have gaps and any order: node i is the one with the i-th smallest tag
-    order = np.argsort(tags)
-    for level, entity in gmsh.model.getEntities():
-        groups = [int(group) for group in gmsh.model.getPhysicalGroupsForEntity(level, entity)]
-        names |= {
-            (level, tag): gmsh.model.getPhysicalName(level, tag) or f"group_{tag}" for tag in groups
-        }
-        for number, _, nodes in zip(*mesh.getElements(level, entity), strict=True):
-            width = mesh.getElementProperties(number)[3]
-            ids = np.searchsorted(tags[order], nodes).reshape(-1, width)
-            found.append((level, entity, int(number), ids, groups))
-    return places.reshape(-1, 3)[order], found, names
-
-
-def by_vtk(path: Path, folder: Path, most: int) -> None:
+def main(file: str, where: str, most: str) -> None:
     from vtkmodules import vtkCommonCore
+
+    path = Path(file)
+    folder = Path(where)
 
     reader = vtk_reader(path, folder)
     names = []
-    limit_memory(most)
+    limit_memory(int(most))
     said = vtkCommonCore.vtkStringOutputWindow()
     vtkCommonCore.vtkOutputWindow.SetInstance(said)
     vtkCommonCore.vtkLogger.SetStderrVerbosity(vtkCommonCore.vtkLogger.VERBOSITY_OFF)
@@ -105,7 +58,9 @@ def limit_memory(most: int) -> None:
 def vtk_reader(path: Path, folder: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
-    if path.suffix.lower() != ".vtk":
+    with path.open("rb") as file:
+        is_xml = file.read(4096).lstrip().startswith(b"<")
+    if is_xml:
         reader = vtkIOXML.vtkXMLGenericDataObjectReader()
         reader.SetFileName(str(path))
         return reader

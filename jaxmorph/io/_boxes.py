@@ -191,7 +191,7 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
     **Raises:** `ValueError`, with file and line, for a section that is cut short.
     """
     source = source_of(mesh, NAME)
-    keywords = [] if source is None or b"FFD_NBOX" not in source.content.text else _keywords(source)
+    keywords = [] if source is None or b"FFD_NBOX" not in source.content.raw else _keywords(source)
     if "FFD_NBOX" not in [keyword.name for keyword in keywords]:
         return ()
     starts = [k for k, keyword in enumerate(keywords) if keyword.name == "FFD_TAG"]
@@ -222,14 +222,16 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
         )
     _check_new(new, mesh.points.shape[1])
     content, (start, stop) = source.content, _extent(source)
-    end = b"\r\n" if b"\r\n" in content.text[:1000] else b"\n"
+    end = b"\r\n" if b"\r\n" in content.raw[:1000] else b"\n"
     written = b"".join(line.encode() + end for line in _lines(new)) if new else b""
-    before = content.text[:start]
+    before = content.raw[:start]
     if written and before and not before.endswith(b"\n"):
         before += end
-    shift = len(before) + len(written) - stop if start < content.start else 0
-    text = before + written + content.text[stop:]
-    changed = content._replace(text=text, start=content.start + shift, stop=content.stop + shift)
+    (part,) = content.parts
+    shift = len(before) + len(written) - stop if start < part.start else 0
+    text = before + written + content.raw[stop:]
+    part = part._replace(start=part.start + shift, stop=part.stop + shift)
+    changed = dataclasses.replace(content, raw=text, parts=[part])
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
 
 
@@ -246,8 +248,8 @@ def _check_new(new: Sequence[Box], d: int) -> None:
 
 
 def _keywords(source: Source) -> list[Keyword]:
-    start = source.content.start
-    zones = by_zones(source.path, source.content.text)
+    start = source.content.parts[0].start
+    zones = by_zones(source.path, source.content.raw)
     return next(
         zone
         for zone in zones
@@ -263,7 +265,7 @@ def _extent(source: Source) -> tuple[int, int]:
     if not sections:
         end = keywords[-1].section.stop
         return end, end
-    return source.content.text.rfind(b"\n", 0, sections[0].start - 1) + 1, sections[-1].stop
+    return source.content.raw.rfind(b"\n", 0, sections[0].start - 1) + 1, sections[-1].stop
 
 
 def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:

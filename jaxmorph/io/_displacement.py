@@ -40,7 +40,8 @@ def read_displacement(
     .obj, or .npz of `points` and `triangles`, in 2-D `lines`). Each node takes the displacement of
     the closest place of `before`. Without `before` it goes by node id. The file is a table `id, x,
     y[, z]` (SU2's `surface_*.dat`, .csv), or .npz of `displacement` or `position` and `ids`
-    (default: in the order of `moving`).
+    (default: in the order of `moving`). Ids are rows of `mesh.points`, from 0, or the numbers that
+    a file of gmsh, Abaqus, I-deas, Exodus or MED gives the same nodes.
 
     **Arguments:**
 
@@ -71,8 +72,15 @@ def read_displacement(
             is_position = name == "position"
         else:
             ids, values = read_surface(path, d)
-        values = in_order(ids, values, d, numbers, (numbers, "the moving patches"))
+        known = (numbers, "the moving patches")
+        values = in_order(ids, values, d, numbers, known, labels_of(mesh, moving))
     return values - points[moving] if is_position else values
+
+
+def labels_of(mesh: Mesh, nodes: Int[ndarray, " m"]) -> ndarray | None:
+    """Returns the numbers that the mesh's file gives some nodes; None where it has no others."""
+    labels = getattr(mesh.source, "labels", None)
+    return labels[nodes] if np.size(labels) == len(mesh.points) else None
 
 
 @checked
@@ -307,10 +315,16 @@ def read_named(
 
 
 def in_order(
-    ids: ndarray, values: ndarray, d: int, wanted: Int[ndarray, " m"], known: tuple[ndarray, str]
+    ids: ndarray,
+    values: ndarray,
+    d: int,
+    wanted: Int[ndarray, " m"],
+    known: tuple[ndarray, str],
+    labels: ndarray | None = None,
 ) -> Float[ndarray, "m d"]:
     """Returns the values of the nodes `wanted` from a file's, in the order of its `ids`.
 
+    The ids count from 0. Or they are the mesh file's own numbers, the `labels` (m,) of `wanted`.
     Raises `ValueError` for values that are not finite or not (ids, d), for ids that are not among
     those `known`, with what these are called, and for missing ones.
     """
@@ -320,6 +334,11 @@ def in_order(
         )
     foreign = np.setdiff1d(ids, known[0])
     missing = np.setdiff1d(wanted, ids)
+    own = ""
+    if labels is not None:
+        if len(foreign) + len(missing) and np.array_equal(np.sort(ids), np.sort(labels)):
+            return values[rows_in(ids, labels)]
+        own = f", or are all of the mesh file's own, {labels.min()} to {labels.max()}"
     faults = [
         f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})"
         for x in foreign[:1]
@@ -328,7 +347,7 @@ def in_order(
         f"{missing.size} of the {len(wanted)} nodes are missing (first {x})" for x in missing[:1]
     ]
     if faults:
-        raise ValueError(f"{', and '.join(faults)}.")
+        raise ValueError(f"{', and '.join(faults)}. Ids count the nodes from 0{own}.")
     return values[rows_in(ids, wanted)]
 
 

@@ -85,7 +85,8 @@ def read(path: Path) -> Parts:
         ]
         patches += [patch for what, number in _SETS for patch in _sets(file, what, number, blocks)]
         notes = _notes(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
-        return of_tree(path, NAME, coordinates, grid, patches, notes)
+        labels = file["node_num_map"][()] if "node_num_map" in file else None
+        return of_tree(path, NAME, coordinates, grid, patches, notes, labels)
 
 
 def write(path: Path, mesh: MeshLike) -> None:
@@ -135,14 +136,11 @@ def _sides(kind: str, is_shell: bool) -> list[ndarray]:
     """Lists the nodes of each side in a cell; a shell has two faces before its edges."""
     cell = lagrange_types()[kind]
     shape = SHAPES[kind]
-    places = {
-        frozenset(face): nodes for face, (_, nodes) in zip(FACES[shape], cell.sides, strict=True)
-    }
     whole = np.arange(len(cell.lattice))
     if shape == "line":
         return [whole, whole]
     return [whole, whole] * is_shell + [
-        places[frozenset(corners)] for corners in _SIDES.get(shape, FACES[shape])
+        cell.side(corners) for corners in _SIDES.get(shape, FACES[shape])
     ]
 
 

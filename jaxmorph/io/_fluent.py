@@ -19,8 +19,9 @@ from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathe
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
 
-from ._format import FilePoints, Source
-from ._text import Pieces, Section, decoded, replaced
+from ._format import Source
+from ._places import CoordinatePart, PlacedPoints
+from ._text import Section, decoded
 
 NAME = "Fluent"
 INTERIOR = 2
@@ -77,26 +78,6 @@ class NodeSection(NamedTuple):
         return slice(self.first - 1, self.first - 1 + len(self.points))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FluentContent(FilePoints):
-    text: bytes
-    parts: list[NodeSection]
-
-    def moved(self, points: ndarray) -> Pieces:
-        done = 0
-        points = self.in_file(points)
-        for part in sorted(self.parts, key=lambda part: part.section.start):
-            values = points[part.rows].ravel()
-            start = part.section.start
-            stop = part.section.stop
-            if part.kind is None:
-                yield from replaced(self.text[done:stop], slice(start - done, stop - done), values)
-            else:
-                yield self.text[done:start] + values.astype(part.kind).tobytes()
-            done = stop
-        yield self.text[done:]
-
-
 @dataclasses.dataclass
 class _FluentText:
     """What sections say: counts by kind, nodes, faces behind their heads, and zones by number."""
@@ -149,7 +130,7 @@ class _FluentText:
             raise body.error(f"{len(values)} coordinates of nodes, {count} times {d} expected")
         return NodeSection(head[1], values.reshape(count, d).astype(float), body, kind)
 
-    def content(self, text: bytes) -> FluentContent:
+    def content(self, text: bytes) -> PlacedPoints:
         parts = sorted(self.nodes, key=lambda part: part.first)
         ends = np.cumsum([0, *(len(part.points) for part in parts)])
         if not parts or not self.faces or [part.rows.start for part in parts] != ends[:-1].tolist():
@@ -164,7 +145,11 @@ class _FluentText:
                 f"{found} nodes and faces, and {announced} announced: the file is cut short."
             )
         singles = [(part.rows, slice(None)) for part in parts if part.kind == "<f4"]
-        return FluentContent(points, text, parts, singles=singles)
+        places = [
+            CoordinatePart(part.section.start, part.section.stop, part.rows, dtype=part.kind)
+            for part in parts
+        ]
+        return PlacedPoints(points, text, places, singles=singles)
 
     def table(self) -> FaceTable:
         return FaceTable(

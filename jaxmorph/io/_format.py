@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import importlib
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -84,6 +85,7 @@ class Source:
     - `periodic`, `symmetry`, `kinds`: periodic pairs of patches, patches in symmetry planes, and
       the type of each patch.
     - `node_ids` (n,): numbers of the nodes in other files, None for 0, 1, 2, ...
+    - `labels` (n,): the file's own numbers of the nodes, None where they count from 0.
     - `in_file`: takes points (n, d) of the mesh to points (N, 3) of the file; None where a mesh has
       the nodes of its file.
     - `held`: the content, where the file does not keep all digits of the points, else None. Its
@@ -102,6 +104,7 @@ class Source:
     periodic: tuple[Periodic, ...] = ()
     between: ndarray | None = None
     node_ids: ndarray | None = None
+    labels: ndarray | None = None
     symmetry: tuple[str, ...] = ()
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
     file_nodes: ndarray | None = None
@@ -121,14 +124,13 @@ MeshLike = Mesh | Parts
 class Format(NamedTuple):
     """A format: its name, and the module of this package (or the codec) that reads and writes it.
 
-    `magic` are the first bytes of its files, for an ending that two formats share. The module, and
-    with it an extra, is imported at first use. It defines
+    `begins` is a pattern of the first bytes of its files, after blanks; None where any may come.
+    The module, and with it an extra, is imported at first use. It defines
 
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
     - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
       `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
       not at all. Without it, `moved(points)` of a source's content yields the bytes of a copy;
-    - or a class `Codec` of the format's name, for a module of several, with these methods;
     - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
       points. Without it the format takes back only meshes that came from it.
     """
@@ -137,21 +139,20 @@ class Format(NamedTuple):
     module: Any
     holds_arrays: bool = False
     is_folder: bool = False
-    magic: tuple[bytes, ...] = ()
+    begins: bytes | None = None
 
     @property
     def suffixes(self) -> tuple[str, ...]:
         return MESHES[self.name]
 
-    def rank(self, first: bytes) -> int:
-        """Returns 0 for a file that begins so, 2 for one that must not, 1 where any may."""
-        return 1 if not self.magic else 2 - 2 * first.startswith(self.magic)
+    def recognises(self, first: bytes) -> bool:
+        """Checks whether a file that begins so is one of the format, by its bytes alone."""
+        return self.begins is not None and re.match(self.begins, first, re.DOTALL) is not None
 
     def codec(self) -> Any:
         if not isinstance(self.module, str):
             return self.module
-        module = importlib.import_module(f"{__package__}.{self.module}")
-        return module.Codec(self.name) if hasattr(module, "Codec") else module
+        return importlib.import_module(f"{__package__}.{self.module}")
 
 
 def source_of(mesh: MeshLike, format_name: str) -> Source | None:
@@ -187,6 +188,16 @@ def own_source(mesh: MeshLike, format_name: str) -> Source:
             f"{source.path} has changed since the mesh was read from it; read it again."
         )
     return source
+
+
+def check_form(path: Path, mesh: MeshLike, name: str, form_of: Callable[[Path], str]) -> None:
+    """Refuses a path by whose name numbers are written otherwise than in the file that was read."""
+    own = own_source(mesh, name).path
+    if form_of(path) != form_of(own):
+        raise ValueError(
+            f"only a mesh that was read from a file of this form can be written to one; end it as "
+            f"{own.name} ends, or write .vtu or .msh."
+        )
 
 
 @contextlib.contextmanager

@@ -1,7 +1,9 @@
 """gmsh's .msh, versions 1, 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
 
 import codecs
-import dataclasses
+import collections
+import contextlib
+import itertools
 import pathlib
 import re
 from collections.abc import Iterator
@@ -9,13 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from ._format import FilePoints, MeshLike, Source, content_of, faults_of, of_grid, patch_faces
-from ._text import Section, decoded, replaced
+from ._format import MeshLike, Source, content_of, faults_of, of_grid, patch_faces
+from ._places import Labels, Stream
+from ._text import Section, blanked, decoded
 
 NAME = "gmsh"
 NODES = ("Nodes", "ParametricNodes", "NOD")
@@ -65,7 +69,7 @@ NUMBERS = {kind: number for number, kind in TYPES.items()}
 ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 
-_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"|(\S+))\s*')
+_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"(?:\s[^"]*)?|(\S+))\s*')
 _VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
 _COMMENTS = re.compile(
     rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE
@@ -91,6 +95,11 @@ class MeshFormat(NamedTuple):
     size: int = 8
     has_levels: bool = True
 
+    def stream(self, section: Section, dtype: type) -> Stream:
+        kinds = {"i": "i4", "n": f"u{self.size}", "d": "f8"}
+        types = {letter: self.order + kind for letter, kind in kinds.items()}
+        return Stream(section, None if self.is_text else types, dtype, self.version)
+
 
 class ElementBlock(NamedTuple):
     """Elements of one type: node tags (k, corners), and the rows of each physical group."""
@@ -100,57 +109,33 @@ class ElementBlock(NamedTuple):
     groups: dict[int, Any]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class GmshPoints(FilePoints):
-    """A file's points, its section of nodes, the place of each node's x (`Stream`), and its tag."""
-
-    section: Section
-    form: MeshFormat
-    places: np.ndarray
-    tags: np.ndarray
-
-    def moved(self, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
-        data = self.section.text
-        if self.form.is_text:
-            words = (self.places[:, None] // 8 + np.arange(3)).ravel()
-            return replaced(
-                data, slice(self.section.start, self.section.stop), points.ravel(), at=words
-            )
-        copy = bytearray(data)
-        triples(copy)[self.places] = points.astype(f"{self.form.order}f8").view("V24").ravel()
-        return iter([copy])
-
-
-def triples(data: Any) -> np.ndarray:
-    """Views 24 bytes, three doubles, at every byte where they may begin, as one element each."""
-    return np.ndarray((max(memoryview(data).nbytes - 23, 0),), "V24", data, strides=(1,))
-
-
 class _Found:
     def __init__(self, form: MeshFormat):
-        self.form, self.content = form, None
+        self.form, self.content, self.labels = form, None, None
         self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
+        self.links: list[tuple[int, np.ndarray]] = []
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
             self.names = physical_names(section, self.form)
         elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
-            self.groups |= entities(Stream(section, self.form, np.float64), name != "Entities")
+            self.groups |= entities(self.form.stream(section, np.float64), name != "Entities")
         elif name in NODES:
             if self.content is not None:
                 raise ValueError(
                     "a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh "
                     "is 0"
                 )
-            stream = Stream(section, self.form, np.float64)
+            stream = self.form.stream(section, np.float64)
             tags, places = nodes(stream, name == "ParametricNodes")
-            points = (
-                triples(stream.data)[places].view(stream.types["d"]).reshape(-1, 3).astype(float)
-            )
-            self.content = GmshPoints(points, section, self.form, places, tags)
+            self.content = stream.content(places)
+            self.labels = Labels(tags, "nodes") if len(tags) else None
         elif name in ELEMENTS:
-            self.blocks = elements(Stream(section, self.form, np.int64), self.groups)
+            self.blocks = elements(self.form.stream(section, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
+            if name == "Periodic":
+                with contextlib.suppress(ValueError):
+                    self.links = list(links(section, self.form))
             self.others[f"${name[:40]}"] = None
 
 
@@ -173,17 +158,58 @@ def read(path: pathlib.Path) -> Parts:
                 f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error})."
             ) from error
     content = found.content
-    if content is None or not len(content.tags) or not found.blocks:
+    labels = found.labels
+    if content is None or labels is None or not found.blocks:
         raise ValueError(
             f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them."
         )
     with faults_of(path):
-        blocks = _numbered(found.blocks, content.tags)
+        blocks = [
+            block._replace(corners=labels.find(block.corners, f"a {block.kind}"))
+            for block in found.blocks
+        ]
     grid, patches, notes = grid_of(content.points, blocks, found.names)
-    notes += (f"sections {', '.join(found.others)} are not read, and stay in the file.",) * bool(
-        found.others
-    )
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known), patches)
+    top = max(DIMENSION.get(kind, 0) for kind, _ in grid.blocks)
+    sides = [pairs for level, pairs in found.links if level == top - 1]
+    periodic = tuple(_periodic(sides, labels.numbers, patches))
+    unread = [name for name in found.others if name != "$Periodic" or not periodic]
+    if unread:
+        notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
+    known = content.known | {"labels": labels.numbers, "periodic": periodic}
+    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **known), patches)
+
+
+def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, np.ndarray]]:
+    """Yields the dimension of each periodic pair of entities, and tags (k, 2): node, its origin."""
+    if form.version <= 4:  # of the transform there are words
+        text = blanked(section.content, rb"(?m)^[ \t]*Affine[^\n]*")
+        section = section._replace(text=text, start=0, stop=len(text))
+    # before version 4 the section is text in a binary file, too
+    form = form._replace(is_text=form.is_text or form.version < 4)
+    stream = form.stream(section, np.float64)
+    for _ in range(stream.one("n")):
+        level = int(stream.take("i", 3)[0])
+        if form.version > 4:
+            stream.skip(stream.one("n"), "d")
+        yield level, stream.take("n", 2 * stream.one("n")).reshape(-1, 2)
+    stream.end()
+
+
+def _periodic(
+    sides: list[np.ndarray], tags: np.ndarray, patches: list[Patch]
+) -> Iterator[Periodic]:
+    """Yields pairs of patches: for each pair of entities the smallest patches that hold them."""
+    names = collections.Counter(patch.name for patch in patches)
+    own = sorted((p for p in patches if names[p.name] == 1), key=lambda patch: len(patch.nodes))
+    pairs = {}
+    for side in sides:
+        found = [
+            next((patch.name for patch in own if np.isin(nodes, tags[patch.nodes]).all()), None)
+            for nodes in side.T
+        ]
+        if None not in found and found[0] != found[1]:
+            pairs[found[1], found[0]] = None
+    return itertools.starmap(Periodic, pairs)
 
 
 def grid_of(
@@ -278,88 +304,6 @@ def physical_names(section: Section, form: MeshFormat) -> Names:
     return names
 
 
-def _numbered(blocks: list[ElementBlock], tags: np.ndarray) -> list[ElementBlock]:
-    """Replaces the tags of nodes by their places: by a table, by a search if tags are sparse."""
-    # Either way a tag that is none gives some place, so the tag at the place is compared.
-    least = int(tags.min())
-    most = int(tags.max())
-    is_dense = most - least <= 10 * len(tags)
-    order = np.argsort(tags)
-    table = np.zeros(most - least + 1 if is_dense else 0, np.int64)
-    if is_dense:
-        table[tags - least] = np.arange(len(tags))
-    numbered = []
-    for block in blocks:
-        corners = np.clip(block.corners, least, most)
-        ids = (
-            table[corners - least]
-            if is_dense
-            else order[np.searchsorted(tags, corners, sorter=order)]
-        )
-        wrong = block.corners[tags[ids] != block.corners]
-        if len(wrong):
-            raise ValueError(
-                f"a {block.kind} between nodes of which {wrong[0]} is none of the {len(tags)} in "
-                "$Nodes."
-            )
-        numbered.append(block._replace(corners=ids))
-    return numbered
-
-
-class Stream:
-    """Goes through a section's numbers; those of a text are taken as bytes of `dtype`."""
-
-    def __init__(self, section: Section, form: MeshFormat, dtype: type):
-        self.section, self.version, self.rows = section, form.version, None
-        self.data, self.at, self.stop = section.text, section.start, section.stop
-        kinds = {"i": "i4", "n": f"u{form.size}", "d": "f8"}
-        self.types = {key: np.dtype(form.order + kind) for key, kind in kinds.items()}
-        if form.is_text:
-            self.rows = section.rows(dtype)
-            self.data, self.at, self.stop = self.rows.values, 0, self.rows.values.nbytes
-            self.types = dict.fromkeys(kinds, np.dtype(dtype))
-
-    def width(self, kinds: str) -> int:
-        return sum(self.types[kind].itemsize for kind in kinds)
-
-    def skip(self, count: int, kinds: str) -> int:
-        """Goes over records of numbers of some kinds; returns where they begin."""
-        start = self.at
-        size = count * self.width(kinds)
-        if count < 0 or size > self.stop - start:
-            raise ValueError(f"the section ends before the {count} entries that it announces")
-        self.at += size
-        return start
-
-    def take(self, kind: str, count: int, records: str = "") -> np.ndarray:
-        """Reads whole numbers, the first of each of the `records`, or side by side."""
-        dtype = self.types[kind]
-        start = self.skip(count, records or kind)
-        values = np.ndarray((count,), dtype, self.data, start, (self.width(records or kind),))
-        if (
-            dtype.kind == "f"
-            and not ((values == np.floor(values)) & (np.abs(values) < 2.0**53)).all()
-        ):
-            raise ValueError("a number that is not whole where a tag or a count is expected")
-        return values.astype(np.int64)
-
-    def one(self, kind: str) -> int:
-        return int(self.take(kind, 1)[0])
-
-    def announced(self) -> int:
-        if self.rows is not None:
-            return self.one("n")
-        start = self.at
-        self.at = self.section.text.index(b"\n", self.at, self.stop) + 1
-        return int(self.section.text[start : self.at])
-
-    def end(self) -> None:
-        """Raises `ValueError` where there is more: a binary section ends by one line end."""
-        rest = self.section.text[self.at : self.stop]
-        if self.at != self.stop if self.rows is not None else rest.strip() or not rest:
-            raise ValueError("there is more, or less, than the section announces")
-
-
 def entities(stream: Stream, is_partitioned: bool) -> Groups:
     """Reads the physical groups of entities, or of the pieces into which a partition cuts them."""
     groups: Groups = {}
@@ -398,8 +342,6 @@ def nodes(stream: Stream, is_parametric: bool) -> Nodes:
     )
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
-    if (np.diff(tags) <= 0).any() and (again := total - len(np.unique(tags))):
-        raise ValueError(f"{again} tags of nodes come a second time")
     return tags, places
 
 
@@ -518,18 +460,22 @@ def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
 def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c), of the blocks of version 2, binary."""
     left = stream.announced()
+    numbers = []
     while left > 0:
         number, count, tags = stream.take("i", 3).tolist()
         if count < 0 or tags < 0:
             raise ValueError(f"{count} elements with {tags} tags")
         kind, corners = _kind(number)
         rows = stream.take("i", count * (1 + tags + corners)).reshape(count, 1 + tags + corners)
+        numbers.append(rows[:, 0])
         padded = np.pad(rows[:, 1 : 1 + tags], ((0, 0), (0, 2)))
         yield kind, np.concatenate([padded[:, :2], rows[:, 1 + tags :]], axis=1)
         left -= count
     stream.end()
     if left:
         raise ValueError("more elements than announced")
+    if numbers:  # bytes that were put in or lost are mostly seen by a number that comes twice
+        Labels(np.concatenate(numbers), "elements")
 
 
 def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
@@ -570,11 +516,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2."""
     content = content_of(mesh, NAME)
     with path.open("wb") as file:
-        file.writelines(
-            _new(mesh)
-            if content is None
-            else content.moved(content.in_file(np.asarray(mesh.points)))
-        )
+        file.writelines(_new(mesh) if content is None else content.moved(np.asarray(mesh.points)))
 
 
 def _new(mesh: MeshLike) -> Iterator[bytes]:

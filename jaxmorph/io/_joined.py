@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy import spatial
 
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
+from .._host.package.rounding import Tree
 from ._format import FilePoints
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
@@ -77,7 +77,7 @@ def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     if not len(nodes):
         return np.arange(n)
     count = min(COPIES, len(nodes))
-    neighbours = spatial.KDTree(points[nodes]).query(points[nodes], k=count)
+    neighbours = Tree(points[nodes]).query(points[nodes], k=count)
     distance, nearest = (np.asarray(values).reshape(len(nodes), count) for values in neighbours)
     limit = TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
     row, column = np.nonzero(distance <= limit)

@@ -57,7 +57,8 @@ def read(path: Path) -> Parts:
         grid = Grid(
             points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes")
         )
-        return of_tree(path, NAME, coordinates, grid)
+        labels = step["NOE"]["NUM"][()] if "NUM" in step["NOE"] else None
+        return of_tree(path, NAME, coordinates, grid, labels=labels)
 
 
 def write(path: Path, mesh: MeshLike) -> None:

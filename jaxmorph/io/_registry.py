@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,43 +25,99 @@ from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 from ._format import Format, Source, faults_of, own_source, source_of, warn_of_loss
 from ._text import PathLike
 
+XML = rb"(?:<\?xml.{0,200}?\?>\s*)?(?:<!(?:--.*?--|DOCTYPE[^<\[>]*(?:\[.*?\]\s*)?)>\s*)*"
+"""What comes before the first element of a file in XML."""
+HDF = rb"\x89HDF"
+
 FORMATS = (
-    Format("SU2", "_su2"),
-    Format("VTK", "_vtk", holds_arrays=True),
-    Format("gmsh", "_gmsh"),
-    Format("Fluent", "_fluent", magic=(b"(",)),
-    Format("Fluent HDF5", "_fluent_h5"),
-    Format("CGNS", "cgns.file"),
-    Format("MFEM", "_mfem"),
-    Format("MED", "_med"),
-    Format("Exodus", "_exodus", magic=(b"CDF", b"\x89HDF")),
+    Format("SU2", "_su2", begins=rb"(?:%[^\n]*\s+)*(?:NDIME|NZONE|IZONE|NELEM|NPOIN|NMARK)\s*="),
+    Format("VTK", "_vtk", holds_arrays=True, begins=rb"# vtk DataFile|" + XML + rb"<VTKFile\b"),
+    Format("gmsh", "_gmsh", begins=rb"\$(?:MeshFormat|NOD|Comments)\b"),
+    Format("Fluent", "_fluent", begins=rb"\(\s*\d+\s"),
+    Format("Fluent HDF5", "_fluent_h5", begins=HDF),
+    Format("CGNS", "cgns.file", begins=HDF + rb"|.{4}ADF Database"),
+    Format("MFEM", "_mfem", begins=rb"MFEM "),
+    Format("MED", "_med", begins=HDF),
+    Format("Exodus", "_exodus", begins=HDF + rb"|CDF[\1\2\5]"),
     Format("PLOT3D", "_plot3d"),
-    Format("Medit", "_others", magic=(b"MeshVersion", b"#")),
-    Format("Abaqus", "_others", magic=(b"*",)),
-    *(Format(name, "_others") for name in ("I-deas", "Nastran", "XDMF", "AFLR", "Netgen")),
+    Format("Medit", "_medit", begins=rb"(?:#[^\n]*\s+)*MeshVersion|\x01\0\0\0|\0\0\0\x01"),
+    Format("Abaqus", "_abaqus", begins=rb"\*"),
+    Format("I-deas", "_ideas", begins=rb"-1\s*\n\s*\d+\s*\n"),
+    Format("AFLR", "_aflr"),
+    Format("XDMF", "_xdmf", begins=XML + rb"<Xdmf\b"),
     Format("OpenFOAM", "openfoam.case", is_folder=True),
 )
+"""The formats; their order means nothing."""
+FOREIGN = {
+    "a UCD file of AVS; deal.II writes .msh too, and ParaView .vtu": (
+        rb"(?:#[^\n]*\s+)*\d+(?:[ \t]+\d+){4}\s*\n"
+    ),
+    "a mesh of FreeFem; its savegmsh writes .msh": (
+        rb"\d+[ \t]+\d+[ \t]+\d+[ \t\r]*\n\s*\S+[ \t]+\S+[ \t]+\d+\s*\n"
+    ),
+    "a mesh of GiD; a calculation's export to .med, .msh or .cgns keeps its groups": (
+        rb"(?:#[^\n]*\s+)*(?i:mesh)\b[^\n]*\b(?i:dimension)\b"
+    ),
+}
+"""What files are that begin so, and that no format reads."""
+HEAD = 4096
 
 
-def format_of(path: Path, source: object = None) -> Format:
-    """Finds the format of a file by its ending; a folder is an OpenFOAM case.
+def format_of(path: Path) -> Format:
+    """Finds the format of a file to read by its first bytes, then by its ending.
 
-    Where two formats share an ending, the format of `source` (of a mesh to be written) or the
-    file's first bytes decide. Raises `ValueError`, with the known endings, for another one.
+    A folder is an OpenFOAM case. Of the formats of the ending one that the bytes are of comes
+    first, then one that may begin by any, then another format. Raises `ValueError` for a kind that
+    is not read, and for an unknown ending with the known ones.
     """
-    if is_folder(path):  # it raises for unknown endings
-        return FORMATS[-1]
-    found = [candidate for candidate in FORMATS if ending(path) in candidate.suffixes]
-    if not found:
-        point = plugin(path)
-        return Format(point.name, _Plugin(point.name, point.load()))
+    found = _of_ending(path)
+    if not path.is_file():
+        return _by_name(path, found)
+    with path.open("rb") as file:
+        first = file.read(HEAD).removeprefix(b"\xef\xbb\xbf").lstrip()
+    told = [candidate for candidate in FORMATS if candidate.recognises(first)]
+    near = [candidate for candidate in found if candidate in told or candidate.begins is None]
+    if near:
+        return min(near, key=lambda candidate: candidate not in told)
+    if len(told) == 1:
+        return told[0]
+    if told and not found:
+        kinds = ", ".join(f"{each.name} ({each.suffixes[0]})" for each in told)
+        raise ValueError(f"{path}: by its first bytes this may be {kinds}: give it that ending.")
+    for what, begins in FOREIGN.items():
+        if re.match(begins, first):
+            raise ValueError(f"{path}: by its first bytes this is {what}.")
+    return _by_name(path, found)
+
+
+def format_to_write(path: Path, source: object) -> Format:
+    """Finds the format of a file to write by its ending, and by the source of the mesh.
+
+    That is the format of the source for its own ending, and for one that it shares. Raises
+    `ValueError`, with the known endings, for another one.
+    """
+    found = _of_ending(path)
     if isinstance(source, Source):
-        return min(found, key=lambda candidate: candidate.name != source.format)
-    first = b"\0"
-    if path.is_file():
-        with path.open("rb") as file:
-            first = file.read(64).lstrip()
-    return min(found, key=lambda candidate: candidate.rank(first))
+        is_like = ending(path) == ending(source.path)
+        candidates = FORMATS if is_like else found
+        own = [candidate for candidate in candidates if candidate.name == source.format]
+        found = own or found
+    return _by_name(path, found)
+
+
+def _of_ending(path: Path) -> list[Format]:
+    """Lists the formats of an ending, the one first of whose endings it comes first."""
+    found = [candidate for candidate in FORMATS if ending(path) in candidate.suffixes]
+    return sorted(found, key=lambda each: (each.suffixes.index(ending(path)), each.name))
+
+
+def _by_name(path: Path, found: Sequence[Format]) -> Format:
+    if found:
+        return found[0]
+    if is_folder(path):  # it raises for unknown endings
+        return next(candidate for candidate in FORMATS if candidate.is_folder)
+    point = plugin(path)
+    return Format(point.name, _Plugin(point.name, point.load()))
 
 
 class _Plugin(NamedTuple):
@@ -121,32 +178,38 @@ def check_nodes(path: Path, mesh: Parts) -> None:
 
 
 @checked
-def read(path: PathLike) -> Mesh:
+def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
     Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), Fluent (.msh,
     .cas, .cas.h5), CGNS (.cgns), MFEM (.mesh), MED (.med). Others are Exodus (.e, .exo, .ex2,
-    .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt). By meshio come Medit
-    (.mesh, .meshb), Abaqus (.inp), XDMF (.xdmf), AFLR (.ugrid) and Netgen (.vol), by gmsh I-deas
-    (.unv) and Nastran (.bdf). Any may end in .gz. For an OpenFOAM case `path` is its folder or a
-    time folder. I-deas and Nastran need the extra `cases`, others `io`. SU2, gmsh, Fluent's text,
-    MFEM, PLOT3D and OpenFOAM need none.
+    .exoii, .g), PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt), Medit (.mesh, .meshb), Abaqus
+    and CalculiX (.inp), XDMF (.xdmf, .xmf), I-deas (.unv) and AFLR (.ugrid). Any may end in .gz.
+    For an OpenFOAM case `path` is its folder or a time folder. VTK, XDMF, CGNS, MED, Exodus and
+    .cas.h5 need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
 
     - SU2's markers, gmsh's physical groups, Fluent's zones of faces, CGNS's families or boundary
       conditions, MED's groups, OpenFOAM's patches, VTK's point arrays called `patch:NAME`;
-    - sets of Abaqus, groups of I-deas, names of Netgen, references and numbers of others,
-      `medit:ref_3`;
+    - sets and surfaces of Abaqus, groups of I-deas, references of Medit, `medit:ref_3`, and numbers
+      of AFLR's surfaces, `ugrid:ref_3`;
     - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
     - Exodus's side sets and node sets, and its blocks of lower dimension;
     - the sides of PLOT3D's blocks, or patches from a file beside the grid, with its name and the
       ending `.patches`. Its lines are `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
+    - XDMF's numbers of facets, `facet_tags_3`, in the same file or in `tags`;
     - the one patch `boundary` for a file that names none.
 
     Of two patches with one name but different nodes, the second gets a suffix, `wall_nodes_20`.
     `mesh.source.notes` lists these, and what the mesh leaves out of the file.
+
+    **Arguments:**
+
+    - `path`: the file or folder.
+    - `tags`: an XDMF file of numbered facets of an XDMF mesh, as FEniCS has them. Their corners
+      are nodes of the mesh, by place. Default: none.
 
     **Returns:** a `Mesh` with its source, so that `write` can give the file back with other
     coordinates.
@@ -158,7 +221,7 @@ def read(path: PathLike) -> Mesh:
     with files.unpacked(path) as file:
         try:
             with faults_of(file):
-                mesh = format_of(file).codec().read(file)
+                mesh = _read(file, tags)
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
@@ -181,6 +244,15 @@ def read(path: PathLike) -> Mesh:
     return Mesh(*mesh._replace(source=source))
 
 
+def _read(file: Path, tags: PathLike | None) -> Parts:
+    chosen = format_of(file)
+    if tags is None:
+        return chosen.codec().read(file)
+    if chosen.name != "XDMF":
+        raise ValueError(f"`tags` are for XDMF; patches of {chosen.name} are in the file itself.")
+    return chosen.codec().read(file, files.input_path(tags))
+
+
 @checked
 def write(
     path: PathLike,
@@ -196,7 +268,7 @@ def write(
     except for rounding to single precision (`as_written`), and round-off in MFEM's files of order 3
     and 4. Other meshes, and other formats, get points, cells and patches. SU2 and gmsh express a
     patch by the boundary faces between its nodes. Other formats take back only meshes that came
-    from them, Nastran none. A file that ends in .gz is packed.
+    from them. A file that ends in .gz is packed.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
     `polyMesh/points`), or into a new folder. That is a copy of the case's `constant`, `system`, `0`
@@ -250,7 +322,7 @@ def as_written(path: PathLike, mesh: Mesh) -> Float[ndarray, "n d"]:
 
     **Warns:** where rounding takes more than a tenth of the motion, or of an edge of a cell.
     """
-    chosen = format_of(Path(path), mesh.source)
+    chosen = format_to_write(Path(path), mesh.source)
     path = files.output_path(path, folder=chosen.is_folder)
     points = np.asarray(mesh.points)
     source = source_of(mesh, chosen.name)
@@ -277,7 +349,7 @@ def check_output(path: PathLike, mesh: Mesh) -> bool:
 
 def _checked(name: PathLike, mesh: Mesh) -> Format:
     source = mesh.source
-    chosen = format_of(Path(name), mesh.source)
+    chosen = format_to_write(Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
@@ -324,7 +396,7 @@ def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
 
 @checked
 def periodic(mesh: Mesh) -> tuple[Periodic, ...]:
-    """Lists a file's periodic patches: OpenFOAM's `cyclic`, CGNS's periodic interfaces.
+    """Lists a file's periodic patches: of OpenFOAM `cyclic`, of CGNS interfaces, of gmsh groups.
 
     **Arguments:**
 

@@ -17,7 +17,7 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
-from ._displacement import in_order, read_named, read_table
+from ._displacement import in_order, labels_of, read_named, read_table
 from ._format import faults_of, source_of
 from ._text import PathLike
 from .openfoam.case import NAME
@@ -36,7 +36,8 @@ def read_sensitivity(
 
     - a table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`]: SU2's
       volume sensitivities and adjoint restarts, .csv or .dat, in text or binary;
-    - a table of rows of node id and as many numbers as the mesh has dimensions, in any order;
+    - a table of rows of node id and as many numbers as the mesh has dimensions, in any order, by
+      the ids that `read_displacement` takes;
     - .npz of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes;
     - for a mesh from an OpenFOAM case, a field of vectors at its points, `pointSensVec...` of
       `adjointOptimisationFoam`. It is zero off the walls, and must not be divided by areas
@@ -67,7 +68,8 @@ def read_sensitivity(
         else:
             ids, values = read_table(path, d, NAMES)
         wanted = np.arange(n) if moving is None or len(ids) >= n else moving
-        return in_order(ids, values, d, wanted, (np.arange(n), f"the mesh, 0 to {n - 1}"))
+        known = (np.arange(n), f"the mesh, 0 to {n - 1}")
+        return in_order(ids, values, d, wanted, known, labels_of(mesh, wanted))
 
 
 @checked

@@ -1,6 +1,7 @@
 """SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File)."""
 
 import collections
+import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,8 +18,9 @@ from jaxmorph._host.package.files import complete, input_path
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from ._format import Arrays, MeshLike, Source, faults_of, patch_faces, source_of
+from ._places import CoordinatePart, PlacedPoints
 from ._registry import check_nodes, check_output
-from ._text import PathLike, Pieces, Section, blank_comments, decoded, replaced
+from ._text import PathLike, Pieces, Section, blank_comments, decoded
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -46,23 +48,6 @@ class Keyword(NamedTuple):
                 f"{self.name}= must be followed by a whole number, found {self.value[:40]!r}."
             )
         return int(words[0])
-
-
-class SU2Content(NamedTuple):
-    """A file's text, and where its coordinates are: rows (n, width) of d and indices."""
-
-    text: bytes
-    start: int
-    stop: int
-    shape: tuple[int, int]
-    width: int
-
-    def moved(self, points: ndarray) -> Pieces:
-        n, d = self.shape
-        places = (self.width * np.arange(n)[:, None] + np.arange(d)).ravel()
-        return replaced(
-            self.text, slice(self.start, self.stop), points.ravel(), at=places, plain=blank_comments
-        )
 
 
 def read(path: Path) -> Parts:
@@ -125,7 +110,9 @@ def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
             "NELEM= holds elements of type 1 (a single node); these are no cells."
         )
     cells = {TYPES[number]: corners for number, corners in tables.items()}
-    content = SU2Content(text, section.start, section.stop, points.shape, table.shape[1])
+    at = (table.shape[1] * np.arange(len(points))[:, None] + np.arange(d)).ravel()
+    part = CoordinatePart(section.start, section.stop, at=at)
+    content = PlacedPoints(points.copy(), text, [part], blank_comments)
     patches = _markers(keywords, len(points))
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
@@ -166,10 +153,10 @@ def write(path: Path, mesh: MeshLike) -> None:
     """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
     source = source_of(mesh, NAME)
     points = np.asarray(mesh.points)
-    if source is not None and points.shape != source.content.shape:
+    if source is not None and points.shape != source.content.points.shape:
         raise ValueError(
             f"the mesh has points of shape {points.shape}; {source.path} has "
-            f"{source.content.shape}."
+            f"{source.content.points.shape}."
         )
     with path.open("wb") as file:
         file.writelines(_new_text(mesh) if source is None else source.content.moved(points))
@@ -341,16 +328,16 @@ def write_zones(path: PathLike, meshes: Sequence[Mesh]) -> None:
         zones.append((source.content, mesh))
     if Path(path).suffix.lower() != ".su2" or not zones:
         raise ValueError(f"{path}: {WANTED}")
-    text = zones[0][0].text
-    if any(content.text is not text for content, _ in zones):
+    text = zones[0][0].raw
+    if any(content.raw is not text for content, _ in zones):
         raise ValueError(
             f"{path}: `meshes` are not of one reading of one file: read its zones together, "
             "io.read_zones."
         )
-    if len({content.start for content, _ in zones}) < len(zones):
+    if len({content.parts[0].start for content, _ in zones}) < len(zones):
         raise ValueError(f"{path}: one zone is twice in `meshes`.")
     # from the last zone to the first, so that places of earlier zones stay
-    for content, mesh in sorted(zones, key=lambda zone: -zone[0].start):
-        text = b"".join(content._replace(text=text).moved(np.asarray(mesh.points)))
+    for content, mesh in sorted(zones, key=lambda zone: -zone[0].parts[0].start):
+        text = b"".join(dataclasses.replace(content, raw=text).moved(np.asarray(mesh.points)))
     with complete(Path(path)) as partial:
         partial.write_bytes(text)

@@ -236,12 +236,15 @@ def replaced(
     *,
     at: ndarray | None = None,
     plain: Callable[[bytes], bytes] = bytes,
+    form: Callable[[ndarray], bytes] = lines,
+    columns: int = 0,
 ) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
 
     `at` are the places of these numbers among all words of the part, ascending; None for all words.
     `plain` turns what stands between numbers into blanks, byte for byte. An unchanged number keeps
-    its digits; a changed one gets the shortest that read back bit for bit.
+    its digits; changed ones are written by `form`, one a line: by default the shortest digits that
+    read back bit for bit. A number takes at least so many `columns`, to the end of the old one.
     """
     words = 0
     done = 0
@@ -254,12 +257,9 @@ def replaced(
             chosen = at[slice(*np.searchsorted(at, (words, words + len(starts))))] - words
         new = values[done : done + len(chosen)]
         changed = np.flatnonzero(new != parse(numbers, np.float64)[chosen].astype(new.dtype))
-        places = chosen[changed]
-        yield (
-            spliced(chunk, starts[places], ends[places], lines(new[changed]))
-            if len(changed)
-            else chunk
-        )
+        last = ends[chosen[changed]]
+        first = np.minimum(starts[chosen[changed]], last - columns)
+        yield spliced(chunk, first, last, form(new[changed])) if len(changed) else chunk
         words = words + len(starts)
         done = done + len(chosen)
     yield memoryview(text)[part.stop :]

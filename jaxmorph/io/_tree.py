@@ -121,11 +121,13 @@ def of_tree(
     grid: Grid,
     patches: Iterable[Patch] = (),
     notes: Iterable[str] = (),
+    labels: ndarray | None = None,
 ) -> Parts:
     content = FilePoints(grid.points, stamp=stamp_of(path), singles=singles_of(coordinates))
-    return of_grid(
-        path, grid, Source(path, name, content, notes=tuple(notes), **content.known), patches
-    )
+    if labels is not None and labels.shape != (len(grid.points),):
+        raise ValueError(f"{labels.size} numbers of nodes for {len(grid.points)} of them")
+    source = Source(path, name, content, labels=labels, notes=tuple(notes), **content.known)
+    return of_grid(path, grid, source, patches)
 
 
 def write_points(

@@ -1,12 +1,10 @@
 """Draws meshes: in 2-D with matplotlib, in 3-D with pyvista, off screen.
 
 Plots take matplotlib's axes `ax` or pyvista's `plotter`, by default a new one, and return it.
-`page` makes an interactive page of a surface in 3-D.
 """
 
 # isort: off
 from ._curves import convergence as convergence, histogram as histogram
-from ._files import page as page
 from ._picture import picture as picture
 from ._plane import (
     Window as Window,
@@ -15,7 +13,7 @@ from ._plane import (
     mesh as mesh,
     whole as whole,
 )
-from ._sources import sources as sources, sources_3d as sources_3d
+from ._sources import sources as sources
 from ._space import before_after_3d as before_after_3d, cut as cut, surface as surface
 from ._style import (
     BLUE as BLUE,

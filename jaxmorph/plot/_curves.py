@@ -1,5 +1,6 @@
 """Curves: histograms of quality, and the progress of an optimisation."""
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
 from ._plane import Axes, given_or_new, legend_above, plt
-from ._style import BLUE, DARK, GREEN, GREY, LIGHT, ORANGE, RULE, WIDTH, Column
+from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE, WIDTH, Column
 
 
 @checked
@@ -38,22 +39,14 @@ def histogram(
         raise ValueError(
             "`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}."
         )
-    finite = {name: _of_cells(report, measure) for name, report in reports.items()}
+    values = {name: _counted_values(report, measure) for name, report in reports.items()}
     ax = given_or_new(ax)
-    bins = np.histogram_bin_edges(np.concatenate(list(finite.values())), bins=60)
-    colours = (GREY, BLUE, ORANGE, GREEN, DARK)
-    for k, (name, of_cells) in enumerate(finite.items()):
-        style = (
-            {"histtype": "bar", "alpha": 0.5} if k == 0 else {"histtype": "step", "linewidth": 1.8}
-        )
-        ax.hist(
-            of_cells,
-            bins=list(bins),
-            label=name,
-            color=colours[k % len(colours)],
-            log=True,
-            **style,
-        )
+    bins = np.histogram_bin_edges(np.concatenate(list(values.values())), bins=60).tolist()
+    colours = itertools.cycle((GREY, BLUE, ORANGE, GREEN, DARK))
+    style: dict[str, Any] = {"histtype": "bar", "alpha": 0.5}
+    for (name, own), colour in zip(values.items(), colours, strict=False):
+        ax.hist(own, bins=bins, label=name, color=colour, log=True, **style)
+        style = {"histtype": "step", "linewidth": 1.8}  # the first one is filled
     ax.set_ylim(bottom=0.5)  # below a single cell
     ax.set_xlabel(measure.replace("_", " "))
     ax.set_ylabel("cells")
@@ -61,7 +54,7 @@ def histogram(
     return ax
 
 
-def _of_cells(report: jm.QualityReport, measure: str) -> Column:
+def _counted_values(report: jm.QualityReport, measure: str) -> Column:
     values = np.asarray(getattr(report, measure))
     return values[report.counted & np.isfinite(values)]
 
@@ -74,7 +67,7 @@ def convergence(
     ax: Axes | None = None,
 ) -> Axes:
     """Draws an optimisation's progress: the objective, each constraint and each measure against the
-    iterations, one below the other, each on its own scale; what is beyond bounds is shaded.
+    iterations, one below the other, each on its own scale, with dashed lines at bounds.
 
     **Arguments:**
 
@@ -90,14 +83,14 @@ def convergence(
     bounds = {} if bounds is None else bounds
     if not len(history):
         raise ValueError(f"`history`: {history.path} has no iteration yet.")
-    panels = {"objective": history.values} | {
-        name: history.column(name) for name in (*history.names, *bounds)
-    }
+    names = dict.fromkeys((*history.names, *bounds))
+    panels = {"objective": history.values} | {name: history.column(name) for name in names}
     axes = _stack(ax, len(panels))
     for axis, (name, column) in zip(axes, panels.items(), strict=True):
         style: dict[str, Any] = {"marker": "."} if column.ndim == 1 else {"linewidth": 0.8}
         axis.plot(np.arange(len(history)), column, color=BLUE if axis is axes[0] else DARK, **style)
-        _shade_beyond(axis, bounds.get(name, (-np.inf, np.inf)))
+        for bound in filter(np.isfinite, bounds.get(name, ())):
+            axis.axhline(bound, color=ORANGE, linestyle="--")
         axis.set_title(name.replace("_", " "), loc="left", fontsize="medium", pad=3)
         axis.grid(color=RULE)
         axis.set_axisbelow(True)
@@ -107,26 +100,13 @@ def convergence(
     return axes[0]
 
 
-def _shade_beyond(axis: Axes, bounds: tuple[float | int, float | int]) -> None:
-    low, high = axis.get_ylim()
-    known = np.array([bound for bound in bounds if np.isfinite(bound)])
-    room = 0.05 * (high - low)
-    axis.set_ylim(min(low, *(known - room), np.inf), max(high, *(known + room), -np.inf))
-    for bound, end in zip(bounds, axis.get_ylim(), strict=True):
-        if np.isfinite(bound):
-            axis.axhline(bound, color=ORANGE, linestyle="--")
-            axis.axhspan(bound, end, color=LIGHT, alpha=0.5, linewidth=0)
-
-
 def _stack(ax: Axes | None, count: int) -> list[Axes]:
     """Makes axes one below the other, with one axis of iterations, in the place of one."""
     if ax is None:
         size = WIDTH, 0.6 + 1.15 * count
-        return list(
-            plt.subplots(count, sharex=True, squeeze=False, figsize=size, layout="constrained")[
-                1
-            ].ravel()
-        )
+        figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=size)
+        figure.set_layout_engine("constrained")
+        return list(axes.ravel())
     place = ax.get_subplotspec()
     if place is None:
         raise ValueError("`ax` stands in no grid: give axes of plt.subplots.")

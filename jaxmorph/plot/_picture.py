@@ -12,10 +12,19 @@ import jaxmorph as jm
 from jaxmorph.extend import checked, complete, output_path, rows_of
 
 from . import _plane
-from ._files import page
 from ._plane import Figure, plt
 from ._space import before_after_3d, surface
-from ._style import BLUE, STILL, WIDTH, Column, Ids, Places, bodies, check_cells, finite
+from ._style import (
+    BLUE,
+    STILL,
+    WIDTH,
+    Column,
+    Ids,
+    Places,
+    body_patches,
+    check_cells,
+    finite_points,
+)
 
 FLAT = 0.45  # height over width of a window below which two of them stand one above the other
 
@@ -37,7 +46,7 @@ def picture(
 
     **Arguments:**
 
-    - `path`: a .png; in 3-D also .html, a page to turn and deform the surface.
+    - `path`: a .png.
     - `before`, `points`: the undeformed mesh, and positions (n, d) of its nodes afterwards. Default
       None: the mesh alone, in 3-D its bodies by their cells' skewness.
     - `moving`: ids of the moving nodes. Default: those of patches that moved.
@@ -46,19 +55,21 @@ def picture(
     **Raises:** `ValueError` for another ending.
     """
     check_cells(before)
-    places = finite(before.points if points is None else before.moved(np.asarray(points)).points)
-    path = output_path(path, *((".png",) if places.shape[1] == 2 else (".png", ".html")))
+    places = finite_points(
+        before.points if points is None else before.moved(np.asarray(points)).points
+    )
+    path = output_path(path, ".png")
     nodes = (
         _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))
     )
-    side = None if path.suffix.lower() == ".html" else FlatSide.of(before, places)
+    side = FlatSide.of(before, places)
     if side is None and points is not None:
         return _in_3d(path, before, places, nodes)
     verdict = jm.judge(before, points) if verdict is None or verdict.judged is None else verdict
     if side is not None:
         return _in_2d(path, side, nodes, verdict)
-    colours = {"label": _measure(verdict).replace("_", " "), "values": _of_cells(verdict)}
-    _page_or_png(path, page, surface, before, np.asarray(before.points), **colours)
+    label = _measure(verdict).replace("_", " ")
+    _save(path, surface(before, values=_of_cells(verdict), label=label))
 
 
 def _moved(mesh: jm.Mesh, places: Places) -> Ids:
@@ -69,16 +80,12 @@ def _moved(mesh: jm.Mesh, places: Places) -> Ids:
 
 
 def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: np.ndarray) -> None:
-    nodes = np.union1d(moving, mesh.patch(*bodies(mesh)))
+    nodes = np.union1d(moving, mesh.patch(*body_patches(mesh)))
     only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
-    _page_or_png(path, page, before_after_3d, only, places, patch="drawn" if len(nodes) else None)
+    _save(path, before_after_3d(only, places, patch="drawn" if len(nodes) else None))
 
 
-def _page_or_png(path: pathlib.Path, page: Any, draw: Any, *drawn: Any, **settings: Any) -> None:
-    if path.suffix.lower() == ".html":
-        page(path, *drawn, **settings)
-        return
-    plotter = draw(*drawn, **settings)
+def _save(path: pathlib.Path, plotter: Any) -> None:
     with complete(path) as partial:
         plt.imsave(partial, plotter.screenshot(return_img=True), format="png")
     plotter.close()

@@ -26,10 +26,10 @@ from ._style import (
     Limits,
     Places,
     Values,
-    bodies,
+    body_patches,
     cell_values,
     check_cells,
-    finite,
+    finite_points,
     refined,
     scale_of,
 )
@@ -52,20 +52,22 @@ except ImportError as error:
 Window = tuple[tuple[float, float], tuple[float, float]]
 Outlines = Float[np.ndarray, "_ c 2"]
 
-THINNEST, THICKEST, WALL = (
-    0.01,
-    0.5,
-    1.4,
-)  # widths of lines in points: of cells, a sixth of the cell; of walls
+# widths of lines in points: of cells, a sixth of the cell; of walls
+THINNEST = 0.01
+THICKEST = 0.5
+WALL = 1.4
+
 NARROW = 0.8  # width in points below which cells show their colour and no line
+
 # the part of the area below which lines of the cells that are wide enough for one are left out
-SEEN = 0.5
+WIDE_PART = 0.5
+
 LABEL = 0.3  # inches of an axis for a number at least: numbers of a small window have many digits
 UNLABELLED = 0.775  # the part of a figure's width that axes have until their labels are laid out
-STEPS = 1, 2, 2.5, 5, 10  # steps between round numbers, times powers of ten
-PIECES = 200_000  # pieces of curved cells that a picture has about at most
+ROUND_STEPS = (1, 2, 2.5, 5, 10)  # between round numbers, times powers of ten
+PLANE_PIECES = 200_000  # pieces of curved cells that a picture has about at most
 ROOM = 0.4  # margin around the bodies, relative to their extent, unless a window is given
-INTERNAL = 0.7  # part of the mesh, along one axis, beyond which the window is the mesh's own
+INNER_FLOW = 0.7  # part of the mesh, along one axis, beyond which the window is the mesh's own
 
 
 @checked
@@ -183,7 +185,7 @@ def graph(
 
     **Raises:** `ValueError` for a plan in 3-D, and when the shape of `u` is not (m, 2).
     """
-    points = in_dimension(plan.points)
+    points = in_2d(plan.points)
     moving = np.asarray(plan.moving)
     fixed = np.asarray(plan.fixed)
     nodes = np.concatenate([moving, fixed])
@@ -231,11 +233,13 @@ class PlaneCells:
                 "`plot.before_after_3d`."
             )
         check_cells(mesh)
-        places = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+        places = finite_points(
+            mesh.points if points is None else mesh.moved(np.asarray(points)).points
+        )
         fine = mesh
         cell = np.arange(len(mesh.cell_ids))
         if mesh.is_curved:
-            fine, cell = refined(mesh.moved(places), PIECES)
+            fine, cell = refined(mesh.moved(places), PLANE_PIECES)
             places = np.asarray(fine.points)
         ids = [
             np.asarray(ids)[:, [*range(ids.shape[1]), -1, -1][:4]] for ids in fine.cells.values()
@@ -301,7 +305,7 @@ def draw_lines(
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
     chosen = narrowest * to_points >= least
     areas = narrowest * np.linalg.norm(np.ptp(edges, axis=1), axis=1)
-    if areas[chosen].sum() < SEEN * areas.sum():  # single lines here and there are no mesh
+    if areas[chosen].sum() < WIDE_PART * areas.sum():  # single lines here and there are no mesh
         return
     widths = np.clip(narrowest[chosen] * to_points / 6, THINNEST, THICKEST)
     lines = LineCollection(list(edges[chosen]), colors=colour, linewidths=widths, rasterized=True)
@@ -333,12 +337,12 @@ def given_or_new(
     size = scale * width + beside, max(scale * height + below, 1.5)
     ax = plt.subplots(figsize=size, layout="constrained")[1]
     for axis, length in ((ax.xaxis, scale * width), (ax.yaxis, scale * height)):
-        axis.set_major_locator(MaxNLocator(int(np.clip(length / LABEL, 2, 7)), steps=STEPS))
+        axis.set_major_locator(MaxNLocator(int(np.clip(length / LABEL, 2, 7)), steps=ROUND_STEPS))
     return ax
 
 
 def round_numbers(low: float, high: float, count: int) -> list[float]:
-    values = np.asarray(MaxNLocator(count, steps=STEPS).tick_values(low, high))
+    values = np.asarray(MaxNLocator(count, steps=ROUND_STEPS).tick_values(low, high))
     return values[(low <= values) & (values <= high)].tolist()
 
 
@@ -372,13 +376,11 @@ def show(ax: Axes, window: Window) -> Axes:
     return ax
 
 
-def in_dimension(points: Any, dimension: int = 2) -> Places:
-    points = finite(points)
-    if points.ndim != 2 or points.shape[1] != dimension:
+def in_2d(points: Any) -> Places:
+    points = finite_points(points)
+    if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(
-            f"this is for points in {dimension}-D, not of shape {points.shape}; `plot.sources_3d` "
-            "and `plot.surface` "
-            "are for 3-D, `plot.sources` and `plot.mesh` for 2-D."
+            f"this is for points in 2-D, not of shape {points.shape}; `plot.surface` is for 3-D."
         )
     return points
 
@@ -389,7 +391,7 @@ def whole(points: Float[Any, "n 2"]) -> Window:
 
     **Raises:** `ValueError` for points that are not in 2-D.
     """
-    points = in_dimension(points)
+    points = in_2d(points)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return (left, right), (bottom, top)
 
@@ -398,7 +400,7 @@ def window_of(mesh: jm.Mesh, nodes: Ids | None, *states: Any) -> Window:
     """Chooses the window round nodes, by default the bodies', in all states of the mesh."""
     states = tuple(np.asarray(mesh.points if points is None else points) for points in states)
     everything = np.concatenate(states)
-    nodes = mesh.patch(*bodies(mesh)) if nodes is None or not len(nodes) else nodes
+    nodes = mesh.patch(*body_patches(mesh)) if nodes is None or not len(nodes) else nodes
     if not len(nodes):
         return whole(everything)
     return window_round(np.concatenate([points[nodes] for points in states]), everything)
@@ -412,5 +414,7 @@ def window_round(body: Places, points: Places) -> Window:
     low = np.maximum(low - room, points.min(axis=0))
     high = np.minimum(high + room, points.max(axis=0))
     return whole(
-        points if (high - low > INTERNAL * np.ptp(points, axis=0)).any() else np.stack([low, high])
+        points
+        if (high - low > INNER_FLOW * np.ptp(points, axis=0)).any()
+        else np.stack([low, high])
     )

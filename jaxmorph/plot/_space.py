@@ -1,6 +1,5 @@
 """Pictures in 3-D, with pyvista, off screen: cells, cameras, bars, legends, axes and scales."""
 
-import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,39 +19,34 @@ from ._style import (
     UNNAMED,
     Limits,
     Values,
-    bodies,
+    body_patches,
     cell_values,
     check_cells,
-    finite,
+    finite_points,
     refined,
     scale_of,
 )
 
-NOTHING = "there is nothing to draw: the plane cuts no cell."
+NOTHING_CUT = "there is nothing to draw: the plane cuts no cell."
 
 LIT = {"ambient": 0.4, "diffuse": 0.7}
+PLAIN = LIT | {"color": GREY}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
 
 Direction = Sequence[float] | np.ndarray
 
-VIEWER = (
-    -1.0,
-    -2.5,
-    1.8,
-)  # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
+# the direction towards the viewer: x right, y away, z up; mirrored for an open surface
+VIEWER = (-1.0, -2.5, 1.8)
 
-AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
-"""The view that `aim` gave each plotter, its direction, and the window."""
-
-WINDOW = (1200, 900)
-TEXT = 30  # width and largest height of a picture, height of letters in pixels
+WINDOW = (1200, 900)  # width and largest height of a picture in pixels
+LETTERS = 30  # height of letters in pixels
 ALONG = 0.97  # cosine between an axis and the view from which the axis is a point, and has no name
-EDGE, BELOW, LEGEND, BAR = (
-    0.025,
-    0.13,
-    0.06,
-    0.25,
-)  # over the width: sides; below for axes; a legend; a colour bar
+
+# over the width of a picture: sides, room below for axes, a legend, a colour bar
+EDGE = 0.025
+BELOW = 0.13
+LEGEND = 0.06
+BAR = 0.25
 
 
 @checked
@@ -146,7 +140,7 @@ def cut(
     grid = _near_plane(mesh, points, values, normal, origin)
     # through nodes, up to round-off, the plane would cut cells on both sides of it by turns
     origin = origin + 1e-9 * grid.length * normal
-    body = np.asarray(grid.points)[mesh.patch(*bodies(mesh))]
+    body = np.asarray(grid.points)[mesh.patch(*body_patches(mesh))]
     away = (body - origin) @ normal
     is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
     near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
@@ -178,14 +172,14 @@ def _draw(
     part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, is_cut: bool = False
 ) -> Any:
     if part.n_cells == 0:
-        raise ValueError(NOTHING)
+        raise ValueError(NOTHING_CUT)
     has_values = "values" in part.cell_data
     if label is not None and not has_values:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    plain: dict[str, Any] = (
-        {"lighting": False, "color": "white"} if is_cut else LIT | {"color": GREY}
-    )
-    style, ends = _scaled(part, limits) if has_values else (plain, {})
+    style: dict[str, Any] = {"lighting": False, "color": "white"} if is_cut else PLAIN
+    ends: dict[str, str] = {}
+    if has_values:
+        style, ends = _colours_of(part, limits)
     new = plotter is None
     plotter = new_plotter() if plotter is None else plotter
     _add_faces(plotter, part, not is_cut, show_scalar_bar=False, **style)
@@ -196,23 +190,19 @@ def _draw(
     return plotter
 
 
-def _scaled(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
+def _colours_of(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[str, str]]:
     values = part.cell_data["values"]
     sizes = part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
-    colours, limits, *beyond = scale_of(values, sizes, limits)
-    ends = [
-        (side, sign)
-        for (side, sign), is_so in zip((("below", "<"), ("above", ">")), beyond, strict=True)
-        if is_so
-    ]
-    style: dict[str, Any] = {
-        "scalars": "values",
-        "cmap": colours,
-        "clim": limits,
-        "lighting": False,
-    }
-    style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
-    return style, {f"{side}_label": sign for side, sign in ends}
+    colours, limits, is_below, is_above = scale_of(values, sizes, limits)
+    style = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
+    ends = {}
+    if is_below:
+        style["below_color"] = plt.get_cmap(colours)(0.0)
+        ends["below_label"] = "<"
+    if is_above:
+        style["above_color"] = plt.get_cmap(colours)(1.0)
+        ends["above_label"] = ">"
+    return style, ends
 
 
 def _add_faces(plotter: Any, faces: Any, show_edges: bool, **style: Any) -> None:
@@ -246,7 +236,7 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
     ):
         return viewer
     mirrored = viewer - 2 * (viewer @ normal) * normal
-    faces = skin(part).compute_normals(point_normals=False, consistent_normals=False)
+    faces = part.compute_normals(point_normals=False, consistent_normals=False)
     areas = faces.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
     directions = [mirrored + np.array([0, 0, lift]) for lift in (0, VIEWER[2], 3 * VIEWER[2])]
     ways = np.array(directions) / np.linalg.norm(directions, axis=1)[:, None]
@@ -259,9 +249,8 @@ def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
 def add_bar(
     plotter: Any, label: str | None, limits: tuple[float | int, float | int], beyond: dict[str, str]
 ) -> None:
-    title = (label or UNNAMED.replace(" of", "\nof")).replace(
-        "|", "\u2223"
-    )  # VTK begins a column at an ASCII bar
+    title = label or UNNAMED.replace(" of", "\nof")
+    title = title.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(
         f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond
     )
@@ -276,7 +265,7 @@ def add_bar(
 
 def _in_font(*texts: Any) -> None:
     for text in texts:
-        text.SetFontSize(TEXT)
+        text.SetFontSize(LETTERS)
         text.SetFontFamily(4)  # VTK's number for a font from a file
         text.SetFontFile(findfont("DejaVu Sans"))
         for style in ("Bold", "Italic", "Shadow"):
@@ -284,14 +273,11 @@ def _in_font(*texts: Any) -> None:
 
 
 def new_plotter() -> Any:
-    with pyvista().vtk_verbosity(
-        "off"
-    ):  # VTK complains where there is no display, and draws anyway
+    # VTK complains where there is no display, and draws anyway
+    with pyvista().vtk_verbosity("off"):
         plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
     plotter.set_background("white")
-    plotter.enable_anti_aliasing(
-        "ssaa"
-    )  # with samples for each pixel, VTK draws nothing of what it peels
+    plotter.enable_anti_aliasing("ssaa")  # with samples for each pixel, VTK does not draw peels
     _add_axes(plotter)
     return plotter
 
@@ -318,18 +304,17 @@ def _add_axes(plotter: Any) -> None:
     axes.SetNormalizedLabelPosition(1.4, 1.4, 1.4)  # off the arrows
     _in_font(*texts)
     plotter.renderer.AddViewProp(scale)
-    plotter.renderer.AddObserver("StartEvent", lambda *_: _fit(plotter, axes, scale, texts))
+    plotter.renderer.AddObserver("StartEvent", lambda *_: _arrange(plotter, axes, scale, texts))
 
 
-def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
+def _arrange(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
     """Fits axes, scale and bars to the window and the view, before each drawing."""
-    (width, height), camera = plotter.window_size, plotter.camera
+    width, height = plotter.window_size
+    camera = plotter.camera
     tall = width / height
-    seen = 2 * camera.parallel_scale * width / height
+    seen = 2 * camera.parallel_scale * tall
     power = 10 ** np.floor(np.log10(0.2 * seen))
-    length = max(
-        factor * power for factor in (1, 2, 5) if factor * power <= 0.2 * seen * (1 + 1e-9)
-    )
+    length = power * max(factor for factor in (1, 2, 5) if factor * power <= 0.2001 * seen)
     scale.SetPosition(0.97 - length / seen, 0.075 * tall)
     scale.SetPosition2(0.97, 0.075 * tall)
     scale.SetTitle(f"{length:g}")
@@ -340,7 +325,7 @@ def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
         bar.SetHeight(min(0.93 - low, 0.6 * WINDOW[1] / height))
     plotter.renderer.axes_widget.SetViewport(-0.075, -0.105 * tall, 0.163, 0.133 * tall)
     for text in texts:
-        text.SetFontSize(round(TEXT * width / WINDOW[0]))
+        text.SetFontSize(round(LETTERS * width / WINDOW[0]))
     for name, along in zip("xyz", camera.direction, strict=True):
         getattr(axes, f"Set{name.upper()}AxisLabelText")(name if abs(along) < ALONG else "")
 
@@ -348,9 +333,8 @@ def _fit(plotter: Any, axes: Any, scale: Any, texts: Sequence[Any]) -> None:
 def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
     """Shows all without perspective, in a window of its shape, with room for bars and legends."""
     axes = np.stack(view_axes(viewer))
-    seen = (
-        np.concatenate([np.asarray(part.points, dtype=float) for part in plotter.meshes]) @ axes.T
-    )
+    points = np.concatenate([np.asarray(part.points, float) for part in plotter.meshes])
+    seen = points @ axes.T
     low = seen.min(axis=0)
     high = seen.max(axis=0)
     depth, width, height = high - low
@@ -359,29 +343,15 @@ def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
     wide = 1 - EDGE - right
     tall = BELOW + above
     share = wide * height / max(width, 1e-9 * height) + tall
-    plotter.window_size = (
-        WINDOW[0],
-        round(float(np.clip(share * WINDOW[0], WINDOW[1] / 2, WINDOW[1]))),
-    )
-    share = plotter.window_size[1] / WINDOW[0]
+    share = float(np.clip(share, WINDOW[1] / WINDOW[0] / 2, WINDOW[1] / WINDOW[0]))
+    plotter.window_size = WINDOW[0], round(share * WINDOW[0])
     scale = max(width / wide, height / (share - tall))  # length across the window
     middle = ((low + high) / 2 + scale / 2 * np.array([0, right - EDGE, above - BELOW])) @ axes
     position = middle + 2 * (depth + width + height) * axes[0]
-    plotter.camera_position = [tuple(vector.tolist()) for vector in (position, middle, axes[2])]
-    plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, scale * share / 2
+    plotter.camera_position = [position.tolist(), middle.tolist(), axes[2].tolist()]
+    plotter.camera.parallel_projection = True
+    plotter.camera.parallel_scale = scale * share / 2
     plotter.renderer.reset_camera_clipping_range()
-    AIMED[plotter] = viewer, _view(plotter)
-
-
-def aim_again(plotter: Any) -> None:
-    """Makes room for what was added to a plotter, unless its camera has moved since `aim`."""
-    viewer, view = AIMED.get(plotter, (VIEWER, None))
-    if view == _view(plotter):
-        aim(plotter, viewer)
-
-
-def _view(plotter: Any) -> tuple[Any, float]:
-    return plotter.camera_position.to_list(), plotter.camera.parallel_scale
 
 
 def view_axes(viewer: Direction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -401,7 +371,7 @@ def add_legend(plotter: Any, entries: Sequence[tuple[str, str]]) -> None:
         text.prop.SetVerticalJustificationToTop()
         text.SetPosition(place, 0.985)
         _in_font(text.prop)
-        place += (TextPath((0, 0), name, size=TEXT).get_extents().width + TEXT) / WINDOW[0]
+        place += (TextPath((0, 0), name, size=LETTERS).get_extents().width + LETTERS) / WINDOW[0]
 
 
 def pyvista() -> Any:
@@ -432,27 +402,13 @@ def outlines(section: Any) -> Any:
 
 def patches_of(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
     check_cells(mesh)
-    return bodies(mesh) if patch is None else (patch,)
+    return body_patches(mesh) if patch is None else (patch,)
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:
     """Returns outer faces, of all or patches; `whole` is the face of a piece of a curved one."""
-    on_patch = mesh.patch(*patches) if patches else None
-    if mesh.is_curved:
-        faces = _curved_faces(mesh, points, values, patches)
-    else:
-        grid = jm.Mesh(_places(mesh, points), mesh.cells).to_pyvista()
-        if values is not None:
-            grid.cell_data["values"] = cell_values(mesh, values)
-        faces = (
-            skin(grid)
-            if mesh.polyhedra is None
-            else _polygons(mesh.polyhedra.faces, grid, mesh.cell_ids)
-        )
-        if on_patch is not None:
-            faces = faces.extract_points(
-                np.isin(faces.point_data["node"], on_patch), adjacent_cells=False
-            )
+    places = _space_points(mesh, points)
+    faces = (_skin if mesh.polyhedra is None else _polygons)(mesh, places, values, patches)
     if faces.n_cells == 0:
         owner = f"patch {', '.join(map(repr, patches))}" if patches else "the mesh"
         raise ValueError(
@@ -461,59 +417,63 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
     return faces
 
 
-def skin(grid: Any) -> Any:
+def _skin(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]) -> Any:
+    surface, owner = mesh.moved(places).skin(*patches)
+    if not len(owner):
+        return pyvista().PolyData()
+    face = np.arange(len(owner))
+    if mesh.is_curved:
+        surface, face = refined(surface)
+    grid = surface.to_pyvista()
+    if mesh.is_curved:
+        grid.cell_data["whole"] = face
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)[owner][face]
     from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
-    boundary = vtkGeometryFilter()
-    boundary.SetInputData(grid)
-    boundary.PassThroughPointIdsOn()
-    boundary.Update()
-    faces = pyvista().wrap(boundary.GetOutput())
-    # a name that the next filter takes again
-    faces.point_data["node"] = np.asarray(faces.point_data["vtkOriginalPointIds"])
-    return faces
+    used = vtkGeometryFilter()  # leaves out points of no face
+    used.SetInputData(grid)
+    used.Update()
+    return pyvista().wrap(used.GetOutput())
 
 
-def _polygons(whole: Any, grid: Any, cell_ids: Any) -> Any:
+def _polygons(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]) -> Any:
     """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
+    whole: Any = mesh.polyhedra
+    whole = whole.faces
     outer = np.flatnonzero(whole.all_neighbours() < 0)
-    rows = np.column_stack([whole.sizes[outer], whole.padded(outer)])  # -1 behind the last corner
-    is_node = np.pad(rows[:, 1:] >= 0, ((0, 0), (1, 0)))
-    nodes, rows[is_node] = np.unique(rows[is_node], return_inverse=True)
-    faces = pyvista().PolyData(np.asarray(grid.points)[nodes], rows[rows >= 0])
-    faces.point_data["node"] = nodes
-    if "values" in grid.cell_data:
-        mean = np.bincount(cell_ids, grid.cell_data["values"]) / np.bincount(cell_ids)
+    corners = whole.padded(outer)  # -1 behind the last corner
+    if patches:
+        on = ((corners < 0) | np.isin(corners, mesh.patch(*patches))).all(axis=1)
+        outer = outer[on]
+        corners = corners[on]
+    if not len(outer):
+        return pyvista().PolyData()
+    # VTK's rows: the number of corners, then the corners, among the points that faces have
+    nodes = np.unique(corners[corners >= 0])
+    rows = np.column_stack([whole.sizes[outer], np.searchsorted(nodes, corners)])
+    is_listed = np.insert(corners >= 0, 0, True, axis=1)
+    faces = pyvista().PolyData(places[nodes], rows[is_listed])
+    if values is not None:
+        ids = np.asarray(mesh.cell_ids)
+        mean = np.bincount(ids, cell_values(mesh, values)) / np.bincount(ids)
         faces.cell_data["values"] = mean[whole.owner[outer]]
     return faces
 
 
-def _places(mesh: jm.Mesh, points: Any) -> np.ndarray:
+def _space_points(mesh: jm.Mesh, points: Any) -> np.ndarray:
     if mesh.points.shape[1] != 3:
         raise ValueError(
             f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`."
         )
-    return finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-
-
-def _curved_faces(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> Any:
-    """Returns outer faces of curved cells in pieces, all or those with all nodes on a patch."""
-    surface, owner = mesh.moved(_places(mesh, points)).skin(*patches)
-    if not len(owner):
-        return pyvista().PolyData()
-    pieces, face = refined(surface)
-    grid = pieces.to_pyvista()
-    grid.cell_data["whole"] = face
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[owner][face]
-    return skin(grid)
+    return finite_points(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
 
 
 def _near_plane(
     mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray
 ) -> Any:
     """Returns solid cells that a plane may cut, curved ones in pieces; `whole` are the file's."""
-    x = _places(mesh, points)
+    x = _space_points(mesh, points)
     kinds = lagrange_types()
     above = (x - origin) @ normal
     chosen = {}
@@ -526,7 +486,7 @@ def _near_plane(
         chosen[kind] = np.asarray(ids)[is_met[-1]]
     cells = np.flatnonzero(np.concatenate(is_met))
     if not len(cells):
-        raise ValueError(NOTHING)
+        raise ValueError(NOTHING_CUT)
     near = jm.Mesh(x, chosen)
     owner = np.arange(len(cells))
     if mesh.is_curved:

@@ -12,7 +12,6 @@ from ._displacement import (
     Fit as Fit,
     displacement as displacement,
     fit as fit,
-    fit_cst as fit_cst,
     names as names,
 )
 from ._displacement import path as path, project as project, pullback as pullback, varied as varied
@@ -40,11 +39,6 @@ from ._walls import (
     area as area,
     centroid as centroid,
     chord as chord,
-    curvature as curvature,
-)
-from ._walls import (
-    leading_edge_radius as leading_edge_radius,
-    trailing_edge_angle as trailing_edge_angle,
 )
 from ._walls import (
     thickness as thickness,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
-from jaxmorph.extend import Module, is_known
+from jaxmorph.extend import Module, finite_array, is_known
 from jaxmorph.extend import rows_of as listed_rows
 
 M = TypeVar("M", bound=Module)
@@ -24,21 +24,17 @@ Weights = Float[Array, "m k"]
 
 
 def positions(x: Numbers, name: str = "x", like: tuple[int, ...] | None = None) -> Positions:
-    is_array = isinstance(x, jax.Array) or not is_known(x)
-    places = (
-        jnp.asarray(x) if is_array else jax.device_put(np.array(x))
-    )  # copied, and no program compiled
+    if not isinstance(x, jax.Array) and is_known(x):
+        x = jax.device_put(np.array(x))  # copied, and no program compiled
+    places = jnp.asarray(x)
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise ValueError(
             f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3)."
         )
     if like is not None and places.shape != like:
         raise ValueError(f"`{name}` has shape {places.shape}; this shape is for positions {like}.")
-    return (
-        places
-        if jnp.issubdtype(places.dtype, jnp.floating)
-        else places.astype(jnp.result_type(float))
-    )
+    is_float = jnp.issubdtype(places.dtype, jnp.floating)
+    return places if is_float else places.astype(jnp.result_type(float))
 
 
 def cast(module: M, x: Positions) -> M:
@@ -50,25 +46,16 @@ def cast(module: M, x: Positions) -> M:
 
 def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
     """Turns positions that can be read into a finite array (m, d) of NumPy."""
-    known = np.asarray(positions(x, name))
-    bad = np.flatnonzero(~np.isfinite(known).all(axis=1))
-    if len(bad):
-        raise ValueError(
-            f"{len(bad)} of {len(known)} rows of `{name}` are not finite, first row {bad[0]}."
-        )
-    return known
+    places = positions(x, name)
+    check_known(**{name: places})
+    return np.asarray(places)
 
 
-def check_finite(**arrays: Any) -> None:
+def check_known(**arrays: Any) -> None:
+    """Raises `ValueError` for numbers that are not finite, where they are known."""
     for name, values in arrays.items():
-        if (
-            values is not None
-            and is_known(values)
-            and not (finite := np.isfinite(np.asarray(values, float))).all()
-        ):
-            raise ValueError(
-                f"{(~finite).sum()} of {finite.size} numbers of `{name}` are not finite."
-            )
+        if is_known(values):
+            finite_array(name, np.asarray(values), np.shape(values))
 
 
 def check_parameters(parameters: Any) -> None:
@@ -79,7 +66,7 @@ def check_parameters(parameters: Any) -> None:
             )
 
 
-def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
+def rows_like(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
     try:
         array = np.asarray(ids)
     except ValueError:
@@ -87,23 +74,19 @@ def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
     return listed_rows(name, array.ravel(), count).reshape(array.shape)
 
 
-def number(name: str, value: Any, like: Array) -> Scalar:
-    return _finite(name, value, like, (), "it is one number")
+def one_number(name: str, value: Any, like: Array) -> Scalar:
+    return vector(name, value, like, ())
 
 
-def vector(name: str, values: Any, like: Array) -> Vector:
-    d = like.shape[1]
-    return _finite(name, values, like, (d,), f"positions in {d}-D need ({d},)")
-
-
-def _finite(
-    name: str, values: Any, like: Array, shape: tuple[int, ...], expected: str
+def vector(
+    name: str, values: Any, like: Array, shape: tuple[int, ...] | None = None
 ) -> Float[Array, "..."]:
+    needed = like.shape[1:] if shape is None else shape
     values = jnp.asarray(values, like.dtype)
-    if values.shape != shape:
-        raise ValueError(f"`{name}` has shape {values.shape}; {expected}.")
-    if is_known(values) and not np.isfinite(values).all():
-        raise ValueError(f"`{name}` is {np.asarray(values)}; it must be finite.")
+    if values.shape != needed:
+        expected = f"of {needed}" if needed else "one number"
+        raise ValueError(f"`{name}` has shape {values.shape}; expected {expected}.")
+    check_known(**{name: values})
     return values
 
 
@@ -111,15 +94,15 @@ def arms(x: Positions, about: Any) -> Positions:
     return x - vector("about", about, x)[None, :]
 
 
-def direction(name: str, values: Any, like: Array) -> Vector:
-    values = vector(name, values, like)
+def direction(name: str, values: Any, like: Array, shape: tuple[int, ...] | None = None) -> Vector:
+    values = vector(name, values, like, shape)
     if is_known(values) and not np.asarray(values).any():  # NumPy's, which no trace records
         raise ValueError(f"`{name}` has length 0; it must be a direction.")
     return values / jnp.linalg.norm(values)
 
 
-def positive(name: str, value: Any, like: Array) -> Scalar:
-    value = number(name, value, like)
+def above_zero(name: str, value: Any, like: Array) -> Scalar:
+    value = one_number(name, value, like)
     if is_known(value) and not value > 0:
         raise ValueError(f"`{name}` is {value}; it must be above 0.")
     return value
@@ -127,17 +110,14 @@ def positive(name: str, value: Any, like: Array) -> Scalar:
 
 def axis_for(values: Any, like: Positions) -> Float[Array, " 3"]:
     """The direction (3,) about which positions turn; in 2-D that of the drawing."""
-    if (values is None) != (like.shape[1] == 2):
-        is_missing = "is missing: a rotation in 3-D needs (3,) numbers"
-        raise ValueError(
-            "`axis` "
-            f"{is_missing if values is None else 'is for positions in 3-D; leave it out in 2-D'}."
-        )
-    return (
-        jnp.array([0.0, 0.0, 1.0], like.dtype)
-        if values is None
-        else direction("axis", values, like)
-    )
+    is_flat = like.shape[1] == 2
+    if values is None:
+        if not is_flat:
+            raise ValueError("`axis` is missing: a rotation in 3-D needs (3,) numbers.")
+        return jnp.array([0.0, 0.0, 1.0], like.dtype)
+    if is_flat:
+        raise ValueError("`axis` is for positions in 3-D; leave it out in 2-D.")
+    return direction("axis", values, like)
 
 
 def piecewise(t: Column, breaks: Any, coefficients: Sequence[Any]) -> Weights:
@@ -158,7 +138,7 @@ def slack(dtype: Any) -> float:
     return float(jnp.finfo(dtype).eps) ** 0.75
 
 
-def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
+def clamp(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
     """Clips values to an interval, ends inside, where `jnp.clip` halves the derivative."""
     beyond = slack(values.dtype) * (high - low)
     return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))

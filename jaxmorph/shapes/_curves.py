@@ -14,8 +14,8 @@ from ._arguments import (
     Positions,
     Vector,
     cast,
-    check_finite,
-    clipped,
+    check_known,
+    clamp,
     known_positions,
     positions,
     slack,
@@ -56,7 +56,8 @@ class HicksHenne(AbstractLinearShape):
         bumps = np.column_stack([known, np.broadcast_to(powers, known.shape)])
         if twice := len(bumps) - len(np.unique(bumps, axis=0)):
             raise ValueError(f"{twice} of {len(bumps)} bumps stand twice.")
-        self.centres, self.widths = (jnp.asarray(column) for column in bumps.T)
+        self.centres = jnp.asarray(bumps[:, 0])
+        self.widths = jnp.asarray(bumps[:, 1])
         self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Vector:
@@ -67,11 +68,9 @@ class HicksHenne(AbstractLinearShape):
         own = cast(self, x)
         t = own.chord.coordinates(x)[0][:, None]
         inside = (t > 0) & (t < 1)
-        power = (
-            jnp.where(inside, t, 0.5)
-            ** (jnp.log(0.5) / jnp.log(own.centres)).astype(x.dtype)[None, :]
-        )
-        bumps = jnp.where(inside, jnp.sin(jnp.pi * power) ** own.widths[None, :], 0)
+        exponent = (jnp.log(0.5) / jnp.log(own.centres)).astype(x.dtype)
+        wave = jnp.sin(jnp.pi * jnp.where(inside, t, 0.5) ** exponent[None, :])
+        bumps = jnp.where(inside, wave ** own.widths[None, :], 0)
         return lambda heights: (bumps @ self._numbers(heights, x))[:, None] * own.chord.up[None, :]
 
 
@@ -80,8 +79,7 @@ class CST(AbstractLinearShape):
 
     They are t^a (1 - t)^b times Bernstein polynomials. The `order + 2` parameters, in chords, are
     the weights of the polynomials and the ordinate of a blunt trailing edge. They are added to the
-    airfoil, across the chord. `Part` restricts them to one side; `fit_cst` finds the weights of an
-    airfoil.
+    airfoil, across the chord. `Part` restricts them to one side.
 
     **Arguments:**
 
@@ -102,11 +100,9 @@ class CST(AbstractLinearShape):
             raise ValueError(
                 f"order {order} and exponents {exponents} must be 1 or more, and above 0."
             )
-        self.order, self.exponents, self.chord = (
-            order,
-            exponents,
-            Chord() if chord is None else chord,
-        )
+        self.order = order
+        self.exponents = exponents
+        self.chord = Chord() if chord is None else chord
 
     def neutral(self) -> Vector:
         return jnp.zeros(self.order + 2)
@@ -119,13 +115,13 @@ class CST(AbstractLinearShape):
         inside = (t >= -beyond) & (t <= 1 + beyond)
         within = jnp.where(inside, t, 0.5)
         a, b = self.exponents
-        class_function = jnp.where(inside, _power(within, a) * _power(1 - within, b), 0)
+        class_function = jnp.where(inside, _side_power(within, a) * _side_power(1 - within, b), 0)
         functions = class_function[:, None] * bernstein(within, self.order)
-        weights = chord.length * jnp.concatenate([functions, clipped(t, 0, 1)[:, None]], axis=1)
+        weights = chord.length * jnp.concatenate([functions, clamp(t, 0, 1)[:, None]], axis=1)
         return lambda numbers: (weights @ self._numbers(numbers, x))[:, None] * chord.up[None, :]
 
 
-def _power(distance: Column, exponent: float) -> Column:
+def _side_power(distance: Column, exponent: float) -> Column:
     """The derivative at the nose or tail is the one inside, or 0 where that is infinite."""
     if float(exponent).is_integer():
         return distance ** int(exponent)
@@ -163,7 +159,9 @@ class BSplineCurve(AbstractLinearShape):
                 "them out."
             )
         lengths = np.append(0, np.cumsum(steps))
-        self.shares, self.count, self.degree = jnp.asarray(lengths / lengths[-1]), count, degree
+        self.shares = jnp.asarray(lengths / lengths[-1])
+        self.count = count
+        self.degree = degree
         self.dimension = known.shape[1]
 
     def neutral(self) -> Float[Array, "k d"]:
@@ -186,7 +184,7 @@ class Modes(AbstractLinearShape):
     @checked
     def __init__(self, fields: Numbers):
         self.fields = jnp.asarray(fields, float)
-        check_finite(fields=self.fields)
+        check_known(fields=self.fields)
         if self.fields.ndim != 3:
             raise ValueError(f"`fields` has shape {self.fields.shape}; expected (k, m, d).")
 
@@ -200,15 +198,10 @@ class Modes(AbstractLinearShape):
         )
 
 
-Pair = tuple[Array, Array]
+FOOT_STEPS = 16  # to a node's foot on the mean line; most take four
 
-LAST = (
-    0.1015,
-    0.1036,
-)  # last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge
-REACH = 2.0  # chords before and behind the crest of the mean line in which feet are searched
-
-HALVINGS = 56
+# half of a thickness over the radius of the mean line from which nodes below have several feet
+BENT = 1.25
 
 
 class NACA4(AbstractShape):
@@ -219,7 +212,8 @@ class NACA4(AbstractShape):
     `place` and `thickness` are those of the given airfoil, `chord` its chord; from (0, 0) to (1, 0)
     by default.
 
-    **Raises:** `ValueError` for a thickness that is not above 0, and a place outside of 0 to 1.
+    **Raises:** `ValueError` for a thickness that is not above 0, a place outside of 0 to 1, and a
+    mean line that bends within the thickness, as from 6 % camber at 0.1 with 21 % thickness on.
     """
 
     original: Vector
@@ -232,6 +226,11 @@ class NACA4(AbstractShape):
         between("camber", camber)
         between("place", place, 0, 1)
         between("thickness", thickness, 0)
+        if abs(camber) * thickness > BENT * place**2:
+            raise ValueError(
+                f"the mean line of camber {camber} at {place} bends within the thickness "
+                f"{thickness}: nodes have no single place along it. Try less of one of them."
+            )
         self.original = jnp.asarray([camber, place, thickness], float)
         self.chord = Chord() if chord is None else chord
 
@@ -241,105 +240,45 @@ class NACA4(AbstractShape):
     def __call__(self, x: Numbers, parameters: Numbers) -> Positions:
         x = positions(x)
         own = cast(self, x)
-        parameters = jnp.asarray(parameters, x.dtype)
-        if parameters.shape != (3,):
+        airfoil = jnp.asarray(parameters, x.dtype)
+        if airfoil.shape != (3,):
             raise ValueError(
-                f"parameters have shape {parameters.shape}; expected camber, place, thickness."
+                f"parameters have shape {airfoil.shape}; expected camber, place, thickness."
             )
         chord = own.chord
-        original = own.original
         t, height = chord.coordinates(x)
-        height = height / chord.length
-        s = _station(t, height, original)
-        offset = _offset(s, t, height, original)
-        t0, y0 = _from_mean_line(s, offset, original)
-        t1, y1 = _from_mean_line(s, offset * (parameters[2] / original[2]), parameters)
-        along = chord.tail - chord.nose
-        across = chord.up * chord.length
-        return x + (t1 - t0)[:, None] * along[None, :] + (y1 - y0)[:, None] * across[None, :]
+        s, offset = _on_mean_line(t, height / chord.length, own.original)
+        before = _from_mean_line(s, offset, own.original)
+        after = _from_mean_line(s, offset * (airfoil[2] / own.original[2]), airfoil)
+        axes = jnp.stack([chord.tail - chord.nose, chord.up * chord.length])
+        return x + (after - before) @ axes
 
 
-def _mean_line(s, airfoil: Vector) -> Pair:
+def _mean_line(s: Column, airfoil: Vector) -> tuple[Column, Column]:
+    """Ordinate and slope."""
     camber = airfoil[0]
     place = airfoil[1]
     width = jnp.where(s < place, place, 1 - place)
     return camber * (1 - ((s - place) / width) ** 2), 2 * camber / width**2 * (place - s)
 
 
-def _away(s, t, height, airfoil: Vector) -> Array:
+def _on_mean_line(t: Column, height: Column, airfoil: Vector) -> tuple[Column, Column]:
+    """The foot of each position on the mean line, and its distance from it."""
+
+    def ahead(s):
+        ordinate, slope = _mean_line(s, airfoil)
+        return s - t + (ordinate - height) * slope
+
+    def nearer(_, s):
+        value, rate = jax.jvp(ahead, (s,), (jnp.ones_like(s),))
+        return s - value / jnp.where(rate > 0.1, rate, 0.1)
+
+    s = jax.lax.fori_loop(0, FOOT_STEPS, nearer, t)
     ordinate, slope = _mean_line(s, airfoil)
-    return s - t + (ordinate - height) * slope
+    return s, ((height - ordinate) - (t - s) * slope) / jnp.sqrt(1 + slope**2)
 
 
-def _rate(s, *position) -> Array:
-    return jax.jvp(lambda s: _away(s, *position), (s,), (jnp.ones_like(s),))[1]
-
-
-@jax.custom_jvp
-@jax.jit
-def _station(t: Column, height: Column, airfoil: Vector) -> Column:
-    """The foot of each position on the mean line; of several, the one half a thickness away."""
-    position = t[None], height[None], airfoil
-    ends = _borders(height, airfoil)
-    sign = jnp.sign(_away(ends[:-1], *position))
-
-    def halved(_, ends):
-        middle = ends.mean(axis=0)
-        same = jnp.sign(_away(middle, *position)) == sign
-        return jnp.stack([jnp.where(same, middle, ends[0]), jnp.where(same, ends[1], middle)])
-
-    s = jax.lax.fori_loop(0, HALVINGS, halved, jnp.stack([ends[:-1], ends[1:]])).mean(axis=0)
-    for _ in range(2):
-        rate = _rate(s, *position)
-        s = s - _away(s, *position) / jnp.where(jnp.abs(rate) > 0.1, rate, jnp.inf)
-    offset = jnp.abs(_offset(s, *position))
-    x = jnp.clip(s, 0, 1)
-    root = 0.2969 * jnp.sqrt(x)
-    half = (
-        5 * airfoil[2] * (root + x * (-0.126 + x * (-0.3516 + x * (0.2843 - last * x))))
-        for last in LAST
-    )
-    miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(
-        _away(s, *position)
-    )
-    first = jnp.argmax(miss <= miss.min(axis=0, keepdims=True) + slack(s.dtype), axis=0)
-    return jnp.take_along_axis(s, first[None], axis=0)[0]
-
-
-@_station.defjvp
-def _station_jvp(primals, tangents):
-    # the foot is defined by away(s, ...) = 0; the rule contains the foot itself, so that
-    # derivatives of all orders follow
-    s = _station(*primals)
-    rate = _rate(s, *primals)
-    moved = jax.jvp(lambda *values: _away(s, *values), primals, tangents)[1]
-    return s, -moved / jnp.where(jnp.abs(rate) > slack(s.dtype), rate, 1)
-
-
-def _borders(height: Column, airfoil: Vector) -> Float[Array, "5 m"]:
-    """Computes the ends of intervals in which a position has at most one foot.
-
-    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a
-    root of 2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its
-    extremum, and beyond it.
-    """
-    camber = airfoil[0]
-    place = airfoil[1]
-    bend = -camber / jnp.stack([place, 1 - place])[:, None] ** 2
-    square = -(1 + 2 * bend * (camber - height)[None]) / (
-        6 * bend**2
-    )  # of v at the extremum; without a bend -inf
-    ahead, behind = jnp.minimum(jnp.sqrt(jnp.maximum(square, 0)), REACH)
-    last = jnp.full_like(height, REACH)
-    return place + jnp.stack([-last, -ahead, 0 * last, behind, last])
-
-
-def _offset(s, t, height, airfoil: Vector) -> Array:
+def _from_mean_line(s: Column, offset: Column, airfoil: Vector) -> Float[Array, "m 2"]:
     ordinate, slope = _mean_line(s, airfoil)
-    return ((height - ordinate) - (t - s) * slope) / jnp.sqrt(1 + slope**2)
-
-
-def _from_mean_line(s, offset, airfoil: Vector) -> Pair:
-    ordinate, slope = _mean_line(s, airfoil)
-    cosine = 1 / jnp.sqrt(1 + slope**2)
-    return s - offset * slope * cosine, ordinate + offset * cosine
+    away = offset / jnp.sqrt(1 + slope**2)
+    return jnp.stack([s - away * slope, ordinate + away], axis=1)

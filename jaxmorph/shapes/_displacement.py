@@ -1,7 +1,7 @@
 """What is done with a shape: the input of `deform`, sensitivities, fits, names of parameters."""
 
 import difflib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -20,13 +20,11 @@ from ._arguments import (
     Numbers,
     Positions,
     Scalar,
-    check_finite,
+    check_known,
     check_parameters,
     positions,
 )
-from ._curves import CST
-from ._section import Chord, upper_side
-from ._shape import AbstractLinearShape, Part, Together
+from ._shape import AbstractLinearShape
 
 AnyShape = Callable[[Any, Any], Any]
 
@@ -64,11 +62,12 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     given, needed = (jax.tree.map(np.shape, tree) for tree in (parameters, start))
     if given != needed:
         raise ValueError(f"`parameters` have shapes {given}; this shape takes {needed}.")
-    at = [
-        jax.tree.map(lambda a, b, j=j: a + (j + 1) / steps * (b - a), start, parameters)
-        for j in range(steps)
-    ]
-    return jnp.stack([moves(shape, x, values) for values in at])
+
+    def at(share: float) -> Positions:
+        values = jax.tree.map(lambda a, b: a + share * (b - a), start, parameters)
+        return moves(shape, x, values)
+
+    return jnp.stack([at((k + 1) / steps) for k in range(steps)])
 
 
 @checked
@@ -152,10 +151,6 @@ def moves(shape: AnyShape, x: Positions, parameters: PyTree) -> Positions:
     return moved - x
 
 
-LISTED = 12  # names in a message, at most
-
-
-@checked
 def names(parameters: PyTree) -> list[str]:
     """Names each number of a shape's parameters, in the order of `jax.flatten_util.ravel_pytree`.
 
@@ -163,7 +158,7 @@ def names(parameters: PyTree) -> list[str]:
     """
     check_parameters(parameters)
     return [
-        name for stem, leaf in _leaves(parameters) for name in _of_numbers(stem, np.shape(leaf))
+        name for stem, leaf in _leaves(parameters) for name in _number_names(stem, np.shape(leaf))
     ]
 
 
@@ -180,46 +175,42 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
     check_parameters(parameters)
     stems = [stem for stem, _ in _leaves(parameters)]
     values = [np.array(leaf, float) for leaf in jax.tree.leaves(parameters)]
-    places: dict[str, tuple[int, Any]] = {}
-    for k, (stem, value) in enumerate(zip(stems, values, strict=True)):
-        places |= zip(
-            _of_numbers(stem, value.shape), ((k, at) for at in np.ndindex(value.shape)), strict=True
-        )
-        places[stem] = k, ...
     for name, change in changes.items():
-        k, at = places[_match(name, places, dict(zip(stems, map(np.shape, values), strict=True)))]
-        value = np.asarray(change, float)
-        target = values[k][at]
-        if value.size != target.size or not np.isfinite(value).all():
-            count = "one finite number" if target.size == 1 else f"{target.size} finite numbers"
-            raise ValueError(f"{name} takes {count}, found {value.ravel().tolist()}.")
-        values[k][at] = value.reshape(target.shape)
+        stem, bracket, indices = name.partition("[")
+        array = _stem_of(stem, stems)
+        value = values[stems.index(array)]
+        flat = value.reshape(-1)
+        if bracket:
+            listed = _number_names(array, value.shape)
+            if f"{array}[{indices}" not in listed:
+                raise ValueError(
+                    f"there is no design variable {name}: {array} has shape {value.shape}."
+                )
+            first = listed.index(f"{array}[{indices}")
+            flat = flat[first : first + 1]
+        numbers = np.asarray(change, float).ravel()
+        if numbers.size != flat.size or not np.isfinite(numbers).all():
+            count = "one finite number" if flat.size == 1 else f"{flat.size} finite numbers"
+            raise ValueError(f"{name} takes {count}, found {numbers.tolist()}.")
+        flat[:] = numbers
     return jax.tree.unflatten(jax.tree.structure(parameters), values)
 
 
-def _match(name: str, places: Iterable[str], arrays: Mapping[str, tuple[int, ...]]) -> str:
-    matches = _called(name, places)
+def _stem_of(name: str, stems: Sequence[str]) -> str:
+    """The array of a name, or of the unambiguous end of one."""
+    matches = [name] if name in stems else [stem for stem in stems if stem.endswith(f".{name}")]
     if len(matches) == 1:
         return matches[0]
-    listed = ", ".join((matches or list(arrays))[:LISTED]) or "none"
     if matches:
+        listed = ", ".join(matches)
         raise ValueError(
             f"{len(matches)} design variables are called {name}; take one of: {listed}."
         )
-    array = _called(name.partition("[")[0], arrays)
-    if "[" in name and len(array) == 1:
-        raise ValueError(
-            f"there is no design variable {name}: {array[0]} has shape {arrays[array[0]]}."
-        )
-    near = difflib.get_close_matches(
-        name, [*arrays, *(stem.rpartition(".")[2] for stem in arrays)], n=1
-    )
+    ends = [stem.rpartition(".")[2] for stem in stems]
+    near = difflib.get_close_matches(name, [*stems, *ends], n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
+    listed = ", ".join(stems) or "none"
     raise ValueError(f"there is no design variable {name}{hint}; there are: {listed}.")
-
-
-def _called(name: str, known: Iterable[str]) -> list[str]:
-    return [name] if name in known else [other for other in known if other.endswith(f".{name}")]
 
 
 def _leaves(parameters: PyTree) -> Iterator[tuple[str, Any]]:
@@ -227,7 +218,7 @@ def _leaves(parameters: PyTree) -> Iterator[tuple[str, Any]]:
         yield jax.tree_util.keystr(path, simple=True, separator=".") or "parameters", leaf
 
 
-def _of_numbers(stem: str, shape: tuple[int, ...]) -> list[str]:
+def _number_names(stem: str, shape: tuple[int, ...]) -> list[str]:
     return [f"{stem}[{','.join(map(str, at))}]" for at in np.ndindex(shape)] if shape else [stem]
 
 
@@ -251,8 +242,7 @@ class Fit(Module):
         if idle := self.count - int(self.rank):
             raise ValueError(
                 f"the fit is singular: {idle} of {self.count} parameters have no effect of their "
-                f"own on these {len(self.residual)} "
-                f"points. Try fewer parameters, or more points."
+                f"own on these {len(self.residual)} points. Try fewer of them, or more points."
             )
 
     @property
@@ -286,7 +276,7 @@ def fit(
     whole("max_steps", max_steps)
     points = positions(points, "points")
     targets = positions(targets, "targets")
-    check_finite(points=points, targets=targets)
+    check_known(points=points, targets=targets)
     if points.shape != targets.shape:
         raise ValueError(
             f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row."
@@ -312,49 +302,8 @@ def fit(
         )
     flat = flat + change if is_linear else flat
     return Fit(
-        unravel(flat), jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1), rank, len(flat)
-    )
-
-
-@checked
-def fit_cst(
-    points: Numbers,
-    order: int,
-    exponents: tuple[float, float] = (0.5, 1.0),
-    *,
-    chord: Chord | None = None,
-    wall: Any = None,
-) -> tuple[Together, Fit]:
-    """Fits class and shape functions to the upper and the lower side of an airfoil, from its chord.
-
-    **Arguments:**
-
-    - `points`: (m, 2) nodes of the airfoil, in any order.
-    - `order`, `exponents`: of `CST`.
-    - `chord`: `Chord.along` by default. A nose between two nodes shows in the residual there.
-    - `wall`: as `upper_side` takes it; it names all points.
-
-    **Returns:** the shape and the `Fit`, whose parameters (upper, lower) describe this airfoil.
-    Changes to them move it: `shape(points, (d_upper, d_lower))`.
-
-    **Raises:** `ValueError` for fewer nodes than unknowns, and an airfoil without two sides.
-    """
-    whole("order", order)
-    points = positions(points, "points")
-    chord = Chord.along(points) if chord is None else chord
-    cst = CST(order, exponents, chord=chord)
-    upper = upper_side(points, chord, wall=wall)
-    if wall is not None and len(wall) != len(points):
-        raise ValueError(
-            f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil."
-        )
-    if min(upper.sum(), (~upper).sum()) < order + 2:
-        raise ValueError(
-            f"{upper.sum()} nodes above and {(~upper).sum()} below do not determine {order + 2} "
-            "numbers a side."
-        )
-    shape = Together(*(Part(cst, side) for side in (upper, ~upper)))
-    _, height = chord.coordinates(points)
-    return shape, fit(
-        shape, points - height[:, None] * chord.up.astype(points.dtype)[None, :], points
+        parameters=unravel(flat),
+        residual=jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1),
+        rank=rank,
+        count=len(flat),
     )

@@ -13,16 +13,15 @@ from scipy.sparse.csgraph import connected_components
 from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module
 
-from ._arguments import Column, Positions, rows_of, shown_place
+from ._arguments import Column, Positions, rows_like, shown_place
 
 Ids = Int[np.ndarray | Array, " _"]
 Planes = Plane | Sequence[Plane]
 Borders = tuple[tuple[Plane, Ids], ...]
 
-SAME, REACH = (
-    1e-6,
-    0.25,
-)  # shares of the extent: distance of points that are on a plane; the farthest edge or corner
+# shares of the extent: distance of points that are on a plane, and of the farthest edge or corner
+SAME = 1e-6
+FARTHEST = 0.25
 
 
 class Rail(Module):
@@ -54,17 +53,13 @@ class Clip(Module):
     plane: Plane
 
     def __call__(self, points: Array) -> Positions:
-        a = points[self.pairs[:, 0]]
-        b = points[self.pairs[:, 1]]
-        first, second = (height_of(end, self.plane) for end in (a, b))
-        apart = first - second
-        place = a + jnp.where(apart != 0, first / jnp.where(apart != 0, apart, 1), 0)[:, None] * (
-            b - a
-        )
-        place = (
-            place
-            - height_of(place, self.plane)[:, None] * jnp.asarray(self.plane.normal, a.dtype)[None]
-        )
+        a, b = points[self.pairs.T]
+        first = height_of(a, self.plane)
+        apart = first - height_of(b, self.plane)
+        share = jnp.where(apart != 0, first / jnp.where(apart != 0, apart, 1), 0)
+        place = a + share[:, None] * (b - a)
+        normal = jnp.asarray(self.plane.normal, a.dtype)
+        place = place - height_of(place, self.plane)[:, None] * normal[None]
         return jnp.where(self.on[:, None], place, a)
 
 
@@ -87,38 +82,35 @@ def height_of(x: Positions, plane: Plane) -> Column:
 
 def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Clip, Facets]:
     """Cuts a target off at a plane, and keeps one side (1 or -1)."""
-    # A face becomes the polygon of its corners on this side and of its edges that cross the plane,
-    # in this order around it. A polygon of four is two triangles.
     points = np.asarray(target.points, float)
     faces = np.asarray(target.faces)
-    height = side * plane.height(points)
     width = faces.shape[1]
-    height = np.where(np.abs(height) <= slack, 0, height)
-    ends = height[faces]
-    cuts: list[Any] = [
-        np.repeat(faces[(ends >= 0).all(axis=1) & (ends > 0).any(axis=1)], 2).reshape(-1, 2)
-    ]
-    for corners in faces[(ends.min(axis=1) < 0) & (ends.max(axis=1) > 0)].tolist():
-        sides = zip(corners, corners[1:] + corners[:1], strict=True)
-        around = [pair for a, b in sides for pair in ((a, a), (min(a, b), max(a, b)))]
-        ring = dict.fromkeys(
-            (a, b) for a, b in around if (height[a] >= 0 if a == b else height[a] * height[b] < 0)
-        )
-        first, *others = ring
-        cuts += [[first, *others[k : k + width - 1]] for k in range(len(others) - width + 2)]
-    pairs, place = np.unique(np.concatenate(cuts), axis=0, return_inverse=True)
-    if (
-        not len(pairs)
-        or not (on := (height[pairs[:, 0]] == 0) | (pairs[:, 0] != pairs[:, 1])).any()
-    ):
+    height = side * plane.height(points)
+    height[np.abs(height) <= slack] = 0
+    # Sutherland and Hodgman: around each face its corners on this side, and after each corner the
+    # place where the edge from it crosses the plane; each is a pair of points
+    first = faces[(height[faces] > 0).any(axis=1)]
+    second = np.roll(first, -1, axis=1)
+    ends = np.stack([first, second], axis=2)
+    slots = np.stack([first[:, :, None].repeat(2, axis=2), np.sort(ends, axis=2)], axis=2)
+    is_used = np.stack([height[first] >= 0, height[ends].prod(axis=2) < 0], axis=2)
+    if width == 2:
+        is_used[:, 1, 1] = False  # the way back along a segment
+    # those that are used come first; a polygon of four is a fan of two triangles
+    order = np.argsort(~is_used.reshape(len(first), -1), axis=1, kind="stable")
+    ring = np.take_along_axis(slots.reshape(len(first), -1, 2), order[:, :, None], axis=1)
+    count = is_used.sum(axis=(1, 2))
+    fans = [ring[count >= k + width - 1][:, [0, *range(k, k + width - 1)]] for k in (1, 2)]
+    pairs, place = np.unique(np.concatenate(fans).reshape(-1, 2), axis=0, return_inverse=True)
+    on = (height[pairs[:, 0]] == 0) | (pairs[:, 0] != pairs[:, 1])
+    if not on.any():
         raise ValueError(
             f"the target ends {np.abs(height).min():.3g} before the symmetry plane through "
-            f"{shown_place(plane.origin)}. "
-            "Extend the target, or leave the plane out."
+            f"{shown_place(plane.origin)}. Extend the target, or leave the plane out."
         )
     clip = Clip(pairs, on, plane)
-    faces = place.reshape(-1, width)
-    return clip, Facets(clip(jnp.asarray(points)), faces, smooth=target.smooth, angle=target.angle)
+    cut = place.reshape(-1, width)
+    return clip, Facets(clip(jnp.asarray(points)), cut, smooth=target.smooth, angle=target.angle)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,12 +139,20 @@ class Curves:
         sides = np.sort(
             np.concatenate([faces[:, [k, k - 1]] for k in range(faces.shape[1])]), axis=1
         )
-        for named in ids:
-            edges = np.unique(sides[np.isin(sides, named).all(axis=1)], axis=0)
-            found.append(np.reshape(named, (-1, 1)) if rim.shape[1] == 1 else edges)
+        for own in ids:
+            edges = np.unique(sides[np.isin(sides, own).all(axis=1)], axis=0)
+            found.append(np.reshape(own, (-1, 1)) if rim.shape[1] == 1 else edges)
         edges = np.concatenate(found)
         kinds = np.repeat(np.arange(len(found)), [len(part) for part in found])
-        return cls(points, normals, edges, kinds, *_corners(points, edges, kinds, rim, len(planes)))
+        corners, codes = _meeting_points(points, edges, kinds, rim, len(planes))
+        return cls(
+            points=points,
+            normals=normals,
+            edges=edges,
+            kinds=kinds,
+            corners=corners,
+            codes=codes,
+        )
 
     def chains(self, kind: int) -> list[np.ndarray]:
         """The edges of a kind in parts between corners; none in 2-D, where all are corners."""
@@ -168,7 +168,7 @@ class Curves:
         return [edges[part == number] for number in np.unique(part)]
 
 
-def _corners(
+def _meeting_points(
     points: np.ndarray, edges: np.ndarray, kinds: np.ndarray, rim: np.ndarray, planes: int
 ) -> tuple[np.ndarray, np.ndarray]:
     nodes, number = np.unique(edges, return_inverse=True)
@@ -195,13 +195,18 @@ def guides_of(
 ) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
     slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
-    ids = (
-        _named(features, len(wall.points)),
-        _named([pair[::-1] for pair in features], len(target.points)),
-    )
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
+        raise ValueError(
+            "`features` must be pairs: ids of nodes of the wall, and of points of the target."
+        )
     own, other = (
-        Curves.of(facets, planes, slack, named)
-        for facets, named in zip((wall, target), ids, strict=True)
+        Curves.of(
+            facets,
+            planes,
+            slack,
+            [rows_like("features", pair[k], len(facets.points)) for pair in features],
+        )
+        for k, facets in enumerate((wall, target))
     )
     guides = [
         guide for code in np.unique(own.codes).tolist() for guide in _on_points(own, other, code)
@@ -211,14 +216,6 @@ def guides_of(
     return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
 
 
-def _named(features: Sequence[Any], count: int) -> list[Int[np.ndarray, " k"]]:
-    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
-        raise ValueError(
-            "`features` must be pairs: ids of nodes of the wall, and of points of the target."
-        )
-    return [rows_of("features", ids, count) for ids, _ in features]
-
-
 def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
     """A corner goes onto the closest corner of the same kinds of curves, that looks alike."""
     rows, ids = (side.corners[side.codes == code] for side in (own, other))
@@ -226,7 +223,9 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
         return []
     away, chosen = _best(own, rows, other.points[ids], other.normals[ids])
     away |= code > 1  # a plane or a name leaves no choice
-    rows, ids, places = rows[away], ids[chosen][away], other.points[ids[chosen]][away]
+    rows = rows[away]
+    ids = ids[chosen][away]
+    places = other.points[ids]
     _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
     shared = np.flatnonzero(count[place.ravel()] > 1)
     if len(shared):
@@ -237,14 +236,14 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
             "`Facets`.",
             rows[shared],
         )
-    return [Rail(rows, np.stack([rows, rows], axis=1), ids)] if len(rows) else []
+    return [Rail(rows=rows, beside=np.stack([rows, rows], axis=1), ids=ids)] if len(rows) else []
 
 
 def _best(
     own: Curves, rows: np.ndarray, places: np.ndarray, looks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Whether each node has a candidate (q, d) or (c, q, d) within reach, and the best one."""
-    reach = REACH * np.ptp(own.points, axis=0).max()
+    reach = FARTHEST * np.ptp(own.points, axis=0).max()
     away = np.linalg.norm(own.points[rows][:, None] - places, axis=2)
     turned = np.linalg.norm(own.normals[rows][:, None] - looks, axis=2)
     best = (away + reach * turned).argmin(axis=1)
@@ -266,14 +265,12 @@ def _on_curves(own: Curves, other: Curves, kind: int, taken: np.ndarray) -> list
         if near.any():
             onto = np.concatenate([chains[number] for number in np.unique(best[near])])
             rows = rows[near]
-            sides = other.normals[onto].mean(axis=1) * (kind > 0)
-            guides.append(
-                Rail(rows, _beside(rows, edges), None, Facets(other.points, onto, sides=sides))
-            )
+            curve = Facets(other.points, onto, sides=other.normals[onto].mean(axis=1) * (kind > 0))
+            guides.append(Rail(rows=rows, beside=_neighbours_along(rows, edges), curve=curve))
     return guides
 
 
-def _beside(rows: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _neighbours_along(rows: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Neighbours (c, 2) of nodes along edges; the node itself in place of a missing one."""
     both = np.concatenate([edges, edges[:, ::-1]])
     both = both[np.lexsort(both.T[::-1])]

@@ -24,7 +24,7 @@ from ._arguments import (
     Positions,
     Vector,
     Weights,
-    check_finite,
+    check_known,
     known_positions,
     piecewise,
     positions,
@@ -63,11 +63,12 @@ def bernstein(t: Column, degree: int) -> Weights:
 
 @jax.jit
 def sums(weights: Sequence[Float[Array, "m _"]], control: Control) -> Positions:
-    return jax.lax.map(functools.partial(_sum, control), tuple(weights), batch_size=SLAB)
+    """Sums control points (*counts, d) by the weights along each direction of their lattice."""
 
+    def one(rows: Sequence[Float[Array, " _"]]) -> Vector:
+        return functools.reduce(lambda left, row: jnp.tensordot(row, left, 1), rows, control)
 
-def _sum(control: Control, weights: Sequence[Float[Array, " _"]]) -> Vector:
-    return functools.reduce(lambda left, along: jnp.tensordot(along, left, 1), weights, control)
+    return jax.lax.map(one, tuple(weights), batch_size=SLAB)
 
 
 class FreeForm(AbstractLinearShape):
@@ -107,7 +108,7 @@ class FreeForm(AbstractLinearShape):
     ):
         origin = jnp.asarray(origin, float)
         axes = jnp.asarray(axes, float)
-        check_finite(origin=origin, axes=axes)
+        check_known(origin=origin, axes=axes)
         d = origin.size
         if origin.shape not in ((2,), (3,)) or axes.shape != (d, d):
             raise ValueError(
@@ -121,7 +122,9 @@ class FreeForm(AbstractLinearShape):
             raise ValueError(
                 "the box is flat: its `axes` lie in one plane or one of them has no length."
             )
-        self.origin, self.axes, self.continuity = origin, axes, continuity
+        self.origin = origin
+        self.axes = axes
+        self.continuity = continuity
         self.counts, self.degrees = _lattice_of(counts, degree, d)
         if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
             raise ValueError(
@@ -146,8 +149,7 @@ class FreeForm(AbstractLinearShape):
         **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
         """
         points = positions(points, "points")
-        if is_known(points):
-            known_positions(points, "points")
+        check_known(points=points)
         if not len(points):
             raise ValueError("`points` has no rows: there is nothing to put a box around.")
         low = points.min(axis=0)
@@ -245,10 +247,10 @@ class FreeForm(AbstractLinearShape):
         known = known_positions(x)
         outside = np.flatnonzero(~np.asarray(self.holds(self.coordinates(jnp.asarray(known)))))
         if len(outside):
+            first = outside[0]
             raise ValueError(
-                f"{len(outside)} of {len(known)} positions are outside the box, first row "
-                f"{outside[0]} at "
-                f"{shown_place(known[outside[0]])}. Try a larger box."
+                f"{len(outside)} of {len(known)} positions are outside the box, first row {first} "
+                f"at {shown_place(known[first])}. Try a larger box."
             )
 
     @checked
@@ -266,23 +268,20 @@ class FreeForm(AbstractLinearShape):
             worst = int(np.where(torn, moves, 0).argmax())
             raise ValueError(
                 f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes "
-                f"them, row {worst} at "
-                f"{shown_place(x[worst])} by {moves[worst]:.3g}. Try continuity=0 or more, or a "
-                "larger box."
+                f"them, row {worst} at {shown_place(x[worst])} by {moves[worst]:.3g}. Try "
+                "continuity=0 or more, or a larger box."
             )
 
 
-def _lattice_of(
-    counts: Sequence[Any], degree: Any, d: int
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _lattice_of(counts: Counts, degree: Degree, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     counts = tuple(whole("counts", count, 2) for count in counts)
     if len(counts) != d:
         raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers.")
-    given = [degree] * d if degree is None or isinstance(degree, int) else degree
+    given = tuple(degree) if isinstance(degree, Sequence) else (degree,) * d
     degrees = tuple(count - 1 if p is None else p for p, count in zip(given, counts, strict=False))
-    if len(given) != d or any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
+    if len(given) != d or not all(1 <= p < count for p, count in zip(degrees, counts, strict=True)):
         raise ValueError(
-            f"degrees {tuple(given)} do not fit counts {counts}: each lies from 1 to count - 1."
+            f"degrees {given} do not fit counts {counts}: each lies from 1 to count - 1."
         )
     return counts, degrees
 
@@ -328,7 +327,7 @@ def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.nd
     return mirror, signs
 
 
-STEPS = 30  # steps of Newton's method; a box that is no parallelepiped takes about six
+NEWTON_STEPS = 30  # a box that is no parallelepiped takes about six
 OUTSIDE = 2.0  # coordinate of a position far from the box, whose place is not found
 
 SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
@@ -362,7 +361,7 @@ class Hexahedron(AbstractLinearShape):
         continuity: int | None = None,
     ):
         listed = jnp.asarray(corners, float)
-        check_finite(corners=listed)
+        check_known(corners=listed)
         if listed.shape not in ((4, 2), (8, 3)):
             raise ValueError(
                 f"`corners` has shape {listed.shape}; expected (8, 3), or (4, 2) in 2-D."
@@ -410,7 +409,7 @@ class Hexahedron(AbstractLinearShape):
         """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced."""
         x = positions(x)
         x = positions(x, like=(len(x), len(self.counts)))
-        return _places(x, self.corners.astype(x.dtype))
+        return _box_coordinates(x, self.corners)
 
     def lattice(self, control: Numbers | None = None) -> Control:
         """Computes the positions (*counts, d) of the control points, displaced by `control`."""
@@ -430,36 +429,25 @@ def _at(t: Vector, corners: Control) -> Vector:
 _slopes = jax.jacfwd(_at)
 
 
-@jax.custom_jvp
 @jax.jit
-def _places(x: Positions, corners: Control) -> Positions:
+def _box_coordinates(x: Positions, corners: Control) -> Positions:
+    corners = corners.astype(x.dtype)
     tolerance = 1e3 * jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(corners))
 
-    def one(position: Vector) -> Vector:
-        def step(_, t):
-            change = jnp.linalg.solve(_slopes(t, corners), position - _at(t, corners))
-            return jnp.clip(t + jnp.clip(change, -1, 1), -1, 2)
+    def nearer(t: Vector, position: Vector, corners: Control) -> Vector:
+        return jnp.linalg.solve(_slopes(t, corners), position - _at(t, corners))
 
-        t = jax.lax.fori_loop(0, STEPS, step, jnp.full_like(position, 0.5))
-        return jnp.where(jnp.max(jnp.abs(_at(t, corners) - position)) <= tolerance, t, OUTSIDE)
+    def one(position: Vector) -> Vector:
+        here, there = jax.lax.stop_gradient((position, corners))
+
+        def step(_, t):
+            return jnp.clip(t + jnp.clip(nearer(t, here, there), -1, 1), -1, 2)
+
+        t = jax.lax.fori_loop(0, NEWTON_STEPS, step, jnp.full_like(here, 0.5))
+        is_found = jnp.max(jnp.abs(_at(t, there) - here)) <= tolerance
+        t = jnp.where(is_found, t, 0.5)
+        for _ in range(2):  # carry derivatives of first to third order
+            t = t + nearer(t, position, corners)
+        return jnp.where(is_found, t, OUTSIDE)
 
     return jax.vmap(one)(x)
-
-
-@_places.defjvp
-def _places_jvp(primals, tangents):
-    # the place is defined by at(t, corners) = x; the rule contains the place itself, so that
-    # derivatives of all orders follow
-    (x, corners), (x_dot, corners_dot) = primals, tangents
-    t = _places(x, corners)
-
-    def one(t, x_dot):
-        is_inside = jnp.all(t < OUTSIDE)
-        slopes = jnp.where(
-            is_inside,
-            _slopes(jnp.where(is_inside, t, 0.5), corners),
-            jnp.eye(len(t), dtype=t.dtype),
-        )
-        return jnp.where(is_inside, jnp.linalg.solve(slopes, x_dot - _at(t, corners_dot)), 0)
-
-    return t, jax.vmap(one)(t, x_dot)

@@ -16,15 +16,15 @@ from ._arguments import (
     Positions,
     Vector,
     Weights,
+    above_zero,
     arms,
     axis_for,
     cast,
-    clipped,
+    clamp,
     direction,
-    number,
+    one_number,
     piecewise,
     positions,
-    positive,
     vector,
 )
 from ._shape import AbstractShape
@@ -47,7 +47,7 @@ def rotate(
     """
     x = positions(x)
     angle = jnp.asarray(angle, x.dtype)
-    angle = angle[:, None] if angle.shape == x.shape[:1] else number("angle", angle, x)
+    angle = angle[:, None] if angle.shape == x.shape[:1] else one_number("angle", angle, x)
     return x + _turn(arms(x, about), angle, axis_for(axis, x))
 
 
@@ -93,9 +93,9 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
         raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
     arm = arms(x, about)
     along = direction("axis", axis, x)
-    span = positive("length", length, x)
-    share = clipped(arm @ along, 0, span) / span
-    return x + _turn(arm, number("angle", angle, x) * share[:, None], along)
+    span = above_zero("length", length, x)
+    share = clamp(arm @ along, 0, span) / span
+    return x + _turn(arm, one_number("angle", angle, x) * share[:, None], along)
 
 
 @checked
@@ -126,7 +126,7 @@ def bend(
     x = positions(x)
     arm = arms(x, about)
     along = direction("along", along, x)
-    span = positive("length", length, x)
+    span = above_zero("length", length, x)
     normal = axis_for(axis, x)
     if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
         raise ValueError(
@@ -134,10 +134,10 @@ def bend(
             f"{float(normal @ along):.3g}."
         )
     up = jnp.cross(normal, jnp.pad(along, (0, 3 - len(along))))[: len(along)]
-    curvature = number("angle", angle, x) / span
+    curvature = one_number("angle", angle, x) / span
     reach = arm @ along
     height = arm @ up
-    s = clipped(reach, 0, span)
+    s = clamp(reach, 0, span)
     turned = curvature * s
     beyond = reach - s
     versine = 2 * jnp.sin(turned / 2) ** 2
@@ -187,9 +187,8 @@ class ReferenceAxis(AbstractShape):
     points: Float[Array, "k 3"]
     chordwise: Vector
     spanwise: Vector
-    coefficients: tuple[
-        Float[Array, "j k"], ...
-    ]  # of the weights of stations, by power of the distance from one
+    # of the weights of stations, by power of the distance from one
+    coefficients: tuple[Float[Array, "j k"], ...]
 
     @checked
     def __init__(
@@ -201,10 +200,8 @@ class ReferenceAxis(AbstractShape):
         cubic: bool = False,
     ):
         known = finite_array("points", points, (None, 3))
-        along = finite_array("chordwise", chordwise, (3,))
-        across = finite_array("spanwise", spanwise, (3,))
-        along = along / np.linalg.norm(along)
-        across = across / np.linalg.norm(across)
+        along = _unit_vector("chordwise", chordwise)
+        across = _unit_vector("spanwise", spanwise)
         if not abs(along @ across) <= 1e-9:
             raise ValueError(
                 "`chordwise` and `spanwise` must be directions at right angles; their cosine is "
@@ -212,28 +209,22 @@ class ReferenceAxis(AbstractShape):
             )
         if len(known) < 2:
             raise ValueError(f"`points` has shape {known.shape}; expected (k, 3), k >= 2.")
-        steps = np.diff(known @ across)
+        stations = known @ across
+        steps = np.diff(stations)
         if not (steps > 0).all():
             raise ValueError(
                 f"station {int(np.argmin(steps)) + 1} is not farther along the span than the one "
                 "before."
             )
-        self.points, self.chordwise, self.spanwise = (
-            jnp.asarray(known),
-            jnp.asarray(along),
-            jnp.asarray(across),
-        )
-        from scipy.interpolate import CubicSpline, make_interp_spline  # not before they are needed
+        self.points = jnp.asarray(known)
+        self.chordwise = jnp.asarray(along)
+        self.spanwise = jnp.asarray(across)
+        from scipy.interpolate import make_interp_spline  # not before it is needed
 
-        stations = known @ across
-        values = np.eye(len(known))
-        is_cubic = cubic and len(known) > 2
-        spline = (
-            CubicSpline(stations, values, bc_type="natural")
-            if is_cubic
-            else make_interp_spline(stations, values, 1)
-        )
-        terms = [spline(stations[:-1], p) / math.factorial(p) for p in range(4 if is_cubic else 2)]
+        degree = 3 if cubic else 1
+        ends = "natural" if cubic else None
+        spline = make_interp_spline(stations, np.eye(len(known)), degree, bc_type=ends)
+        terms = [spline(stations[:-1], p) / math.factorial(p) for p in range(degree + 1)]
         self.coefficients = tuple(map(jnp.asarray, terms))
 
     def neutral(self) -> dict[str, Vector]:
@@ -242,16 +233,11 @@ class ReferenceAxis(AbstractShape):
     def __call__(self, x: Numbers, parameters: Mapping[str, Any]) -> Positions:
         x = positions(x)
         needed = self.points.shape[:1]
-        shapes = {
-            name: np.shape(values)
-            for name, values in parameters.items()
-            if np.shape(values) != needed
-        }
-        if x.shape[1] != 3 or shapes or not set(parameters) <= set(NEUTRAL):
+        shapes = {name: np.shape(values) for name, values in parameters.items()}
+        if x.shape[1] != 3 or set(shapes.values()) - {needed} or not set(shapes) <= set(NEUTRAL):
             raise ValueError(
-                f"`x` has shape {x.shape}, parameters {', '.join(parameters)} of shapes "
-                f"{shapes or needed}: expected (m, 3), and "
-                f"{needed} for any of {', '.join(NEUTRAL)}."
+                f"`x` has shape {x.shape}, parameters have {shapes}: expected (m, 3), and {needed} "
+                f"for any of {', '.join(NEUTRAL)}."
             )
         own = cast(self, x)
         weights = self.weights(x)
@@ -264,14 +250,18 @@ class ReferenceAxis(AbstractShape):
         spanwise = own.spanwise[None, :]
         arm = x - weights @ own.points
         arm = arm - (arm @ own.spanwise)[:, None] * spanwise
-        added = chord * arm
-        added = added + _turn(arm + added, twist, own.spanwise)
-        return x + (
-            added + sweep * chordwise + dihedral * jnp.cross(chordwise, spanwise) + span * spanwise
-        )
+        growth = chord * arm
+        turn = _turn(arm + growth, twist, own.spanwise)
+        upward = jnp.cross(chordwise, spanwise)
+        return x + (growth + turn + sweep * chordwise + dihedral * upward + span * spanwise)
 
     def weights(self, x: Positions) -> Weights:
         """Computes the weight of each station at each position, by its place along the span."""
         stations = (self.points @ self.spanwise).astype(x.dtype)
-        y = clipped(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
+        y = clamp(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
         return piecewise(y, stations, self.coefficients)
+
+
+def _unit_vector(name: str, values: Numbers) -> Float[np.ndarray, " 3"]:
+    known = finite_array(name, values, (3,))
+    return known / np.linalg.norm(known)

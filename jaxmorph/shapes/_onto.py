@@ -14,7 +14,7 @@ from scipy.linalg import null_space
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from jaxmorph import Facets, MeshError, Plane
+from jaxmorph import Facets, FarthestPoints, MeshError, Plane
 from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
@@ -271,7 +271,7 @@ def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Pla
     x = np.asarray(wall.points, float)
     normals = np.asarray(wall.normals(), float)
     d = wall.points.shape[1]
-    some = np.random.default_rng(0).permutation(len(x))[:SAMPLE]
+    some = FarthestPoints(SAMPLE, separation=0.0)(x)
     starts = _starts(x, target, planes)
     motions = _free_motions(planes, d)
 

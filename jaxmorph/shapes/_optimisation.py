@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxmorph import DesignedMesh, Mesh, Plan
+from jaxmorph import DesignedMesh
 from jaxmorph.extend import (
     Module,
     between,
@@ -59,63 +59,50 @@ class MeshGuard(Module):
     centres of hexahedra. It lies below the smallest ratio, by log(count) / sharpness at most: a
     design with a constraint of 0 or more is feasible. It is twice differentiable, along any motion.
 
-        guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
+        motion = lambda p: shapes.displacement(bumps, plan, p)
+        guard = shapes.MeshGuard(jm.DesignedMesh(plan, mesh, motion, min_jacobian_ratio=0.1))
         options = {"jac": True, "method": "SLSQP", "constraints": guard.constraint()}
         scipy.optimize.minimize(guard.guarded(drag), start, **options)
 
     **Arguments:**
 
-    - `plan`: from `prepare`.
-    - `mesh`: whose `points` are the plan's, with cells.
-    - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
-    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells
-      invert at 0.
+    - `mesh`: a `DesignedMesh`, moved by design variables (p,), with its bound.
     - `sharpness`: positive, default 100. A larger value is closer to the smallest ratio, and bends
       more.
 
-    **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
+    **Raises:** `ValueError` for a sharpness that is not positive.
     """
 
     mesh: DesignedMesh
-    bound: float = eqx.field(static=True)
     sharpness: float = eqx.field(static=True)
     last: LastDesign = eqx.field(static=True)
 
     @checked
-    def __init__(
-        self,
-        plan: Plan,
-        mesh: Mesh,
-        displacement: Callable[[Any], Any],
-        *,
-        min_jacobian_ratio: float = 0.1,
-        sharpness: float = 100.0,
-    ):
+    def __init__(self, mesh: DesignedMesh, *, sharpness: float = 100.0):
         between("sharpness", sharpness, 0)
-        self.mesh = DesignedMesh(plan, mesh, displacement, min_jacobian_ratio)
-        self.bound, self.sharpness = float(min_jacobian_ratio), float(sharpness)
+        self.mesh = mesh
+        self.sharpness = float(sharpness)
         self.last = LastDesign()
 
     def __call__(self, design: Any) -> Scalar:
         ratios = self.mesh.ratios(design)
-        return -jax.scipy.special.logsumexp(-self.sharpness * ratios) / self.sharpness - self.bound
+        return (
+            -jax.scipy.special.logsumexp(-self.sharpness * ratios) / self.sharpness
+            - self.mesh.bound
+        )
 
-    @checked
     def value(self, design: Numbers) -> float:
         """Computes the constraint at design variables (p,), for NumPy."""
         return float(eqx.filter_jit(self)(_flat(design)))
 
-    @checked
     def smallest(self, design: Numbers) -> float:
         """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
         return float(eqx.filter_jit(self.mesh.ratios)(_flat(design)).min())
 
-    @checked
     def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
         """Computes the derivative by each design variable (p,), for NumPy."""
         return np.asarray(eqx.filter_jit(eqx.filter_grad(self))(_flat(design)), float)
 
-    @checked
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
         """Finds the `count` smallest ratios at design variables (p,), and their derivatives: rows
         of a linear program whose step keeps all corners above the bound.
@@ -140,7 +127,7 @@ class MeshGuard(Module):
         chosen = jax.lax.top_k(-ratios, count)[1]
         slopes = jax.jacfwd if len(design) <= count else jax.jacrev
         matrix = slopes(lambda design: self.mesh.ratios(design)[chosen])(design)
-        return ratios[chosen] - self.bound, chosen, matrix
+        return ratios[chosen] - self.mesh.bound, chosen, matrix
 
     def constraint(self, count: int | None = None) -> dict[str, Any]:
         """Makes the constraint of `scipy.optimize.minimize` with its derivative: on the soft
@@ -166,7 +153,7 @@ class MeshGuard(Module):
         """
 
         def guard(design: Any) -> tuple[float, Any]:
-            if self.smallest(design) < self.bound:
+            if self.smallest(design) < self.mesh.bound:
                 return np.inf, np.zeros(np.shape(design))
             self.last.value = np.array(design, float)
             return objective(design)

@@ -1,7 +1,6 @@
 """Shapes: functions of positions and parameters, and shapes made of shapes."""
 
 import abc
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from jaxmorph.extend import Module, checked, is_known
 
-from ._arguments import Numbers, Positions, Vector, check_finite, positions, rows_of
+from ._arguments import Numbers, Positions, Vector, check_known, positions, rows_like
 
 
 class AbstractShape(Module):
@@ -68,7 +67,8 @@ class Function(AbstractShape):
 
     @checked
     def __init__(self, function: Callable[[Any, Any], Any], rest: PyTree):
-        self.function, self.rest = function, rest
+        self.function = function
+        self.rest = rest
 
     def neutral(self) -> PyTree:
         return self.rest
@@ -95,7 +95,8 @@ class Chain(AbstractShape):
     def __init__(self, shapes: Mapping[str, AbstractShape]):
         if not shapes:
             raise ValueError("`Chain` needs one shape or more.")
-        self.names, self.shapes = tuple(shapes), tuple(shapes.values())
+        self.names = tuple(shapes)
+        self.shapes = tuple(shapes.values())
 
     def neutral(self) -> dict[str, PyTree]:
         return {name: shape.neutral() for name, shape in zip(self.names, self.shapes, strict=True)}
@@ -125,12 +126,13 @@ class OnRows(AbstractShape):
 
     @checked
     def __init__(self, shape: AbstractShape, rows: Any):
-        rows = rows_of("rows", rows, 2**31)
+        rows = rows_like("rows", rows, 2**31)
         if rows.ndim != 1 or len(np.unique(rows)) != len(rows):
             raise ValueError(
                 f"`rows` is an array {rows.shape}; expected (k,) different row numbers."
             )
-        self.shape, self.rows = shape, jnp.asarray(rows)
+        self.shape = shape
+        self.rows = jnp.asarray(rows)
 
     def neutral(self) -> PyTree:
         return self.shape.neutral()
@@ -158,8 +160,9 @@ class Linked(AbstractLinearShape):
 
     @checked
     def __init__(self, shape: AbstractLinearShape, matrix: Numbers):
-        self.shape, self.matrix = shape, jnp.asarray(matrix, float)
-        check_finite(matrix=self.matrix)
+        self.shape = shape
+        self.matrix = jnp.asarray(matrix, float)
+        check_known(matrix=self.matrix)
         count = sum(leaf.size for leaf in jax.tree.leaves(shape.neutral()))
         if self.matrix.ndim != 2 or len(self.matrix) != count:
             raise ValueError(
@@ -199,31 +202,30 @@ class Together(AbstractLinearShape):
     def at(self, x: Numbers) -> Move:
         moves = [shape.at(x) for shape in self.shapes]
 
-        def added(parameters: Sequence[Any]) -> Positions:
+        def add(parameters: Sequence[Any]) -> Positions:
             if len(parameters) != len(moves):
                 raise ValueError(f"{len(parameters)} sets of parameters for {len(moves)} shapes.")
-            return functools.reduce(
-                jnp.add, [move(own) for move, own in zip(moves, parameters, strict=True)]
-            )
+            return sum(move(own) for move, own in zip(moves, parameters, strict=True))
 
-        return added
+        return add
 
 
 class Part(AbstractLinearShape):
-    """A linear shape restricted to the mask `kept` (m,), such as the upper side of an airfoil.
+    """A linear shape restricted to a mask (m,), such as the upper side of an airfoil.
 
     **Raises:** `ValueError` for a mask of another length than the positions.
     """
 
     shape: AbstractLinearShape
-    kept: Bool[Array, " m"]
+    mask: Bool[Array, " m"]
 
     @checked
-    def __init__(self, shape: AbstractLinearShape, kept: Bool[ArrayLike, " m"] | Sequence[Any]):
-        self.shape, self.kept = shape, jnp.asarray(kept)
-        if self.kept.ndim != 1:
+    def __init__(self, shape: AbstractLinearShape, mask: Bool[ArrayLike, " m"] | Sequence[Any]):
+        self.shape = shape
+        self.mask = jnp.asarray(mask)
+        if self.mask.ndim != 1 or self.mask.dtype != bool:
             raise ValueError(
-                f"`kept` has shape {self.kept.shape}; expected (m,) of True and False."
+                f"`mask` has shape {self.mask.shape}; expected (m,) of True and False."
             )
 
     def neutral(self) -> PyTree:
@@ -231,7 +233,7 @@ class Part(AbstractLinearShape):
 
     def at(self, x: Numbers) -> Move:
         x = positions(x)
-        if self.kept.shape != x.shape[:1]:
-            raise ValueError(f"`kept` has {len(self.kept)} rows for {len(x)} positions.")
+        if self.mask.shape != x.shape[:1]:
+            raise ValueError(f"`mask` has {len(self.mask)} rows for {len(x)} positions.")
         move = self.shape.at(x)
-        return lambda parameters: jnp.where(self.kept[:, None], move(parameters), 0)
+        return lambda parameters: jnp.where(self.mask[:, None], move(parameters), 0)

@@ -12,20 +12,20 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.spatial import KDTree
 
 from jaxmorph import Facets, Mesh
-from jaxmorph.extend import between, checked, finite_array, host_call, norm, rows_of
+from jaxmorph.extend import Tree, between, checked, finite_array, host_call, norm, rows_of
 
 from ._arguments import Column, Numbers, Positions, known_positions, positions
 from ._features import Borders, Planes, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
-from ._walls import faces_of, wall_faces
+from ._walls import FANS, faces_of, wall_faces
 
-ROUNDS, FAR = (
-    40,
-    1e30,
-)  # most balls that are tried at a node, the last ones hardly differ; radius without a ball
+BALLS = 40  # tried at a node at most: the last ones hardly differ
+NO_BALL = 1e30  # radius where no ball touches another node
+
+FOUR = [*FANS[4], (0, 1, 3), (1, 2, 3)]
+"""Triangles of half weight in place of a quad."""
 
 
 class Smoother(AbstractLinearShape):
@@ -61,7 +61,7 @@ class Smoother(AbstractLinearShape):
         kinds = faces_of(faces, known.shape)
         between("length", length, 0, ends="[)")
         held = rows_of("held", held, len(known))
-        masses, stiffness = _elements(known, kinds)
+        masses, stiffness = _linear_elements(known, kinds)
         if (masses <= 0).any():
             raise ValueError(
                 f"{(masses <= 0).sum()} nodes are in no face, first row {int(np.argmin(masses))}."
@@ -73,11 +73,13 @@ class Smoother(AbstractLinearShape):
         factors = splu(
             matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
-        self.solve, self.dimension = factors.solve, known.shape[1]
-        self.masses, self.free = jnp.asarray(masses), jnp.asarray(free)
-        self.rows, self.columns, self.values = (
-            jnp.asarray(part) for part in (matrix.row, matrix.col, matrix.data)
-        )
+        self.solve = factors.solve
+        self.dimension = known.shape[1]
+        self.masses = jnp.asarray(masses)
+        self.free = jnp.asarray(free)
+        self.rows = jnp.asarray(matrix.row)
+        self.columns = jnp.asarray(matrix.col)
+        self.values = jnp.asarray(matrix.data)
 
     @staticmethod
     @checked
@@ -124,29 +126,22 @@ class Smoother(AbstractLinearShape):
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
 
-def _elements(points: np.ndarray, kinds: list[np.ndarray]) -> tuple[np.ndarray, Any]:
+def _linear_elements(points: np.ndarray, kinds: list[np.ndarray]) -> tuple[np.ndarray, Any]:
     """Assembles lumped masses (m,) and the stiffness matrix (m, m) of linear elements."""
     m = len(points)
-    masses = np.zeros(m)
-    stiffness = sparse.csr_matrix((m, m))
-    for ids in kinds:
-        weight = 1.0
-        if ids.shape[1] == 4:  # a quad as four triangles of half weight
-            corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)]
-            weight = 0.5
-            ids = np.concatenate([ids[:, three] for three in corners])
-        size, local = stiffness_of(points[ids])
-        if (size <= 0).any():
-            raise ValueError(
-                f"{(size <= 0).sum()} faces have no size, first with nodes "
-                f"{ids[int(np.argmin(size))].tolist()}."
-            )
-        np.add.at(masses, ids, weight * np.broadcast_to(size[:, None] / ids.shape[1], ids.shape))
-        places = [
-            np.broadcast_to(rows, local.shape).ravel()
-            for rows in (ids[:, :, None], ids[:, None, :])
-        ]
-        stiffness = stiffness + sparse.coo_matrix((weight * local.ravel(), places), (m, m)).tocsr()
+    cuts = [(ids, corners) for ids in kinds for corners in {**FANS, 4: FOUR}[ids.shape[1]]]
+    ids = np.concatenate([own[:, corners] for own, corners in cuts])
+    weight = np.concatenate([np.full(len(own), 0.5 if own.shape[1] == 4 else 1) for own, _ in cuts])
+    size, local = stiffness_of(points[ids])
+    if (size <= 0).any():
+        raise ValueError(
+            f"{(size <= 0).sum()} faces have no size, first with nodes "
+            f"{ids[int(np.argmin(size))].tolist()}."
+        )
+    shares = np.broadcast_to((weight * size / ids.shape[1])[:, None], ids.shape)
+    masses = np.bincount(ids.ravel(), shares.ravel(), m)
+    places = [part.ravel() for part in np.broadcast_arrays(ids[:, :, None], ids[:, None])]
+    stiffness = sparse.coo_matrix(((weight[:, None, None] * local).ravel(), places), (m, m))
     return masses, stiffness
 
 
@@ -207,12 +202,13 @@ class Offset(AbstractShape):
         between("share", share, 0, 1, ends="(]")
         between("length", length, 0, ends="[)")
         x = np.asarray(wall.points, float)
-        self.wall, self.share, self.borders = wall, share, borders_of(wall, symmetry)
-        self.field = (
-            None
-            if field is None
-            else jnp.asarray(finite_array("field", field, (len(x),)), wall.points.dtype)
-        )
+        self.wall = wall
+        self.share = share
+        self.borders = borders_of(wall, symmetry)
+        self.field = None
+        if field is not None:
+            heights = finite_array("field", field, (len(x),))
+            self.field = jnp.asarray(heights, wall.points.dtype)
         self.smoother = Smoother(x, np.asarray(wall.faces), length) if length else None
         normals = np.asarray(self._normals(jnp.asarray(x)), float)
         self.touching = np.stack([_touching(x, sign * normals) for sign in (1, -1)])
@@ -254,17 +250,17 @@ class Offset(AbstractShape):
         arm = x[self.touching[side]] - x
         above = jnp.sum(arm * ahead, axis=1)
         return jnp.where(
-            above > 0, jnp.sum(arm**2, axis=1) / jnp.where(above > 0, 2 * above, 1), FAR
+            above > 0, jnp.sum(arm**2, axis=1) / jnp.where(above > 0, 2 * above, 1), NO_BALL
         )
 
 
 def _touching(x: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     """Finds the node that the largest ball at each node touches; the node itself without one."""
     # A ball shrinks onto the node that is nearest to its centre, until none is inside.
-    tree = KDTree(x)
+    tree = Tree(x)
     found = np.arange(len(x))
     radius = np.full(len(x), 10 * np.ptp(x, axis=0).max())
-    for _ in range(ROUNDS):
+    for _ in range(BALLS):
         distance, other = map(np.asarray, tree.query(x + radius[:, None] * ahead))
         arm = x[other] - x
         above = np.sum(arm * ahead, axis=1)

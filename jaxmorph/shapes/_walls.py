@@ -6,7 +6,6 @@ first. A wall in 3-D is a set of triangles (k, 3) or quads (k, 4), outward from 
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -14,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import depth_first_order
 
 from jaxmorph import Mesh, boundary_faces
-from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known, norm
+from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known
 
 from ._arguments import (
     Numbers,
@@ -24,8 +23,7 @@ from ._arguments import (
     cast,
     known_positions,
     positions,
-    rows_of,
-    slack,
+    rows_like,
     vector,
 )
 
@@ -69,7 +67,7 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     points = np.asarray(mesh.points, float)
     normals = np.zeros_like(points)
     for ids in wall_faces(mesh, *patches).values():
-        np.add.at(normals, ids, -_areas(points[ids])[:, None] / ids.shape[1])
+        np.add.at(normals, ids, -area_vectors(points[ids])[:, None] / ids.shape[1])
     return normals[nodes]
 
 
@@ -82,37 +80,24 @@ def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     return faces
 
 
-def _areas(corners: Float[np.ndarray, "f c d"]) -> Float[np.ndarray, "f d"]:
-    """Area vectors outward from the mesh, of the edge's length in 2-D."""
-    if corners.shape[2] == 2:
-        return (corners[:, 1] - corners[:, 0])[:, ::-1] * [1.0, -1.0]
-    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
-
-
-WIDTHS = {2: (2,), 3: (3, 4)}  # corners of a wall's faces, by the dimension of its positions
+FANS = {2: [(0, 1)], 3: [(0, 1, 2)], 4: [(0, 1, 2), (0, 2, 3)]}
+"""Simplices into which a face is cut, by the number of its corners."""
 
 
 def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
+    n, d = shape
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
-    arrays = [rows_of("faces", ids, shape[0]) for ids in (faces if is_list else [faces])]
-    widths = WIDTHS[shape[1]]
+    arrays = [rows_like("faces", ids, n) for ids in (faces if is_list else [faces])]
     for ids in arrays:
-        if ids.ndim != 2 or ids.shape[1] not in widths or not ids.size:
-            expected = " or ".join(f"(k, {width})" for width in widths)
-            raise ValueError(
-                f"`faces` has shape {ids.shape}; walls in {shape[1]}-D have {expected}."
-            )
+        if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or not ids.size:
+            expected = "(k, 2)" if d == 2 else "(k, 3) or (k, 4)"
+            raise ValueError(f"`faces` has shape {ids.shape}; walls in {d}-D have {expected}.")
     return arrays
 
 
 def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
-    d = shape[1]
-    cuts = [
-        (ids, [0, *range(k, k + d - 1)])
-        for ids in faces_of(faces, shape)
-        for k in range(1, ids.shape[1] - d + 2)
-    ]
-    return np.concatenate([ids[:, corners] for ids, corners in cuts])
+    kinds = faces_of(faces, shape)
+    return np.concatenate([ids[:, cut] for ids in kinds for cut in FANS[ids.shape[1]]])
 
 
 @checked
@@ -123,19 +108,19 @@ def area(x: Numbers, loop: Any) -> Scalar:
 
     **Raises:** `ValueError` for other shapes.
     """
-    a, b = _segments(x, loop)
-    return 0.5 * jnp.sum(_cross(a, b))
+    a, b = _ends_of_loop(x, loop)
+    return 0.5 * jnp.sum(_cross_2d(a, b))
 
 
 @checked
 def centroid(x: Numbers, loop: Any) -> Vector:
     """Computes the centre (2,) of the area within a loop; arguments and errors as `area`."""
     x = positions(x)
-    a, b = _segments(x, loop)
+    a, b = _ends_of_loop(x, loop)
     origin = a[0]
     a = a - origin[None, :]
     b = b - origin[None, :]
-    twice = _cross(a, b)
+    twice = _cross_2d(a, b)
     return origin + jnp.sum((a + b) * twice[:, None], axis=0) / (3 * jnp.sum(twice))
 
 
@@ -171,82 +156,17 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
     """
     x = positions(x)
     nose, tail = (
-        np.atleast_1d(rows_of(name, ids, len(x))) for name, ids in (("nose", nose), ("tail", tail))
+        np.atleast_1d(rows_like(name, ids, len(x)))
+        for name, ids in (("nose", nose), ("tail", tail))
     )
     return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
 
 
-@checked
-def curvature(x: Numbers, loop: Any) -> Vector:
-    """Computes the curvature at each node of a loop (2-D), positive where convex: that of the
-    circle through the node and its neighbours. Arguments and errors as `area`.
-    """
-    x = positions(x)
-    here, after = _segments(x, loop)
-    before = jnp.roll(here, 1, axis=0)
-    a = here - before
-    b = after - here
-    c = after - before
-    return 2 * _cross(a, b) / (norm(a) * norm(b) * norm(c))
-
-
-@checked
-def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Scalar:
-    """Computes the radius of the nose of an airfoil (2-D).
-
-    The circle is fitted to the node farthest from the tail and `around` nodes on each side, 1 or
-    more: the osculating circle to second order in their spacing. `x` and `loop` are as `area` takes
-    them; `tail` is a node of the trailing edge.
-
-    **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
-    """
-    x, loop = _loop_in(x, loop)
-    if tail not in loop or not 1 <= around < len(loop) // 2:
-        raise ValueError(
-            f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in "
-            f"{len(loop)}."
-        )
-    away = jnp.sum((x[loop] - x[tail][None, :]) ** 2, axis=1)
-    farthest = jnp.argmax(
-        away >= (1 - slack(x.dtype)) * away.max()
-    )  # of nodes as far the first in the loop
-    order = (farthest + jnp.arange(-around, around + 1)) % len(loop)
-    near = x[jnp.asarray(loop)[order]]
-    arms = near - near[around][None, :]
-    size = jax.lax.stop_gradient(jnp.max(norm(arms)))  # the result does not depend on it
-    arms = arms / size
-    # |p|^2 = 2 p . c + e: linear least squares for the centre c
-    system = jnp.pad(2 * arms, ((0, 0), (0, 1)), constant_values=1)
-    *centre, rest = jnp.linalg.solve(system.T @ system, system.T @ jnp.sum(arms**2, axis=1))
-    return size * jnp.sqrt(centre[0] ** 2 + centre[1] ** 2 + rest)
-
-
-@checked
-def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Scalar:
-    """Computes the angle between the two sides at the trailing edge: radians, 0 or more.
-
-    `x` are positions (n, 2), `upper` and `lower` two nodes (ahead, at the edge) of each side.
-
-    **Raises:** `ValueError` for anything but two nodes.
-    """
-    x = positions(x)
-    upper, lower = (
-        rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower))
-    )
-    if upper.shape != (2,) or lower.shape != (2,):
-        raise ValueError(
-            f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge)."
-        )
-    a = x[upper[1]] - x[upper[0]]
-    b = x[lower[1]] - x[lower[0]]
-    return jnp.abs(jnp.arctan2(_cross(a, b), a @ b))
-
-
-def _cross(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:
+def _cross_2d(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _segments(x: Numbers, loop: Any) -> tuple[Positions, Positions]:
+def _ends_of_loop(x: Numbers, loop: Any) -> tuple[Positions, Positions]:
     x, loop = _loop_in(x, loop)
     return x[loop], x[np.roll(loop, -1)]
 
@@ -255,7 +175,7 @@ def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray
     x = positions(x)
     if x.shape[1] != 2:
         raise ValueError(f"`x` has shape {x.shape}; expected (n, 2).")
-    loop = rows_of("loop", loop, len(x))
+    loop = rows_like("loop", loop, len(x))
     if loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"`loop` has shape {loop.shape}; expected three nodes or more.")
     return x, loop
@@ -305,31 +225,52 @@ class Stations(Module):
 
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """
-        x = known_positions(x).astype(float)
-        points = known_positions(points, "points").astype(float)
-        if x.shape[1] != points.shape[1]:
+        wall = known_positions(x).astype(float)
+        own = known_positions(points, "points").astype(float)
+        if wall.shape[1] != own.shape[1]:
             raise ValueError(
-                f"`x` has shape {x.shape}, `points` {points.shape}; expected (n, d) and (s, d)."
+                f"`x` has shape {wall.shape}, `points` {own.shape}; expected (n, d) and (s, d)."
             )
-        known = finite_array("direction", direction, points.shape, points.shape[1:])
-        lengths = np.linalg.norm(known, axis=-1, keepdims=True)
+        along = finite_array("direction", direction, own.shape, own.shape[1:])
+        lengths = np.linalg.norm(along, axis=-1, keepdims=True)
         if not lengths.all():
             raise ValueError("`direction` has length 0; it must be a direction.")
-        lines = np.broadcast_to(known / lengths, points.shape)
-        ids = simplices_of(faces, x.shape)
-        same = 1e-9 * np.ptp(x, axis=0).max()
-        found = [_first_and_last(x, ids, *line, same) for line in zip(points, lines, strict=True)]
-        missed = [s for s, ends in enumerate(found) if not ends]
+        lines = np.broadcast_to(along / lengths, own.shape)
+        ids = simplices_of(faces, wall.shape)
+        same = 1e-9 * np.ptp(wall, axis=0).max()
+        ends = [
+            _first_and_last(_places_on(wall[ids], *line), same)
+            for line in zip(own, lines, strict=True)
+        ]
+        missed = [row for row, faces in enumerate(ends) if not faces]
         if missed:
             raise ValueError(
-                f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at "
-                f"{points[missed[0]]}."
+                f"{len(missed)} of {len(own)} lines miss the body, first row {missed[0]} at "
+                f"{own[missed[0]]}."
             )
-        return Stations(
-            jnp.asarray(points),
-            jnp.asarray(lines),
-            jnp.asarray(ids[np.array(found, int).reshape(-1, 2)]),
-        )
+        return Stations(jnp.asarray(own), jnp.asarray(lines), jnp.asarray(ids[np.array(ends)]))
+
+
+def _first_and_last(place: Float[np.ndarray, " k"], same: float) -> list[int]:
+    """The faces that are met first and last: of those at one place, as around a node, the first."""
+    if np.isnan(place).all() or not np.nanmax(place) - np.nanmin(place) > same:
+        return []
+    return [int(np.argmax(s <= np.nanmin(s) + same)) for s in (place, -place)]
+
+
+def _places_on(
+    corners: Float[np.ndarray, "k d d"], point: np.ndarray, line: np.ndarray
+) -> Float[np.ndarray, " k"]:
+    """Where a line meets each face, as distances from its point; NaN where it does not."""
+    # point + s line = first corner + weights times edges
+    first = corners[:, 0]
+    edges = np.moveaxis(first[:, None] - corners[:, 1:], 1, 2)
+    system = np.concatenate([np.broadcast_to(line, first.shape)[:, :, None], edges], axis=2)
+    regular = np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14
+    system[~regular] = np.eye(len(line))
+    s, *weights = np.linalg.solve(system, (first - point)[:, :, None])[:, :, 0].T
+    is_hit = (np.min(weights, axis=0) >= -1e-9) & (np.sum(weights, axis=0) <= 1 + 1e-9)
+    return np.where(regular & is_hit, s, np.nan)
 
 
 @checked
@@ -345,7 +286,7 @@ def thickness(x: Numbers, stations: Stations) -> Vector:
             f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D."
         )
     if is_known(stations.faces):
-        rows_of("stations.faces", stations.faces, len(x))
+        rows_like("stations.faces", stations.faces, len(x))
     own = cast(stations, x)
     corners = x[stations.faces]
     first = corners[:, :, 0]
@@ -354,25 +295,3 @@ def thickness(x: Numbers, stations: Stations) -> Vector:
     arm = first - own.points[:, None, :]
     place = jnp.sum(normal * arm, axis=-1) / jnp.sum(normal * line, axis=-1)
     return place[:, 1] - place[:, 0]
-
-
-def _first_and_last(
-    x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray, same: float
-) -> list[int]:
-    # point + s line = first corner + weights times edges
-    first = x[ids[:, 0]]
-    system = np.stack(
-        [np.broadcast_to(line, first.shape), *(first - x[other] for other in ids.T[1:])], axis=2
-    )
-    regular = np.flatnonzero(np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14)
-    place, *weights = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[
-        :, :, 0
-    ].T
-    is_hit = (np.min(weights, axis=0) >= -1e-9) & (np.sum(weights, axis=0) <= 1 + 1e-9)
-    place = place[is_hit]
-    hits = regular[is_hit]
-    if len(hits) < 2 or np.ptp(place) <= same:
-        return []
-    # of faces that are met at one place, such as around a node, the first counts
-    ends = place <= place.min() + same, place >= place.max() - same
-    return [int(hits[end.argmax()]) for end in ends]

@@ -69,7 +69,10 @@ def parts(result) -> dict[str, np.ndarray]:
         return {f"array {k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(result))}
     cells = {f"cells {kind}": np.asarray(ids) for kind, ids in result.cells.items()}
     patches = {f"patch {name}": np.asarray(nodes) for name, nodes in result.patches.items()}
-    return {"points": np.asarray(result.points)} | cells | patches
+    notes = [note for note in result.source.notes if "are not read" in note]
+    has_keywords = result.source.path.suffix in (".mesh", ".meshb", ".inp")
+    told = {"notes": np.array(notes)} if has_keywords else {}
+    return {"points": np.asarray(result.points)} | cells | patches | told
 
 
 def alike(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
@@ -114,7 +117,7 @@ def is_whole(place: pathlib.Path, kind: str, text: bytes, damaged: bytes, at: in
     """Whether a file without its end or a line, or with one twice, may still be a good one: the end of a word, a name, an array."""
     lost = {b"<DataArray", b"((a . 1)", b"arch "}
     return (
-        place.suffix in (".patches", ".toml")
+        place.suffix in (".patches", ".toml", ".inp")  # without counts
         or (kind == "cut" and len(text[len(damaged) :].split()) < 2)
         or (
             kind == "cut"
@@ -172,6 +175,10 @@ def judged(
     if not all(np.isfinite(each).all() for each in found.values() if each.dtype.kind == "f"):
         return "numbers that are not finite"
     if place.suffix in TREES and is_other_tree(text, damaged):
+        return ""
+    if {*found.get("notes", ())} - {
+        *good.get("notes", ())
+    }:  # a keyword is another one, and that is told
         return ""
     if kind in ("cut", "line twice", "line less"):
         return "" if is_whole(place, kind, text, damaged, at) else "another mesh without a word"

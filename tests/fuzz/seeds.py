@@ -10,6 +10,7 @@ import numpy as np
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
 import adf
+import decks
 import exodus
 import fluent
 import foam
@@ -17,11 +18,12 @@ import meshio
 import vtk_files
 from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split, strip
-from formats import write
+from formats import floor_of, write
 from meshes import bricks, gmsh_session
 from mfem_meshes import SOLID2, straight
 from plot3d import box
 from plot3d import write as write_plot3d
+from xdmf import Writer, in_own_grid
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -145,6 +147,17 @@ def med(folder: pathlib.Path) -> list[Seed]:
     return [single(folder / "a.med")]
 
 
+def xdmf(folder: pathlib.Path) -> list[Seed]:
+    """With arrays in the XML and beside it, and with numbers of facets in a second grid."""
+    write(folder / "a.xdmf", bricks(2))
+    seeds = [(io.read, folder / "a.xdmf", [folder / "a.xdmf", folder / "a.h5"])]
+    for name, form in (("b", "XML"), ("c", "HDF")):
+        (folder / name).mkdir()
+        path, _ = in_own_grid(Writer(folder / name, form))
+        seeds.append((io.read, path, sorted((folder / name).iterdir())))
+    return seeds
+
+
 def plot3d(folder: pathlib.Path) -> list[Seed]:
     seeds = []
     for k, (form, order) in enumerate(itertools.product(("text", "records", "plain"), "<>")):
@@ -153,6 +166,20 @@ def plot3d(folder: pathlib.Path) -> list[Seed]:
     beside = folder / "0.xyz.patches"
     beside.write_text("wall 1 kmin # a comment\nfar 2 1 2 1 1 1 3\n")
     return [*seeds, (io.read, folder / "0.xyz", [beside])]
+
+
+def deck_files(kind: str) -> Callable[[pathlib.Path], list[Seed]]:
+    def make(folder: pathlib.Path) -> list[Seed]:
+        points = np.asarray(bricks(2).points) + 0.1
+        corners = np.asarray(bricks(2).cells["hexahedron"])
+        faces = floor_of(corners, np.flatnonzero(points[:, 2] == 0.1))
+        files = []
+        for ending in (each for each in decks.WRITERS if each.endswith(kind)):
+            files.append(folder / f"a{ending}")
+            decks.WRITERS[ending](files[-1], decks.in_order("plain", points, corners, faces))
+        return [single(file) for file in files]
+
+    return make
 
 
 def openfoam(folder: pathlib.Path) -> list[Seed]:
@@ -250,6 +277,12 @@ FORMATS = {
     "MFEM": mfem_files,
     "MED": med,
     "PLOT3D": plot3d,
+    "Abaqus": deck_files(".inp"),
+    "I-deas": deck_files(".unv"),
+    "Medit": deck_files(".meshb"),
+    "Medit's text": deck_files(".mesh"),
+    "AFLR": deck_files(".ugrid"),
+    "XDMF": xdmf,
     "OpenFOAM": openfoam,
     "tables": tables,
     "surfaces": surfaces,

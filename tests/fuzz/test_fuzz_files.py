@@ -33,6 +33,12 @@ FORMATS = (
     "MFEM",
     "MED",
     "PLOT3D",
+    "Abaqus",
+    "I-deas",
+    "Medit",
+    "Medit's text",
+    "AFLR",
+    "XDMF",
     "OpenFOAM",
 )
 FORMATS += ("tables", "surfaces", "plans", "boxes", "fields")

@@ -14,6 +14,7 @@ pyramid as x / (1 - z), y / (1 - z), z, by which its apex has directions.
 import dataclasses
 import functools
 import itertools
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from numpy.polynomial import legendre
 from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, numbers
 
 ORDERS = (1, 2, 3, 4)
-STEP = 1e-30  # imaginary step of a derivative
 
 PLACES = {  # corners of the reference cells
     "line": numbers("0 1"),
@@ -95,6 +95,11 @@ class Lagrange:
             at = self.order * corners[face[0]] + side.lattice @ along
             sides.append((side.name, self.nodes_at(at)))
         return sides
+
+    def side(self, corners: Iterable[int]) -> np.ndarray:
+        """Finds the nodes of the face between some corners."""
+        faces = [{*face} for face in FACES[self.shape]]
+        return self.sides[faces.index({*corners})][1]
 
     def completion(self) -> tuple[str, np.ndarray]:
         """The type with all lattice nodes, and the matrix (nodes, k) that makes them. The cell
@@ -216,18 +221,20 @@ def _expanded(kind: str, places: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarr
 
 def _basis(cell: Lagrange, places: np.ndarray) -> Pair:
     """The basis (s, k) at places, and its derivatives (s, k, d)."""
-    # Products of polynomials. An imaginary step of a coordinate has the derivative by it, exactly.
-    d = cell.dimension
+    # A function is a product of Legendre polynomials, one a coordinate; a derivative has the slope
+    # of one factor in its place.
+    t = 2 * places - 1
     powers = cell.lattice
-    one = legendre.legvander(
-        2 * (places + 1j * STEP * np.eye(d)[:, None]) - 1, cell.order
-    )  # (d, s, d, p + 1)
     is_pyramid = cell.shape == "pyramid"
-    product = np.prod(
-        [one[:, :, axis, powers[:, axis]] for axis in range(2 if is_pyramid else d)], axis=0
-    )
-    basis = product[0].real
-    slopes = np.moveaxis(product.imag / STEP, 0, 2)
+    axes = range(2 if is_pyramid else cell.dimension)
+    polynomials = legendre.legvander(t, cell.order)  # (s, d, p + 1)
+    slope = legendre.legvander(t, cell.order - 1) @ legendre.legder(2 * np.eye(cell.order + 1))
+    factors = [polynomials[:, axis, powers[:, axis]] for axis in axes]
+    basis = np.prod(factors, axis=0)
+    slopes = np.zeros((*basis.shape, cell.dimension))
+    for axis in axes:
+        others = [factor for other, factor in enumerate(factors) if other != axis]
+        slopes[:, :, axis] = np.prod([slope[:, axis, powers[:, axis]], *others], axis=0)
     if not is_pyramid:
         return basis, slopes
     # f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n at least their degrees

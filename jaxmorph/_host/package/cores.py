@@ -2,11 +2,11 @@
 
 import collections
 import contextvars
+import functools
 import os
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
@@ -29,28 +29,20 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-class Beside(Generic[T]):
-    """A future. With one core it runs when its result is asked for: no thread waits."""
-
-    def __init__(self, function: Callable[..., T], *arguments: Any):
-        context = contextvars.copy_context()
-        self._call: Callable[[], T] = lambda: context.run(function, *arguments)
-        self._future: Future[T] = Future()
-        self._has_thread = cores() > 1
-        if self._has_thread:
-            threading.Thread(target=self._run).start()
-
-    def _run(self) -> None:
-        try:
-            self._future.set_result(self._call())
-        except BaseException as error:  # raised where the result is asked for
-            self._future.set_exception(error)
-        del self._call  # and all that it holds
-
-    def result(self) -> T:
-        if not self._has_thread and not self._future.done():
-            self._run()
-        return self._future.result()
+def beside(function: Callable[..., T], *arguments: Any) -> Future[T]:
+    """Begins a call in a thread; with one core makes it at once. Errors are raised by `result`."""
+    call = functools.partial(contextvars.copy_context().run, function, *arguments)
+    if cores() > 1:
+        pool = ThreadPoolExecutor(1)
+        future = pool.submit(call)
+        pool.shutdown(wait=False)
+        return future
+    future = Future()
+    try:
+        future.set_result(call())
+    except Exception as error:
+        future.set_exception(error)
+    return future
 
 
 def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:

@@ -14,8 +14,17 @@ TIES = 4  # nearest places that are searched first; if all are equally near, mor
 FEW = 4096  # points of a search up to which threads cost more than they gain
 
 
+NEAR_ZERO = 1e-290  # far above the smallest normal number, with a square that is zero
+
+
 class Tree(KDTree):
     """A k-d tree that is searched with all cores. The answers do not depend on their number."""
+
+    def __init__(self, points: Any, **options: Any):
+        # XLA's programs, and callbacks of them, flush numbers below the smallest normal one to
+        # zero. SciPy would step from zero to the next number, and never get there.
+        points = np.asarray(points, dtype=float)
+        super().__init__(np.where(np.abs(points) < NEAR_ZERO, NEAR_ZERO, points), **options)
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return super().query(
@@ -31,6 +40,11 @@ class Tree(KDTree):
 
 def roundoff(points: np.ndarray) -> float:
     return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))
+
+
+def resolution(points: np.ndarray) -> float:
+    """Returns the difference up to which two coordinates of points (n, d) count as equal."""
+    return max(SAME * float(np.ptp(points, axis=0).max(initial=0)), roundoff(points))
 
 
 def spacing(points: np.ndarray) -> np.ndarray:
@@ -100,7 +114,7 @@ BETWEEN = 0.618
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
     """Sorts points by their coordinates, so that results do not depend on the order given."""
-    slack = SAME * float(np.ptp(points, axis=0).max())
+    slack = resolution(points)
     return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
 
 

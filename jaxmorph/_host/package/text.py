@@ -11,7 +11,7 @@ from typing import Any
 MESHES = {
     "SU2": (".su2",),
     "VTK": (".vtu", ".vtk", ".vts", ".vtp", ".pvtu", ".vtm"),
-    "gmsh": (".msh",),
+    "gmsh": (".msh", ".msh2", ".msh4"),
     "Fluent": (".cas", ".msh"),
     "Fluent HDF5": (".h5",),
     "CGNS": (".cgns",),
@@ -34,10 +34,8 @@ MESHES = {
     "Medit": (".mesh", ".meshb"),
     "Abaqus": (".inp", ".msh"),
     "I-deas": (".unv",),
-    "Nastran": (".bdf", ".nas", ".fem"),
     "XDMF": (".xdmf", ".xmf"),
     "AFLR": (".ugrid",),
-    "Netgen": (".vol",),
     "OpenFOAM": (),
 }
 """Endings of meshes by the name of their format; a case of OpenFOAM is a folder."""
@@ -56,6 +54,11 @@ UNREAD = {
         (".node", ".ele"), "a mesh of TetGen; OpenFOAM's tetgenToFoam keeps its patches"
     ),
     ".cdb": "an archive of Ansys; its export to Fluent's .msh or to CGNS keeps its patches",
+    **dict.fromkeys(
+        (".bdf", ".nas", ".fem"),
+        "a deck of Nastran; gmsh makes a .msh of it, where no GRID has a system CP",
+    ),
+    ".vol": "a mesh of Netgen; its export to gmsh's .msh keeps its patches",
     ".re2": "a mesh of Nek5000; the .msh or .exo that it was made of is read",
     **dict.fromkeys(
         (".plt", ".tec", ".szplt"),

@@ -6,7 +6,16 @@ import numpy as np
 
 from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, whole
-from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, spacing
+from ..package.rounding import (
+    SAME,
+    Tree,
+    canonical_order,
+    first_largest,
+    nearest_of,
+    resolution,
+    roundoff,
+    spacing,
+)
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
 
 ENOUGH = {2: 84, 3: 400}  # sources of `Filled` by dimension: a wall in 3-D needs more than a curve
@@ -103,14 +112,17 @@ def farthest(
         weight = 1 / np.maximum(reach, max(closest, 1e-100)) ** 2
         least = 1.0
     least *= 1 + SAME
+    noise = roundoff(points) * np.sqrt(np.broadcast_to(weight, len(points)))
     chosen = []
-    outermost = first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    away = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    outermost = first_largest(away, resolution(points))
     for node in [outermost] if first is None else first.tolist():
         if distance[node] > least and len(chosen) < count:
             chosen.append(node)
             _lower(distance, columns, node, weight, work)
-    while len(chosen) < count and (top := distance.max()) > least:
-        chosen.append(int((distance >= (1 - SAME) * top).argmax()))
+    while len(chosen) < count and distance[top := distance.argmax()] > least:
+        equal = max((1 - SAME / 2) * np.sqrt(distance[top]) - noise[top], 0.0) ** 2
+        chosen.append(int((distance >= equal).argmax()))
         _lower(distance, columns, chosen[-1], weight, work)
     return np.array(chosen)
 
@@ -180,6 +192,7 @@ class Graded(AbstractSeparated):
         return self._near(points, points[:0])
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        others = others[canonical_order(others)] if len(others) else others
         return chosen_in_order(points, lambda points, order: self._near(points, others))
 
     def _near(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -11,7 +11,15 @@ import numpy as np
 
 from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, finite_array, whole
-from ..package.rounding import SAME, Tree, canonical_order, first_largest, nearest_of, roundoff
+from ..package.rounding import (
+    SAME,
+    Tree,
+    canonical_order,
+    first_largest,
+    nearest_of,
+    resolution,
+    roundoff,
+)
 
 
 class AbstractReduction(abc.ABC):
@@ -220,7 +228,8 @@ class KDTree(AbstractSeparated):
             is_wanted |= self.points_per_leaf is not None and len(members) > self.points_per_leaf
             is_wanted |= sides.max() > self.largest_box * (1 + SAME)
             if len(members) > 1 and sides.max() > self.smallest_box * (1 + SAME) and is_wanted:
-                for half in _halves(points, members, first_largest(sides)):
+                longest = first_largest(sides, resolution(points[members]))
+                for half in _halves(points, members, longest):
                     heapq.heappush(heap, (-len(half), next(counter), half))
             else:
                 done.append(members)
@@ -233,7 +242,7 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
     """Splits members at the median along an axis; points at one coordinate stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
-    gaps = 1 + np.flatnonzero(np.diff(along) > SAME * (along[-1] - along[0]))
+    gaps = 1 + np.flatnonzero(np.diff(along) > resolution(along[:, None]))
     middle = gaps[np.abs(gaps - len(members) / 2).argmin()]
     return members[:middle], members[middle:]
 
@@ -250,7 +259,7 @@ def chosen_in_order(
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
     extremes = []
-    slack = SAME * float(np.ptp(points, axis=0).max())
+    slack = resolution(points)
     for axis, sign in itertools.product(range(points.shape[1]), (-1, 1)):
         along = sign * points[:, axis]
         touching = np.flatnonzero(along >= along.max() - slack)
@@ -266,7 +275,9 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = Tree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
+    pairs = Tree(points[ids]).query_pairs(
+        closest * (1 + SAME) + roundoff(points), output_type="ndarray"
+    )
     keep = np.ones(len(ids), dtype=bool)
     for first, second in pairs[
         np.lexsort((pairs[:, 1], pairs[:, 0]))
@@ -282,4 +293,5 @@ def drop_near(
     """Drops ids of points within `closest` of one of the `others`; the order stays."""
     if len(ids) == 0 or len(others) == 0:
         return ids
-    return ids[Tree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]
+    apart = closest * (1 + SAME) + roundoff(points)
+    return ids[Tree(points[others]).query(points[ids])[0] > apart]

@@ -1,11 +1,14 @@
 """Faces of a surface: closest places, gaps between walls, and faces that cross once nodes move."""
 
+import dataclasses
 import itertools
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from ..cells.topology import Pair
-from ..linear.products import cofactor_rows, cross_rows
+from ..linear.products import cofactor_rows, cross_rows, outward
 from ..package.rounding import Tree, morton_order
 
 CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
@@ -134,6 +137,8 @@ AFTER, BEFORE = (
 )  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
 PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
 TOGETHER = 1 << 17  # pairs of faces in a block
+SPLIT = 8  # parts of a straight way, in each of which a node changes sides once at most
+HALVES = 40  # bisections of a way to the place where a node passes a face
 
 
 def crossing_faces(
@@ -158,29 +163,148 @@ def crossing_faces(
     return np.concatenate(found), np.concatenate(places)
 
 
-def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> np.ndarray:
-    """Pairs (p, 2) of faces (f, corners, d), one moving, with overlapping boxes, each pair once."""
+def overlapping_boxes(
+    corners: np.ndarray, is_moving: np.ndarray, after: np.ndarray | None = None
+) -> np.ndarray:
+    """Pairs (p, 2) of faces (f, corners, d), one moving, with overlapping boxes, each pair once.
+    With their places `after` a motion, those that no axis separates in one order before and after:
+    of others no two points come together on straight ways.
+    """
     # A box is a row: its least coordinates, then its largest ones, negative. The box of two boxes
     # is their minimum, and two boxes overlap if no least coordinate exceeds the other's largest.
     # One more axis goes from 0 to 1 for moving faces, and from 1 to 0 for others: these are apart.
     # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
-    slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
-    is_still = ~is_moving[:, None]
-    boxes = np.hstack(
-        [is_still, corners.min(axis=1) - slack, is_still - 1.0, -corners.max(axis=1) - slack]
-    )
+    states = [corners] if after is None else [corners, after]
     order = morton_order(corners.mean(axis=1))
-    levels = [boxes[order].T]
-    while levels[-1].shape[1] > 1:
-        levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[1], 2), axis=1))
+    levels = [np.stack([_boxes(x, ~is_moving[:, None])[order].T for x in states])]
+    while levels[-1].shape[2] > 1:
+        levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[2], 2), axis=2))
     pairs = np.zeros((1, 2), np.int64)
     children = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     for level in levels[::-1]:
         pairs = (2 * pairs[:, None] + children).reshape(-1, 2)
-        pairs = pairs[(pairs[:, 0] <= pairs[:, 1]) & (pairs[:, 1] < level.shape[1])]
-        for least, largest in zip(level, np.roll(level, len(level) // 2, axis=0), strict=True):
-            pairs = pairs[least[pairs[:, 0]] + largest[pairs[:, 1]] <= 0]
+        pairs = pairs[(pairs[:, 0] <= pairs[:, 1]) & (pairs[:, 1] < level.shape[2])]
+        opposite = np.roll(level, level.shape[1] // 2, axis=1)
+        for least, largest in zip(level.swapaxes(0, 1), opposite.swapaxes(0, 1), strict=True):
+            apart = least[:, pairs[:, 0]] + largest[:, pairs[:, 1]] > 0
+            pairs = pairs[~apart.all(axis=0)]
     return order[pairs[pairs[:, 0] != pairs[:, 1]]]
+
+
+def _boxes(corners: np.ndarray, is_still: np.ndarray) -> np.ndarray:
+    slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
+    low = corners.min(axis=1) - slack
+    return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
+
+
+@dataclasses.dataclass(frozen=True)
+class Passages:
+    """Nodes (k,) that pass through faces: `pairs` (k, 2) of the node's face and the one passed.
+    `shares` (k,) are those of the way, `places` (k, d) where. `senses` (k,) are 1 from inside out.
+    """
+
+    pairs: np.ndarray
+    nodes: np.ndarray
+    shares: np.ndarray
+    places: np.ndarray
+    senses: np.ndarray
+
+    @classmethod
+    def joined(cls, steps: "Sequence[Passages]") -> "Passages":
+        return cls(*map(np.concatenate, zip(*(vars(step).values() for step in steps), strict=True)))
+
+    def at(self, rows: np.ndarray) -> "Passages":
+        return Passages(*(column[rows] for column in vars(self).values()))
+
+
+def passages(
+    before: np.ndarray,
+    after: np.ndarray,
+    faces: np.ndarray,
+    place: np.ndarray,
+    is_solid: np.ndarray,
+) -> Passages:
+    """Finds the nodes, marked by `is_solid` (b,), that change the side of a face within it while
+    all rows (b, d) go straight from `before` to `after`. Nodes that touch a face at an end of the
+    way do not count. Arguments as of `crossing_faces`.
+    """
+    moves = (before != after).any(axis=1)[faces].any(axis=1)
+    pairs = overlapping_boxes(before[faces], moves, after[faces])
+    found = []
+    for start in range(0, max(len(pairs), 1), TOGETHER):
+        both = pairs[start : start + TOGETHER]
+        first, second = place[faces[both]].swapaxes(0, 1)
+        both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
+        both = np.concatenate([both, both[:, ::-1]])
+        node = faces[both[:, 0]]
+        row, corner = np.nonzero(is_solid[node] & is_solid[node].all(axis=1, keepdims=True))
+        found.append(_passed(before, after, faces, both[row], node[row, corner]))
+    every = Passages.joined(found)
+    keys = np.stack([every.nodes, every.pairs[:, 1], every.shares])
+    return every.at(np.unique(keys, axis=1, return_index=True)[1])
+
+
+def _passed(
+    before: np.ndarray, after: np.ndarray, faces: np.ndarray, pairs: np.ndarray, node: np.ndarray
+) -> Passages:
+    near = _come_near(before, after, faces[pairs[:, 1]], node)
+    pairs = pairs[near]
+    node = node[near]
+    corners = faces[pairs[:, 1]]
+    times = np.linspace(0, 1, SPLIT + 1)
+    sides = np.stack([_side(*_between(before, after, t, corners, node), 0.0) for t in times])
+    for k in (0, -1):
+        sides[k] = _side(*_between(before, after, times[k], corners, node))
+    for k in range(1, SPLIT):  # a node on a face on the way is still on the side it came from
+        sides[k] = np.where(sides[k] == 0, sides[k - 1], sides[k])
+    part, some = np.nonzero(sides[:-1] * sides[1:] < 0)
+    pairs = pairs[some]
+    node = node[some]
+    corners = corners[some]
+    sense = sides[part + 1, some]
+    low = times[part]
+    high = times[part + 1]
+    for _ in range(HALVES):
+        share = (low + high) / 2
+        is_before = _side(*_between(before, after, share, corners, node), 0.0) * sense < 0
+        low = np.where(is_before, share, low)
+        high = np.where(is_before, high, share)
+    face, where = _between(before, after, low, corners, node)
+    hit = _places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
+    return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
+
+
+def _come_near(
+    before: np.ndarray, after: np.ndarray, corners: np.ndarray, node: np.ndarray
+) -> np.ndarray:
+    """Lists pairs of faces (k, c) and nodes (k,) that no axis separates in one order."""
+    near = np.ones(len(node), dtype=bool)
+    for start, end in zip(before.T, after.T, strict=True):
+        columns = [
+            x[corners[:, c]] - x[node] for x in (start, end) for c in range(corners.shape[1])
+        ]
+        near &= np.minimum.reduce(columns) <= 0
+        near &= np.maximum.reduce(columns) >= 0
+    return np.flatnonzero(near)
+
+
+def _between(
+    before: np.ndarray, after: np.ndarray, share: Any, corners: np.ndarray, node: np.ndarray
+) -> Pair:
+    """Faces (k, c, d) and nodes (k, d) at a share, one or (k,), of the way."""
+    share = np.reshape(share, (-1, 1))
+    face = before[corners] + share[:, None] * (after[corners] - before[corners])
+    return face, before[node] + share * (after[node] - before[node])
+
+
+def _side(corners: np.ndarray, x: np.ndarray, slack: float = BEFORE) -> np.ndarray:
+    """The side (k,) of faces on which points (k, d) lie: 1 outside, -1 inside, 0 on the face."""
+    normal = outward(corners)
+    height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
+    if not slack:
+        return np.sign(height)
+    size = np.linalg.norm(normal, axis=1) * np.ptp(corners, axis=1).max(axis=1)
+    return np.where(np.abs(height) > slack * size, np.sign(height), 0)
 
 
 def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:

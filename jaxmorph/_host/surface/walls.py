@@ -5,7 +5,7 @@ import numpy as np
 from ..cells.adjacency import parts_of
 from ..cells.topology import ByType
 from ..linear.products import outward, unit_rows
-from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked
+from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked, resolution
 from ..sources.farthest import farthest
 
 SHARP = np.cos(
@@ -66,9 +66,7 @@ def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.nd
     """Sorts nodes (b, d) by place, the first `moving` nodes before all others. Of nodes in one
     place, as on two sides of a slit, the directions of their `faces` decide.
     """
-    columns = [
-        ranked(column, SAME * float(np.ptp(points, axis=0).max(initial=0))) for column in points.T
-    ]
+    columns = [ranked(column, resolution(points)) for column in points.T]
     is_still = np.arange(len(points)) >= moving
     order = np.lexsort([*columns[::-1], is_still])
     repeated = np.logical_and.reduce([np.diff(column[order]) == 0 for column in columns])

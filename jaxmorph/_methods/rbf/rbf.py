@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from ..._host.package.arguments import between, checked, shown, whole
+from ..._host.package.arguments import between, shown, whole
 from ..._host.package.errors import warn
 from ..._host.package.rounding import roundoff
 from ..._host.sources.farthest import Graded, far_to_near
@@ -143,7 +143,6 @@ class RBF(AbstractMethod):
             warn(f"{type(self.basis).__name__} without {needed} may give a singular system.")
 
     @classmethod
-    @checked
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
         """Returns the classic method: every surface node is a source (de Boer et al. 2007).
 

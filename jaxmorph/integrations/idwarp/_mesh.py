@@ -59,7 +59,7 @@ WITHOUT = (
 FILE = ("gridFile", "fileType")
 
 
-def checked(options: Any) -> dict[str, Any]:
+def complete_options(options: Any) -> dict[str, Any]:
     """Completes options by IDWarp's defaults, and adds a list of those that were given."""
     if not isinstance(options, Mapping):
         raise ValueError(
@@ -68,7 +68,7 @@ def checked(options: Any) -> dict[str, Any]:
     values = {name_of(name): value for name, value in options.items()}
     for name, value in values.items():
         if value is not None:
-            _check(name, value)
+            _check_option(name, value)
     if values.get("gridFile") is None:
         raise ValueError("`gridFile` must be the name of a grid; its ending tells what it is.")
     return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {
@@ -83,7 +83,7 @@ def name_of(name: str) -> str:
     return known[name.lower()]
 
 
-def _check(name: str, value: Any) -> None:
+def _check_option(name: str, value: Any) -> None:
     kinds: Any = OPTIONS[name][0]
     expected = EXPECTED.get(name, " or ".join(kind.__name__ for kind in kinds))
     try:
@@ -171,7 +171,8 @@ class USMesh:
         return mesh
 
     def _begin(self, comm: Any, options: Any, read: Callable[[str], DistributedGrid]) -> None:
-        self.comm, self._options = comm, together(comm, lambda: checked(options))
+        self.comm = comm
+        self._options = together(comm, lambda: complete_options(options))
         if comm.rank == 0:
             warn_of(self._options)
         self._grid = read(self._options["gridFile"])
@@ -327,9 +328,8 @@ class USMesh:
         if name in FILE or (name not in WITHOUT and self._surface is not None):
             what = "the grid is read" if name in FILE else "the surface is defined"
             raise ValueError(f"`{name}` is taken when {what}: give it to USMesh.")
-        self._options = checked(
-            {key: self._options[key] for key in self._options["told"]} | {name: value}
-        )
+        given = {key: self._options[key] for key in self._options["told"]}
+        self._options = complete_options(given | {name: value})
 
     def printOptions(self) -> None:
         """Prints the options and their values, in the first process."""
@@ -399,7 +399,8 @@ class USMesh:
             half, weights = self.comm.bcast(together(self.comm, prepared))
             piece = mpi.attach(self.comm, half, grid.points, grid.nodes)
         self._surface = Follower(piece, weights, points)
-        self._coordinates, self._dXs = points, np.zeros_like(points)
+        self._coordinates = points
+        self._dXs = np.zeros_like(points)
 
     def _solver(self) -> SolverOrder:
         if self._order is None:

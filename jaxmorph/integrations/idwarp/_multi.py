@@ -61,7 +61,8 @@ class MultiUSMesh:
                 "MultiUSMesh_C."
             )
         mesh, grids = together(
-            self.comm, lambda: (None, None) if self.comm.rank else _read(CGNSFile, optionsDict)
+            self.comm,
+            lambda: (None, None) if self.comm.rank else _read_grids(CGNSFile, optionsDict),
         )
         names, self._zones, counts = self.comm.bcast(grids)
         self._grid = np.repeat(self._zones, counts)
@@ -69,7 +70,7 @@ class MultiUSMesh:
         self.meshes = []
         for k, name in enumerate(names):
             part = DistributedGrid.shared(
-                self.comm, None if mesh is None else _part(mesh, self._grid == k)
+                self.comm, None if mesh is None else _part_of(mesh, self._grid == k)
             )
             options = {**optionsDict[name], "gridFile": CGNSFile}
             self.meshes.append(self._mesh_class._of(self.comm, options, part))
@@ -103,7 +104,8 @@ class MultiUSMesh:
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         zones = agreed(self.comm, "cgnsBlockIDs", np.ravel(cgnsBlockIDs), sizes.shape).astype(int)
         zones = together(self.comm, lambda: rows_of("cgnsBlockIDs", zones, len(self._zones)))
-        self._coordinates, self._rows = points.astype(self._number), []
+        self._coordinates = points.astype(self._number)
+        self._rows = []
         for k, mesh in enumerate(self.meshes):
             is_own = self._zones[zones] == k
             own = corners[np.repeat(is_own, sizes)]
@@ -215,7 +217,9 @@ class MultiUSMesh_C(MultiUSMesh):
         super().__init__(CGNSFile, optionsDict, comm, "D", debug)
 
 
-def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray, np.ndarray]]:
+def _read_grids(
+    path: str, options: Any
+) -> tuple[jm.Mesh, tuple[list[str], np.ndarray, np.ndarray]]:
     """Reads a mesh and its grids: names, and by zone its grid, or -1, and its number of nodes."""
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
@@ -230,7 +234,7 @@ def _read(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], np.ndarray
     return io.read(path), (names, np.array(numbers), np.array(counts))
 
 
-def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
+def _part_of(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
     nodes, listed = np.unique(mesh.file_nodes[is_own], return_inverse=True)
 
     def own(lists: Mapping[str, Any]) -> dict[str, np.ndarray]:

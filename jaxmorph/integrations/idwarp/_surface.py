@@ -9,22 +9,21 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.extend import closest, fans, float64_mode
+from jaxmorph.extend import Tree, closest, fans, float64_mode, spacing
 
 from .. import mpi
 from ._grid import Points
 
-WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
+PATCH_WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
 """What a patch is, by a word in its kind or its name."""
 PART = 0.5
 """Share of a patch's nodes on the surface, from which the patch belongs to it."""
-SAME = 1e-12
+SAME_PLACE = 1e-12
 """Distance of duplicate points, as a share of the surface's extent."""
-NEAR = 0.1
+NEAR_FACE = 0.1
 """Distance of a node from its face, as a share of its longest edge: facets cut corners."""
 
 
@@ -52,8 +51,8 @@ class Definition:
         returned: each node's distance (k,) from the surface, and the largest distance (k,) of a
         node on it.
         """
-        same = KDTree(self.points).query_pairs(
-            SAME * np.ptp(self.points, axis=0).max(), output_type="ndarray"
+        same = Tree(self.points).query_pairs(
+            SAME_PLACE * np.ptp(self.points, axis=0).max(), output_type="ndarray"
         )
         graph = csr_array((np.ones(len(same)), same.T), (len(self.points), len(self.points)))
         at = connected_components(graph, directed=False)[1]
@@ -63,12 +62,10 @@ class Definition:
             chosen, shares, away = closest(place[corners], x)
             edges = np.linalg.norm(place[corners] - place[np.roll(corners, 1, axis=1)], axis=2)
             columns = corners[chosen]
-            limit = NEAR * edges.max(axis=1)[chosen]
+            limit = NEAR_FACE * edges.max(axis=1)[chosen]
         else:
             count = min(3, len(place))
-            near, columns = (
-                np.reshape(answer, (-1, count)) for answer in KDTree(place).query(x, k=count)
-            )
+            near, columns = Tree(place).query(x, k=range(1, count + 1))
             inverse = 1 / np.maximum(near, np.finfo(float).tiny ** 0.25) ** 2
             shares = inverse / inverse.sum(axis=1, keepdims=True)
             away = near[:, 0]
@@ -81,21 +78,16 @@ class Definition:
         return of_places @ means, away, limit
 
 
-def spacing(points: np.ndarray) -> np.ndarray:
-    """Each point's distance (n,) from its nearest neighbour; infinite for one point."""
-    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
-
-
 def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Lists patches of `wall`, `symmetry` and `overset` by option, kind in the file, or name."""
-    found: dict[str, list[str]] = {kind: [] for kind in (*WORDS.values(), "")}
+    found: dict[str, list[str]] = {kind: [] for kind in (*PATCH_WORDS.values(), "")}
     for name in mesh.patches:
-        found[_kind_of(mesh, name)].append(name)
+        found[_kind_of_patch(mesh, name)].append(name)
     for kind, option in (("wall", "specifiedSurfaces"), ("symmetry", "symmetrySurfaces")):
         if options[option] is not None:
-            found[kind] = _named(mesh, options[option], option)
+            found[kind] = _patches_named(mesh, options[option], option)
     if options["symmetryPlanes"] is not None:
-        found["symmetry"] = _in_planes(mesh, _planes(mesh, options))
+        found["symmetry"] = _patches_in(mesh, _read_planes(mesh, options))
     walls = found.pop("wall")
     others = {
         kind: tuple(name for name in names if name not in walls)
@@ -105,24 +97,24 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
     return others | {"wall": tuple(walls)}
 
 
-def _in_planes(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
+def _patches_in(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
     on = np.logical_or.reduce(
-        [np.zeros(len(mesh.points), bool), *(plane.holds(_points(mesh)) for plane in planes)]
+        [np.zeros(len(mesh.points), bool), *(plane.holds(_places_of(mesh)) for plane in planes)]
     )
     return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
 
 
-def _points(mesh: jm.Mesh) -> np.ndarray:
+def _places_of(mesh: jm.Mesh) -> np.ndarray:
     return np.asarray(mesh.points, dtype=float)
 
 
-def _kind_of(mesh: jm.Mesh, name: str) -> str:
+def _kind_of_patch(mesh: jm.Mesh, name: str) -> str:
     text = mesh.kinds.get(name, name).lower()
-    kind = next((kind for word, kind in WORDS.items() if re.search(word, text)), "")
+    kind = next((kind for word, kind in PATCH_WORDS.items() if re.search(word, text)), "")
     return kind or ("overset" if "overset" in name.lower() else "")  # no type of CGNS says so
 
 
-def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
+def _patches_named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
     wanted = {name.lower() for name in names}
     missing = sorted(wanted - {name.lower() for name in mesh.patches})
     if missing:
@@ -132,9 +124,9 @@ def _named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str]:
     return [name for name in mesh.patches if name.lower() in wanted]
 
 
-def _planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
+def _read_planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
     planes = []
-    points = _points(mesh)
+    points = _places_of(mesh)
     for origin, normal in options["symmetryPlanes"]:
         plane = jm.Plane(normal, origin)
         near = np.flatnonzero(np.abs(plane.height(points)) <= options["symmTol"])
@@ -155,7 +147,7 @@ def boundary_of(
     symmetry, periodic and overset ones are fixed.
     """
     kinds = patches_by_kind(mesh, options)
-    points = _points(mesh)
+    points = _places_of(mesh)
     walls = kinds["wall"]
     periodic = io.periodic(mesh)
     loose = {*kinds["symmetry"], *kinds["overset"]}
@@ -163,7 +155,9 @@ def boundary_of(
     loose |= {str(name) for pair in periodic for name in (pair.patch, pair.partner)}
     fixed = mesh.patch(*(name for name in mesh.patches if name not in loose))
     free = np.setdiff1d(mesh.patch(*kinds["overset"]), np.concatenate([fixed, moving]))
-    symmetry = kinds["symmetry"] if options["symmetryPlanes"] is None else _planes(mesh, options)
+    symmetry = (
+        kinds["symmetry"] if options["symmetryPlanes"] is None else _read_planes(mesh, options)
+    )
     fixed = np.setdiff1d(fixed, moving)
     boundary = jm.Boundary(mesh, moving, fixed, symmetry=symmetry, periodic=periodic, free=free)
     return boundary, surface.weights(points[moving])[0]
@@ -173,20 +167,19 @@ def _on_surface(
     mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose: Collection[str]
 ) -> np.ndarray:
     for names in (walls, [name for name in mesh.patches if name not in loose]):
-        found = [np.zeros(0, int)]
-        for nodes in (
-            np.asarray(mesh.patches[name]) for name in names if len(mesh.patches[name]) > 1
-        ):
-            x = _points(mesh)[nodes]
+        found = []
+        for nodes in (np.asarray(mesh.patches[name]) for name in names):
+            if len(nodes) < 2:
+                continue
+            x = _places_of(mesh)[nodes]
             _, away, limit = surface.weights(x)
-            is_on = away <= np.maximum(limit, NEAR * spacing(x))
+            is_on = away <= np.maximum(limit, NEAR_FACE * spacing(x))
             if is_on.mean() >= PART:
                 found.append(nodes[is_on])
-        if len(found) > 1:
+        if found:
             return np.unique(np.concatenate(found))
-    low, high = (
-        np.round(extreme(surface.points, axis=0), 6).tolist() for extreme in (np.min, np.max)
-    )
+    low = np.round(surface.points.min(axis=0), 6).tolist()
+    high = np.round(surface.points.max(axis=0), 6).tolist()
     raise ValueError(
         f"no patch of the mesh lies on the surface that is defined, {len(surface.points)} points "
         f"between {low} and {high}: "
@@ -203,7 +196,9 @@ class Follower:
     """
 
     def __init__(self, piece: mpi.Piece, weights: Any, points: np.ndarray):
-        self.piece, self.weights, self.points = piece, weights, points
+        self.piece = piece
+        self.weights = weights
+        self.points = points
         first = sum(piece.comm.allgather(len(points))[: piece.comm.rank])
         self.own = slice(first, first + len(points))
         self.copies = dataclasses.replace(piece, is_owner=np.ones_like(piece.is_owner))

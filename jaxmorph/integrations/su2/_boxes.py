@@ -12,19 +12,20 @@ import scipy.interpolate
 from jaxtyping import Array, Float
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
+from jaxmorph.extend import warn
 
 from ._motion import AbstractPart, Names, check_axis
 from ._options import KINDS, Options, Variable
 
 Fixed = tuple[frozenset[int], ...]
 """Planes of control points that stay, in each direction of a box."""
-KEPT = {"NO_DERIVATIVE": 1, "1ST_DERIVATIVE": 2, "2ND_DERIVATIVE": 3, "USER_INPUT": 0}
+PLANES_BEHIND = {"NO_DERIVATIVE": 1, "1ST_DERIVATIVE": 2, "2ND_DERIVATIVE": 3, "USER_INPUT": 0}
 """Planes of control points that stay behind each face of a box which the wall crosses."""
-STEPS = 20
+NEWTON_STEPS = 20
 """Steps of Newton's method, down to a double's rounding."""
-MOST = 10**6
+MOST_CONTROL_POINTS = 10**6
 """Control points that a box may have."""
-OUTSIDE = 2.0
+BEYOND = 2.0
 """Coordinate of a node outside of a box."""
 
 
@@ -48,8 +49,8 @@ class BoxPart(AbstractPart):
         row = 0
         for variable in self.variables:
             part = values[row : row + variable.size]
-            if variable.kind in TURNS:
-                change = TURNS[variable.kind](self, variable, part[0], control)
+            if variable.kind in TURN_KINDS:
+                change = TURN_KINDS[variable.kind](self, variable, part[0], control)
             else:
                 factors = np.zeros((variable.size, *start.shape))  # what a unit of each value adds
                 ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
@@ -73,7 +74,7 @@ def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> No
     if part.is_fixed(*index):
         return
     chosen = np.zeros(factors.shape[1:-1])
-    chosen[_places(*index)] = 1
+    chosen[_slices(*index)] = 1
     every = [k for k, value in enumerate(index) if value == -1]
     if d == 3 and len(every) == 1:
         np.moveaxis(chosen, every[0], 0)[sorted(part.fixed[every[0]])] = 0
@@ -102,14 +103,14 @@ def _nacelle(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
     for angle in dict.fromkeys([j, last - j if j >= 0 else 0]):
         if part.is_fixed(i, angle, k):
             break
-        factors[(0, *_places(i, angle if j >= 0 else -1, k))] += [
+        factors[(0, *_slices(i, angle if j >= 0 else -1, k))] += [
             variable.numbers[3],
             0,
             variable.numbers[4],
         ]
 
 
-def _places(*index: int) -> tuple[int | slice, ...]:
+def _slices(*index: int) -> tuple[int | slice, ...]:
     return tuple(slice(None) if value == -1 else value for value in index)
 
 
@@ -123,7 +124,7 @@ ADDS = {
 """Displacements of control points per unit of the value, by kind."""
 
 
-def _rotation(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+def _turn_about_axis(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
     """Turns the control points about an axis by degrees; the numbers have its two ends."""
     d = control.shape[-1]
     ends = np.array(variable.numbers)
@@ -139,16 +140,16 @@ def _control_surface(part: BoxPart, variable: Variable, value, control) -> Float
     """Turns the other way, without the last two planes of i and the outer two of j each side."""
     chosen = np.zeros(control.shape[:-1], bool)
     chosen[:-2, 2:-2] = True
-    return jnp.where(jnp.asarray(chosen)[..., None], _rotation(part, variable, -value, control), 0)
-
-
-def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
-    """Turns one plane's control points about an axis along y, where a line meets the plane."""
-    (j,), start, end = (
-        variable.index,
-        np.array(variable.numbers[1:4]),
-        np.array(variable.numbers[4:7]),
+    return jnp.where(
+        jnp.asarray(chosen)[..., None], _turn_about_axis(part, variable, -value, control), 0
     )
+
+
+def _turn_plane(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+    """Turns one plane's control points about an axis along y, where a line meets the plane."""
+    (j,) = variable.index
+    start = np.array(variable.numbers[1:4])
+    end = np.array(variable.numbers[4:7])
     rise = end[1] - start[1]
     share = (control[0, j, 0, 1] - start[1]) / (rise or 1.0)
     meets = (share >= 0) & (share <= 1) & (rise != 0)
@@ -164,7 +165,11 @@ def _twist(part: BoxPart, variable: Variable, value, control) -> Float[Array, ".
     return jnp.zeros_like(control).at[:, j].set(turned)
 
 
-TURNS = {"FFD_ROTATION": _rotation, "FFD_CONTROL_SURFACE": _control_surface, "FFD_TWIST": _twist}
+TURN_KINDS = {
+    "FFD_ROTATION": _turn_about_axis,
+    "FFD_CONTROL_SURFACE": _control_surface,
+    "FFD_TWIST": _turn_plane,
+}
 """The other kinds, whose motions depend on where the control points are."""
 
 
@@ -173,9 +178,9 @@ def boxes_of(options: Options, mesh: Mesh, moving: Names, is_setting: bool) -> t
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
     present = () if is_setting else io.boxes(mesh)
     if not present and "FFD_DEFINITION" in options:
-        made = _definition(options, mesh.points.shape[1])
+        made = _read_boxes(options, mesh.points.shape[1])
         return tuple(
-            io.Box(name, box, np.asarray(box.lattice()), _surface(box, mesh, moving))
+            io.Box(name, box, np.asarray(box.lattice()), _wall_in_box(box, mesh, moving))
             for name, box in made
         )
     nested = [box.name for box in present if box.level or box.parents or box.children]
@@ -184,7 +189,7 @@ def boxes_of(options: Options, mesh: Mesh, moving: Names, is_setting: bool) -> t
     return present
 
 
-def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]:
+def _read_boxes(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]:
     degree = None
     if options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM") != "BEZIER":
         orders = options.words("FFD_BSPLINE_ORDER")[:d] or ["2"] * d
@@ -200,22 +205,16 @@ def _definition(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
         corners = options.taken("FFD_DEFINITION", f"box {name}", words, 24)
         numbers = [options.number("FFD_DEFINITION", word) for word in corners]
         counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
-        if len(counts) < d or math.prod(counts) > MOST:
+        if len(counts) < d or math.prod(counts) > MOST_CONTROL_POINTS:
+            limit = f"{d} degrees of at most {MOST_CONTROL_POINTS} control points"
             found = " x ".join(map(str, counts))
-            raise options.error(
-                "FFD_DEGREE",
-                f"{d} degrees of at most {MOST} control points expected, found {found}",
-            )
-        boxes.append(
-            (
-                name,
-                shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree),
-            )
-        )
+            raise options.error("FFD_DEGREE", f"{limit} expected, found {found}")
+        places = np.reshape(numbers, (8, 3))[: 2**d, :d]
+        boxes.append((name, shapes.Hexahedron(places, counts, degree=degree)))
     return boxes
 
 
-def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
+def _wall_in_box(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
     surface = {}
     for name in moving:
         nodes = mesh.patch(name)
@@ -240,7 +239,7 @@ def _of_spline(
             spline = scipy.interpolate.BSpline(knots, np.arange(count) / (count - 1), p)
             slope = spline.derivative()
             t = places[:, axis]
-            for _ in range(STEPS):
+            for _ in range(NEWTON_STEPS):
                 t = np.clip(t - (spline(t) - places[:, axis]) / slope(t), 0, 1)
             found[:, axis] = t
     return found
@@ -255,19 +254,42 @@ def box_parts(
     parts = []
     taken = np.zeros(len(nodes), bool)
     for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
-        places = np.full((len(nodes), len(box.shape.counts)), OUTSIDE)
+        places = np.full((len(nodes), len(box.shape.counts)), BEYOND)
         for ids, inside in (box.surface[name] for name in moving if name in box.surface):
             moves = np.isin(ids, nodes)
             places[np.searchsorted(nodes, ids[moves])] = inside[moves]
-        places[taken] = OUTSIDE
-        taken |= (places != OUTSIDE).any(axis=1)
+        places[taken] = BEYOND
+        taken |= (places != BEYOND).any(axis=1)
         if own := tuple(variable for variable in listed if variable.box == box.name):
-            fixed = _fixed_planes(options, box.control, mesh, moving)
-            length = options.number("REF_LENGTH")
-            rows = tuple(row for variable in own for row in variable.rows)
-            move = box.shape.box.at(jnp.asarray(places))
-            parts.append(BoxPart(rows, own, fixed, length, jnp.asarray(box.control), move))
+            part = BoxPart(
+                rows=tuple(row for variable in own for row in variable.rows),
+                variables=own,
+                fixed=_fixed_planes(options, box.control, mesh, moving),
+                length=options.number("REF_LENGTH"),
+                control=jnp.asarray(box.control),
+                operator=box.shape.box.at(jnp.asarray(places)),
+            )
+            _warn_of_held(options, part)
+            parts.append(part)
     return parts[::-1]
+
+
+def _warn_of_held(options: Options, part: BoxPart) -> None:
+    """Warns of variables whose control points are all held, so that they move nothing."""
+    word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *PLANES_BEHIND)
+    held = []
+    for variable in part.variables:
+        if variable.kind not in TURN_KINDS:
+            factors = np.zeros((variable.size, *part.control.shape))
+            ADDS[variable.kind.removesuffix("_2D")](part, variable, factors)
+            if not factors.any():
+                held.append(f"{variable.box} ({', '.join(map(str, variable.index))})")
+    if held:
+        warn(
+            f"{options.path}: {len(held)} of {len(part.variables)} design variables move nothing, "
+            f"FFD_CONTINUITY= {word} holds their control points: {', '.join(held[:5])}. Take more "
+            "degrees, a weaker FFD_CONTINUITY, or a box whose sides no wall crosses."
+        )
 
 
 def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
@@ -278,10 +300,10 @@ def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
                 ", ".join(known) or "none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
             )
             raise ValueError(f"there is no box {variable.box} in the mesh file; it has {there}.")
-        _check(variable, known[variable.box])
+        _check_variable(variable, known[variable.box])
 
 
-def _check(variable: Variable, box: io.Box) -> None:
+def _check_variable(variable: Variable, box: io.Box) -> None:
     kind = variable.kind
     counts = box.shape.counts
     directions = KINDS[variable.kind].indices
@@ -311,16 +333,17 @@ def _fixed_planes(
     options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names
 ) -> Fixed:
     """Finds the planes that stay in each direction of a lattice, so that no wall tears."""
-    word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
+    word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *PLANES_BEHIND)
     is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
-    segments, (*counts, d) = _segments(mesh, moving), lattice.shape
+    segments = _wall_segments(mesh, moving)
+    *counts, d = lattice.shape
     fixed = []
     for direction, count in enumerate(counts):
         planes = (
             set(options.numbers(f"FFD_FIX_{'IJK'[direction]}")) if word == "USER_INPUT" else set()
         )
         depth = (
-            0 if KEPT[word] == 3 and count <= 2 else KEPT[word]
+            0 if PLANES_BEHIND[word] == 3 and count <= 2 else PLANES_BEHIND[word]
         )  # a second derivative needs a degree of 2
         is_mirror = (direction, d, is_symmetric) == (1, 3, True)
         for last, behind in ((0, range(depth)), (-1, range(count - depth, count))):
@@ -358,7 +381,7 @@ def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d
     return False
 
 
-def _segments(mesh: Mesh, moving: Names) -> Float[np.ndarray, "s 2 d"]:
+def _wall_segments(mesh: Mesh, moving: Names) -> Float[np.ndarray, "s 2 d"]:
     faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()]
     pairs = [
         ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)

@@ -25,7 +25,7 @@ LARGE = 0.5
 RIGID = {"TRANSLATION", "ROTATION", "SCALE"}
 """Kinds that may move a wall far."""
 
-FILES = {
+FILE_OPTIONS = {
     "SOLUTION_ADJ_FILENAME": "solution_adj",
     "VOLUME_SENS_FILENAME": "volume_sens",
     "SURFACE_SENS_FILENAME": "surface_sens",
@@ -33,21 +33,21 @@ FILES = {
 """Options that name a file of sensitivities, and SU2's default names."""
 
 EXTENSIONS = {
-    **{
-        "DRAG": "cd",
-        "LIFT": "cl",
-        "SIDEFORCE": "csf",
-        "EFFICIENCY": "eff",
-        "THRUST": "ct",
-        "TORQUE": "cq",
-    },
+    "DRAG": "cd",
+    "LIFT": "cl",
+    "SIDEFORCE": "csf",
+    "EFFICIENCY": "eff",
+    "THRUST": "ct",
+    "TORQUE": "cq",
     **{f"MOMENT_{axis}": f"cm{axis.lower()}" for axis in "XYZ"},
     **{f"FORCE_{axis}": f"cf{axis.lower()}" for axis in "XYZ"},
-    **{"EQUIVALENT_AREA": "ea", "NEARFIELD_PRESSURE": "nfp", "FIGURE_OF_MERIT": "merit"},
+    "EQUIVALENT_AREA": "ea",
+    "NEARFIELD_PRESSURE": "nfp",
+    "FIGURE_OF_MERIT": "merit",
 }
 """SU2's suffixes of an adjoint file's name, by the objective."""
 
-NORMAL = ("surface_sensitivity", "sensitivity")
+NORMAL_COLUMNS = ("surface_sensitivity", "sensitivity")
 """Columns of the continuous adjoint's derivative by a motion into the body."""
 
 
@@ -153,39 +153,33 @@ def read_config(
     """
     options = read_options(pathlib.Path(path))
     listed, markers = checked_variables(options, definition)
-    mesh = _mesh(options, zone)
+    mesh = _read_mesh(options, zone)
     kinds = {variable.kind for variable in listed}
     sorts = {KINDS[kind].sort for kind in kinds}
     is_setting = "FFD_SETTING" in kinds
     is_whole = "mesh" in sorts
     is_moving = is_setting or not sorts <= {"nothing", "flow"}
-    moving = (
-        tuple(mesh.patches)
-        if is_whole
-        else _present(options, mesh, "DV_MARKER", markers, is_moving)
-    )
-    planes, inner = (
-        _present(options, mesh, name, options.words(name))
-        for name in ("MARKER_SYM", "MARKER_INTERNAL")
-    )
+    moving = tuple(mesh.patches)
+    if not is_whole:
+        moving = _markers_present(options, mesh, "DV_MARKER", markers, is_moving)
+    planes = _markers_present(options, mesh, "MARKER_SYM", options.words("MARKER_SYM"))
+    inner = _markers_present(options, mesh, "MARKER_INTERNAL", options.words("MARKER_INTERNAL"))
     try:
         boxes = boxes_of(options, mesh, moving, is_setting)
-        parts = wall_parts(options, listed, mesh, moving) + box_parts(
-            options, listed, mesh, moving, boxes
-        )
+        parts = wall_parts(options, listed, mesh, moving)
+        parts += box_parts(options, listed, mesh, moving, boxes)
     except ValueError as error:
         raise ValueError(
             f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}"
         ) from None
-    shape = _shape(
-        options, listed, parts, _free_coordinates(mesh, moving, () if is_whole else planes)
-    )
+    free = _free_coordinates(mesh, moving, () if is_whole else planes)
+    shape = _make_shape(options, listed, parts, free)
     config = Config(
-        mesh,
-        options.output,
-        shape,
-        _values(options, shape, definition),
-        moving,
+        mesh=mesh,
+        output=options.output,
+        shape=shape,
+        parameters=_read_values(options, shape, definition),
+        moving=moving,
         symmetry=_without(planes, moving),
         fixed=_without(mesh.patches, (*moving, *planes, *inner)),
         steps=options.whole("DEFORM_NONLINEAR_ITER"),
@@ -196,7 +190,7 @@ def read_config(
     return config
 
 
-def _mesh(options: Options, zone: int | None) -> Mesh:
+def _read_mesh(options: Options, zone: int | None) -> Mesh:
     if zone is None:
         return io.read(options.mesh_file)
     zones = io.read_zones(options.mesh_file)
@@ -215,7 +209,7 @@ def _sort(name: str) -> str:
     return KINDS[name.partition("[")[0]].sort
 
 
-def _present(
+def _markers_present(
     options: Options, mesh: Mesh, name: str, markers: Names, is_needed: bool = False
 ) -> tuple[str, ...]:
     present = []
@@ -245,6 +239,9 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
             f"{options.path}: not honoured here, though SU2's result depends on it: "
             f"{', '.join(left_out)}."
         )
+    if "MARKER_PERIODIC" in options:
+        pairs = " ".join(options.periodic)
+        warn(f"{options.path}: jaxmorph deform moves periodic patches alike by --periodic {pairs}.")
     relaxed = options.relaxation
     cause = (
         "check DV_VALUE"
@@ -258,7 +255,9 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
         warn(f"{options.path}: the wall moves by {config.share:.3g} times its own length: {cause}.")
 
 
-def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:
+def _read_values(
+    options: Options, shape: DesignVariables, definition: bool
+) -> Float[np.ndarray, " n"]:
     """Reads the value of each design variable; without `DV_VALUE_NEW` of them all are at rest."""
     name = "DV_VALUE_NEW" if definition else "DV_VALUE"
     rest = np.asarray(shape.rest)
@@ -272,7 +271,7 @@ def _values(options: Options, shape: DesignVariables, definition: bool) -> Float
     return np.array(values)
 
 
-def _shape(
+def _make_shape(
     options: Options, listed: list[Variable], parts: Sequence[AbstractPart], free: np.ndarray
 ) -> DesignVariables:
     names = []
@@ -287,8 +286,13 @@ def _shape(
         ]
         scales += [scale] * own.size
         rest += [1 / scale if own.kind.startswith("SCALE") else 0.0] * own.size
-    factors, neutral = (jnp.asarray(np.array(values, float)) for values in (scales, rest))
-    return DesignVariables(tuple(names), tuple(parts), factors, neutral, jnp.asarray(free))
+    return DesignVariables(
+        names=tuple(names),
+        parts=tuple(parts),
+        scales=jnp.asarray(np.array(scales, float)),
+        rest=jnp.asarray(np.array(rest, float)),
+        free=jnp.asarray(free),
+    )
 
 
 def _free_coordinates(mesh: Mesh, moving: Names, planes: Names) -> Bool[np.ndarray, "m d"]:
@@ -337,17 +341,17 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
     **Raises:** `ValueError` for no file, and as `io.read_sensitivity` does.
     """
     is_normal = config.options.text("MATH_PROBLEM").upper() == "CONTINUOUS_ADJOINT"
-    file = input_path(path) if path is not None else _file(config.options, is_normal)
+    file = input_path(path) if path is not None else _find_file(config.options, is_normal)
     by_nodes = _by_normals(config, file) if is_normal else None
     if by_nodes is None:
         by_nodes = io.read_sensitivity(file, config.mesh, moving=config.mesh.patch(*config.moving))
     return Sensitivity(file, by_nodes, _by_angle(file))
 
 
-def _file(options: Options, is_normal: bool) -> pathlib.Path:
+def _find_file(options: Options, is_normal: bool) -> pathlib.Path:
     objective = options.text("OBJECTIVE_FUNCTION", "DRAG")
     kind = "combo" if "," in objective else EXTENSIONS.get(objective.strip("() "), "*")
-    defaults = {"SURFACE_ADJ_FILENAME": "surface_adjoint"} if is_normal else FILES
+    defaults = {"SURFACE_ADJ_FILENAME": "surface_adjoint"} if is_normal else FILE_OPTIONS
     names = {
         option: options.path.parent / options.text(option, default)
         for option, default in defaults.items()
@@ -381,7 +385,7 @@ def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] 
             name.strip(b"\"' \r\n\t").decode(errors="replace").lower()
             for name in stream.readline().split(b",")
         ]
-    column = next((names.index(name) for name in NORMAL if name in names), None)
+    column = next((names.index(name) for name in NORMAL_COLUMNS if name in names), None)
     if column is None:
         return None
     try:
@@ -410,16 +414,12 @@ def _by_angle(file: pathlib.Path) -> float | None:
     is_restart = len(sizes) == 5 and sizes[0] == 535532
     begin = 20 + 33 * int(sizes[1]) + 8 * int(sizes[1]) * int(sizes[2]) if is_restart else -1
     if begin > 0 and file.stat().st_size == begin + 4 + 64:
-        return float(
-            np.fromfile(file, "<f8", count=8, offset=begin + 4)[4]
-        )  # the fifth of eight numbers
-    for text in ([] if begin > 0 else [file]) + [file.with_suffix(".meta")]:
-        found = (
-            re.search(rb"SENS_AOA\s*=\s*([-+.\deE]+)", text.read_bytes())
-            if text.is_file()
-            else None
-        )
-        if found:
+        fifth = np.fromfile(file, "<f8", count=8, offset=begin + 4)[4]
+        return float(fifth)
+    for text in (file, file.with_suffix(".meta")):
+        if not text.is_file() or (text == file and begin > 0):
+            continue
+        if found := re.search(rb"SENS_AOA\s*=\s*([-+.\deE]+)", text.read_bytes()):
             return float(found[1])
     return None
 

@@ -70,23 +70,23 @@ ONE = 2
 """Sides of an airfoil, as the first parameter has them; for `ONE` SU2 moves the upper side."""
 
 LEFT_OUT = {
-    **{"FFD_INTPREV": ("NO",), "CONVEXITY_CHECK": ("NO",), "OPT_LINE_SEARCH_BOUND": ("1E6",)},
-    **{"HOLD_GRID_FIXED": ("NO",), "DEFORM_LIMIT": ("1E6",), "DEFORM_COEFF": ("1E6",)},
-    **{
-        "DEFORM_KIND": ("ELASTIC",),
-        "DEFORM_STIFFNESS_TYPE": ("SOLID_WALL_DISTANCE", "WALL_DISTANCE"),
-    },
-    **{
-        "DEFORM_STIFF_LAYER_SIZE": ("0",),
-        "DEFORM_ELASTICITY_MODULUS": ("2E11",),
-        "DEFORM_POISSONS_RATIO": ("0.3",),
-    },
-    **{"MARKER_PERIODIC": (), "MARKER_DEFORM_MESH_SYM_PLANE": (), "CONFIG_LIST": ()},
-    **{
-        "MESH_FORMAT": ("SU2", "CGNS"),
-        "DV_SENSITIVITY_FORMAT": ("SU2_NATIVE",),
-        "SMOOTH_GRADIENT": ("NO",),
-    },
+    "FFD_INTPREV": ("NO",),
+    "CONVEXITY_CHECK": ("NO",),
+    "OPT_LINE_SEARCH_BOUND": ("1E6",),
+    "HOLD_GRID_FIXED": ("NO",),
+    "DEFORM_LIMIT": ("1E6",),
+    "DEFORM_COEFF": ("1E6",),
+    "DEFORM_KIND": ("ELASTIC",),
+    "DEFORM_STIFFNESS_TYPE": ("SOLID_WALL_DISTANCE", "WALL_DISTANCE"),
+    "DEFORM_STIFF_LAYER_SIZE": ("0",),
+    "DEFORM_ELASTICITY_MODULUS": ("2E11",),
+    "DEFORM_POISSONS_RATIO": ("0.3",),
+    "MARKER_PERIODIC": (),
+    "MARKER_DEFORM_MESH_SYM_PLANE": (),
+    "CONFIG_LIST": (),
+    "MESH_FORMAT": ("SU2", "CGNS"),
+    "DV_SENSITIVITY_FORMAT": ("SU2_NATIVE",),
+    "SMOOTH_GRADIENT": ("NO",),
 }
 """Options of SU2_DEF or SU2_DOT that this package ignores, with SU2's defaults."""
 
@@ -98,7 +98,8 @@ class Options:
     """Options of a config file, `NAME= value`; `%` begins a comment, a backslash continues."""
 
     def __init__(self, path: pathlib.Path, values: Mapping[str, str]):
-        self.path, self.values = path, dict(values)
+        self.path = path
+        self.values = dict(values)
 
     def __contains__(self, name: str) -> bool:
         return bool(self.values.get(name)) and self.values[name].strip("() ").upper() != "NONE"
@@ -165,8 +166,14 @@ class Options:
         return [
             f"{name}= {text}"
             for name, text in given
-            if _plain(text) not in map(_plain, LEFT_OUT[name])
+            if _normal_form(text) not in map(_normal_form, LEFT_OUT[name])
         ]
+
+    @property
+    def periodic(self) -> list[str]:
+        """The markers of periodic pairs, one after the other; nine numbers follow each pair."""
+        words = split(self.text("MARKER_PERIODIC").replace(";", " "))
+        return [word for k, word in enumerate(words) if k % 11 < 2]
 
     def error(self, name: str, message: str) -> ValueError:
         return ValueError(f"{self.path}: {name}= {message}.")
@@ -187,7 +194,7 @@ class Options:
         return self.path.parent / name
 
 
-def _plain(text: str) -> str | float:
+def _normal_form(text: str) -> str | float:
     """Returns a value as a number, or as a word in capitals; TRUE is YES, FALSE is NO."""
     try:
         return float(text)
@@ -258,7 +265,7 @@ def checked_variables(options: Options, definition: bool) -> Listed:
     `definition` takes the variables of `DEFINITION_DV`. Raises `ValueError` for unsupported kinds
     or combinations, and for wrong parameters.
     """
-    listed, markers = _definition(options) if definition else _listed(options)
+    listed, markers = _read_definition(options) if definition else _read_kinds(options)
     _check_alone(options, listed)
     for variable in listed:
         if fault := _fault(variable.kind, variable.numbers):
@@ -274,14 +281,14 @@ def checked_variables(options: Options, definition: bool) -> Listed:
     return listed, markers
 
 
-def _listed(options: Options) -> Listed:
+def _read_kinds(options: Options) -> Listed:
     kinds = [word.upper() for word in options.words("DV_KIND")]
     groups = options.groups("DV_PARAM")
     if not kinds:
         raise ValueError(
             f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are."
         )
-    _check_kinds(options, "DV_KIND", kinds)
+    _check_words(options, "DV_KIND", kinds)
     if not any(KINDS[kind].parameters for kind in kinds):
         groups = [[]] * len(kinds)
     if len(groups) != len(kinds):
@@ -292,7 +299,7 @@ def _listed(options: Options) -> Listed:
     return listed, options.words("DV_MARKER")
 
 
-def _definition(options: Options) -> Listed:
+def _read_definition(options: Options) -> Listed:
     entries = [
         _defined(options, text) for text in filter(split, options.text("DEFINITION_DV").split(";"))
     ]
@@ -308,19 +315,20 @@ def _definition(options: Options) -> Listed:
 
 def _defined(options: Options, text: str) -> tuple[Variable, Words]:
     """Reads one variable and its markers: ( kind, scale | markers | parameters )."""
-    name, (head, *rest) = "DEFINITION_DV", [split(part) for part in text.split("|")]
+    name = "DEFINITION_DV"
+    head, *rest = [split(part) for part in text.split("|")]
     if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
         raise options.error(
             name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}"
         )
     by_number = {str(kind.number): word for word, kind in KINDS.items()}
     kind = by_number.get(head[0], head[0].upper())
-    _check_kinds(options, name, [kind])
+    _check_words(options, name, [kind])
     scale = options.number(name, head[1]) if len(head) == 2 else 1.0
     return _variable(options, name, kind, rest[1] if len(rest) == 2 else [], scale), rest[0]
 
 
-def _check_kinds(options: Options, name: str, kinds: Words) -> None:
+def _check_words(options: Options, name: str, kinds: Words) -> None:
     taken = [word for word, kind in KINDS.items() if kind.parameters is not None]
     wrong = [kind for kind in dict.fromkeys(kinds) if kind not in taken]
     if wrong:

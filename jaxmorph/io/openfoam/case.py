@@ -138,7 +138,7 @@ def read(path: pathlib.Path) -> Parts:
         else between
         if plane is None
         else plane.ids(between).reshape(-1, 2),
-        notes=tuple(_notes(folder, planes)),
+        notes=(*_notes(folder, planes), *(_times(content) if here == folder else ())),
         **content.known,
         **_said(boundary, mesh, plane),
     )
@@ -397,6 +397,24 @@ def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
     if planes:
         names = ", ".join(f"{patch.name} ({patch.type})" for patch in planes if patch.size)
         yield f"the planes {names} are no patches: the mesh lies in one of them."
+
+
+def _times(content: CaseContent) -> Iterator[str]:
+    """Names the last time folder that has points of its own for the mesh in `constant`."""
+    case = content.case
+    if case is None or content.topology.resolve().relative_to(case).parts[0] != "constant":
+        return
+    times = [
+        folder
+        for folder in filter(_is_time, case.iterdir())
+        if any((folder / content.place / name).is_file() for name in ("points", "points.gz"))
+    ]
+    if times:
+        last = max(times, key=lambda folder: float(folder.name))
+        yield (
+            f"the points of constant are read, and {last.name}/{content.place} has others: "
+            f"{case / last.name} is the mesh with those."
+        )
 
 
 def _size(topology: pathlib.Path, name: str) -> int:

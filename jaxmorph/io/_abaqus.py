@@ -1,0 +1,288 @@
+"""Input decks of Abaqus and CalculiX, .inp, of one flat part: nodes, elements, sets, surfaces."""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray
+
+from jaxmorph._host.cells.lagrange import lagrange_types
+from jaxmorph._host.cells.orders import VTK_ORDER, reordered
+from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
+from jaxmorph._mesh.exchange import Parts
+
+from ._format import Source, of_grid
+from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
+from ._text import Section, blanked, decoded, parse
+
+NAME = "Abaqus"
+ELEMENT_NAMES = {
+    3: r"(?:[A-Z]*C3D|F3D|COH3D|SC)(\d+)[A-UW-Z]*",
+    2: r"(?:CP[ES]G?|[A-Z]*C(?:G?AX|2D)|(?:SF)?M3D|R3D|D?S|STRI)(\d)[A-Z0-9]*",
+    1: r"(?:T[23]D|R2D|RAX|[A-Z]*C1D|B[23]|PIPE[23]|[SM]AX)(\d)[A-Z]*",
+}
+"""Names of elements by their dimension; the number is that of their nodes, or of a beam's order."""
+LOOSE_ELEMENTS = r"(?:MASS|ROTARYI|HEATCAP|SPRING|DASHPOT|CONN|GAP|DCOUP)\w*"
+"""Elements that are no cells."""
+ABAQUS_SIDES = {
+    "tetra": numbers("012 013 123 023"),
+    "pyramid": numbers("0123 014 124 234 034"),
+    "wedge": numbers("012 345 0143 1254 0253"),
+    "hexahedron": numbers("0123 4567 0154 1265 2376 0374"),
+}
+"""Corners of the faces S1, S2, ... of each shape; cells in 2-D have those of `FACES`."""
+CHANGING_KEYWORDS = (
+    "SYSTEM",
+    "INCLUDE",
+    "NGEN",
+    "NFILL",
+    "NCOPY",
+    "NMAP",
+    "ELGEN",
+    "ELCOPY",
+    "PARAMETER",
+)
+"""Keywords that make or move nodes and elements."""
+QUIET_KEYWORDS = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
+LEVEL_NAMES = ("PART", "INSTANCE", "ASSEMBLY")
+SHOWN_KEYWORDS = 12
+"""Keywords that a note lists."""
+
+_CARD = re.compile(
+    rb"^[ \t]*\*(?!\*)((?:[^\n]*,[ \t\r]*\n(?=[ \t]*[A-Za-z]))*[^\n]*)", re.MULTILINE
+)
+_EMPTY = re.compile(rb",[ \t]*,|^[ \t]*,", re.MULTILINE)
+
+
+class Card(NamedTuple):
+    """A keyword, its options, and the numbers that follow, without commas; `text` has them."""
+
+    name: str
+    options: dict[str, str]
+    section: Section
+    text: bytes
+
+    def rows(self) -> Iterator[list[str]]:
+        """Yields the words of each line."""
+        lines = self.text[self.section.start : self.section.stop].split(b"\n")
+        for line in filter(bytes.strip, lines):
+            words = [decoded(word).strip().strip('"') for word in line.split(b",")]
+            yield words if words[-1] else words[:-1]
+
+
+@dataclasses.dataclass
+class _Deck:
+    """What the keywords say: nodes and where they stand, elements, sets by kind and name.
+
+    `part` are the sets from before an *ASSEMBLY, which may have others of their names.
+    """
+
+    labels: list[ndarray] = dataclasses.field(default_factory=list)
+    points: list[ndarray] = dataclasses.field(default_factory=list)
+    parts: list[CoordinatePart] = dataclasses.field(default_factory=list)
+    cells: list[LabelledCells] = dataclasses.field(default_factory=list)
+    sets: dict[tuple[str, str], tuple[str, ndarray]] = dataclasses.field(default_factory=dict)
+    part: set[tuple[str, str]] = dataclasses.field(default_factory=set)
+    level: str = ""
+    seen: set[str] = dataclasses.field(default_factory=set)
+    left: dict[str, None] = dataclasses.field(default_factory=dict)
+
+    def take(self, card: Card) -> None:
+        name = card.name
+        readers = {"NODE": self._nodes, "ELEMENT": self._elements, "SURFACE": self._surface}
+        readers |= {"NSET": self._set, "ELSET": self._set}
+        wrong = ""
+        if name in CHANGING_KEYWORDS or (name in readers and "INPUT" in card.options):
+            wrong = f"*{name} changes the mesh, and is not read: write all of it in one file."
+        elif name in LEVEL_NAMES and name in self.seen:
+            wrong = f"a second *{name}: decks of one part and instance are read."
+        elif name == "INSTANCE" and card.section.content.strip():
+            wrong = "an *INSTANCE that is moved: write the part where it stands."
+        elif name in ("NODE", "ELEMENT") and self.level == "ASSEMBLY":
+            wrong = f"a *{name} of an *ASSEMBLY: decks of one part are read."
+        if wrong:
+            raise card.section.error(wrong)
+        self.seen.add(name)
+        if name in (*LEVEL_NAMES, "END INSTANCE"):
+            self.level = name.replace("END INSTANCE", "ASSEMBLY")
+        if name == "ASSEMBLY":
+            self.part = {*self.sets}
+        if name in readers:
+            readers[name](card)
+        elif name not in (*LEVEL_NAMES, *QUIET_KEYWORDS):
+            self.left[f"*{name}"] = None
+
+    def _nodes(self, card: Card) -> None:
+        section = card.section
+        if card.options.get("SYSTEM", "R").upper() != "R":
+            raise section.error("*NODE, SYSTEM: polar coordinates; write Cartesian ones.")
+        rows = section.rows(np.float64)
+        width = max(int(rows.counts[:1].sum()), 3)
+        rows.refuse(rows.counts != width, "a node's number and 2 or 3 coordinates expected.")
+        if _EMPTY.search(card.text, section.start, section.stop):
+            raise section.error("a coordinate without a number between commas.")
+        table = rows.values.reshape(-1, width)
+        rows.refuse(table[:, 0] != np.floor(table[:, 0]), "a whole number of a node expected.")
+        d = min(width - 1, 3)
+        first = sum(map(len, self.labels))
+        at = (width * np.arange(len(table))[:, None] + np.arange(1, d + 1)).ravel()
+        here = slice(first, first + len(table))
+        self.parts.append(CoordinatePart(section.start, section.stop, here, at))
+        self.labels.append(table[:, 0].astype(np.int64))
+        self.points.append(table[:, 1 : d + 1])
+        self._add("NSET", card.options.get("NSET"), self.labels[-1])
+
+    def _elements(self, card: Card) -> None:
+        name = card.options.get("TYPE", "").upper()
+        if re.fullmatch(LOOSE_ELEMENTS, name):
+            self.left[f"elements {name}"] = None
+            return
+        rows = card.section.rows(np.int64)
+        kind, size = _kind_of(card.section, name)
+        width = int(rows.counts[:1].sum()) if DIMENSION[kind] == 1 else 1 + size
+        # rows of a long element go on in the next line: each element ends where a line ends
+        ends = np.arange(width, len(rows.values) + width, max(width, 1))
+        if width < 1 + size or not np.isin(ends, np.cumsum(rows.counts)).all():
+            raise card.section.error(f"elements {name}: a number and {size} nodes expected.")
+        table = rows.values.reshape(-1, width)
+        corners = reordered(kind, table[:, 1 : 1 + size], VTK_ORDER, None)
+        self.cells.append(LabelledCells(kind, table[:, 0], corners))
+        self._add("ELSET", card.options.get("ELSET"), table[:, 0])
+
+    def _set(self, card: Card) -> None:
+        what = card.name
+        name = card.options.get(what)
+        if not name:
+            raise card.section.error(f"*{what} without a name ({what}=...).")
+        values = parse(card.section.content, np.int64)
+        if "GENERATE" in card.options:
+            labels = self.labels if what == "NSET" else [block.labels for block in self.cells]
+            known = np.concatenate([np.zeros(0, np.int64), *labels])
+            found = []
+            for first, last, *step in (map(int, row) for row in card.rows()):
+                inside = known[(first <= known) & (known <= last)]
+                found.append(inside[(inside - first) % max([1, *step]) == 0])
+        elif what == "NSET" and "ELSET" in card.options:
+            elements = self._labels(card, "ELSET", card.options["ELSET"])
+            found = [block.corners[np.isin(block.labels, elements)] for block in self.cells]
+        elif len(values) == len(card.section.content.split()):
+            found = [values]
+        else:
+            found = [self._labels(card, what, word) for row in card.rows() for word in row]
+        self._add(what, name, *found)
+
+    def _surface(self, card: Card) -> None:
+        """Adds the nodes of a surface. One without faces by number, or of surfaces, is left."""
+        name = card.options.get("NAME", "")
+        kind = card.options.get("TYPE", "ELEMENT").upper()
+        found = None
+        if "COMBINE" not in card.options and kind == "NODE":
+            found = [self._labels(card, "NSET", row[0]) for row in card.rows()]
+        elif "COMBINE" not in card.options and kind == "ELEMENT":
+            found = [
+                self._of_faces(self._labels(card, "ELSET", row[0]), "".join(row[1:2]).upper())
+                for row in card.rows()
+            ]
+        if found is None or any(ids is None for ids in found):
+            self.left[f"the surface {name}"] = None
+        else:
+            self._add("SURFACE", name, *found)
+
+    def _of_faces(self, elements: ndarray, face: str) -> ndarray | None:
+        """Finds the nodes of faces S1, S2, ..., or of whole shells; None for others."""
+        top = max(DIMENSION[block.kind] for block in self.cells)
+        found = []
+        for block in self.cells:
+            corners = block.corners[np.isin(block.labels, elements)]
+            sides = ABAQUS_SIDES.get(SHAPES[block.kind], FACES[SHAPES[block.kind]])
+            if re.fullmatch("[SE][1-6]", face) and int(face[1]) <= len(sides):
+                corners = corners[:, lagrange_types()[block.kind].side(sides[int(face[1]) - 1])]
+            elif len(corners) and (
+                face not in ("", "SPOS", "SNEG") or DIMENSION[block.kind] == top
+            ):
+                return None
+            found.append(corners.ravel())
+        return np.concatenate(found)
+
+    def _add(self, what: str, name: str | None, *labels: ndarray) -> None:
+        if name:
+            shown = f"{name}_assembly" if (what, name.upper()) in self.part else name
+            shown, old = self.sets.get((what, shown.upper()), (shown, np.zeros(0, np.int64)))
+            new = np.concatenate([old, *map(np.ravel, labels)])
+            self.sets[what, shown.upper()] = shown, new
+
+    def _labels(self, card: Card, what: str, word: str) -> ndarray:
+        """Finds the members of a set, or takes a label; an instance's name may stand before."""
+        last = word.rpartition(".")[2]
+        if last.isdecimal():
+            return np.array([int(last)])
+        for name in (f"{last}_assembly", word, last):
+            if (what, name.upper()) in self.sets:
+                return self.sets[what, name.upper()][1]
+        raise card.section.error(f"{word!r} is no number, and no *{what} before this line.")
+
+
+def read(path: Path) -> Parts:
+    """Reads points, cells and patches: sets of nodes, of elements of lower dimension, surfaces."""
+    raw = path.read_bytes()
+    deck = _Deck()
+    for card in _cards(path, raw):
+        deck.take(card)
+    if len({points.shape[1] for points in deck.points}) != 1:
+        raise ValueError("nodes of 2 or of 3 coordinates (*NODE) expected.")
+    content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _plain)
+    words = {"NSET": "nodes", "ELSET": "elements"}
+    sets = {"nodes": {}, "elements": {}}
+    for (what, _), (name, labels) in deck.sets.items():
+        while name in sets[words.get(what, "nodes")]:
+            name += "_surface"
+        sets[words.get(what, "nodes")][name] = labels
+    labels = np.concatenate(deck.labels)
+    grid, notes = labelled_grid(content.points, labels, deck.cells, sets)
+    left = [*deck.left]
+    if left:
+        more = f" and {len(left) - SHOWN_KEYWORDS} more" if len(left) > SHOWN_KEYWORDS else ""
+        notes += (f"{', '.join(left[:SHOWN_KEYWORDS])}{more} are not read, and stay in the file.",)
+    source = Source(path, NAME, content, labels=labels, notes=notes, **content.known)
+    return of_grid(path, grid, source)
+
+
+def _plain(text: bytes) -> bytes:
+    return _uncommented(text).replace(b",", b" ")
+
+
+def _uncommented(text: bytes) -> bytes:
+    return blanked(text, rb"(?m)^[ \t]*\*\*[^\r\n]*") if b"**" in text else text
+
+
+def _cards(path: Path, raw: bytes) -> Iterator[Card]:
+    text = _uncommented(raw)
+    plain = text.replace(b",", b" ")
+    heads = list(_CARD.finditer(text))
+    stops = [*(head.start() for head in heads[1:]), len(text)]
+    if text[: heads[0].start() if heads else None].strip():
+        raise ValueError("line 1: * expected: no input deck of Abaqus (AVS's .inp is not read).")
+    for head, stop in zip(heads, stops, strict=True):
+        name, *words = decoded(head[1]).split(",")
+        pairs = [word.partition("=") for word in words]
+        options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
+        section = Section(path, plain, min(head.end() + 1, stop), stop)
+        yield Card(" ".join(name.upper().split()), options, section, text)
+
+
+def _kind_of(section: Section, name: str) -> tuple[str, int]:
+    """Finds the type of cells of an element's name, and how many nodes it has."""
+    for level, pattern in ELEMENT_NAMES.items():
+        if match := re.fullmatch(pattern, name):
+            size = int(match[1])
+            if level == 1 and re.match("B|P|SAX|MAX", name):  # the number is the order of a beam
+                size = {2: 3}.get(size, 2)
+            if (level, size) in KIND_BY_NODES:
+                return KIND_BY_NODES[level, size], size
+    raise section.error(
+        f"elements of type {name[:40]!r} are not read; C3D4 to C3D20, plane, axisymmetric, shell, "
+        "membrane and line elements are."
+    )
