@@ -10,7 +10,7 @@ import pytest
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._methods.turn import OF_GAP, OF_WIDTH, Turn, TurnIds
+from jaxmorph._methods.turn import OF_GAP, OF_WIDTH, WallTurn, WallTurnIds
 
 INTERPOLATED = jm.SurfaceReconstruction(
     jm.RBF(reduction=jm.KDTree(64, extremes=True)), jm.NearWall()
@@ -81,7 +81,7 @@ def test_slopes_are_those_of_the_wall():
     points = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     lines = np.stack([np.arange(count), np.roll(np.arange(count), -1)], axis=1)
     own = np.arange(count)
-    bound = TurnIds(
+    bound = WallTurnIds(
         faces=(jnp.asarray(lines[:, ::-1]),),
         pairs=jnp.asarray(np.concatenate([lines, lines[:, ::-1]])),
         inside=jnp.asarray(own),
@@ -89,7 +89,7 @@ def test_slopes_are_those_of_the_wall():
         other=jnp.asarray(own),
         wall=jnp.zeros(count, int),
     )
-    turn = Turn.made(bound, jnp.asarray(points), jnp.ones(count))
+    turn = WallTurn.made(bound, jnp.asarray(points), jnp.ones(count))
     normal = points / radius
     np.testing.assert_allclose(turn.normal, normal, atol=1e-12)
     np.testing.assert_allclose(turn.height, OF_WIDTH, rtol=1e-12)

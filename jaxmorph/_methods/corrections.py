@@ -33,7 +33,7 @@ from .blocks import map_points
 from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Interpolation, Reach, Searched, lost_unless, squared_distance
 from .surface import Surface
-from .turn import Turn, TurnIds, risen
+from .turn import WallTurn, WallTurnIds, risen
 
 
 class DelaunayGraph(AbstractPlacing):
@@ -99,10 +99,10 @@ class NearWall(AbstractPlacing):
     nearest wall keep their place in the layer. The map is one fixed sparse operator, exact at the
     surface's nodes.
 
-    Where walls have faces, the layer carries the wall's slope, too, and first grid lines turn with
-    the wall: u gets chi h tanh(d / h) g at the distance d along the normal n, with g = - sum_t t (n .
-    du/dt) - dc/dn + a n. The field c is the coarse one, a the factor by which the wall grows as a
-    whole. The height h is small on thin bodies, at noses and in gaps, and zero at sharp edges. The
+    Where walls have faces, the layer carries the wall's slope, too: first grid lines turn with the
+    wall. At the distance d along the normal n, u gets chi h tanh(d / h) g, with g = - sum_t t (n .
+    du/dt) - dc/dn + a n. The field c is the coarse one, and the wall as a whole grows by a. The
+    height h is small on thin bodies, at noses and in gaps, and zero at sharp edges. The
     formula is this library's own.
 
     **Arguments:**
@@ -149,7 +149,7 @@ class NearWall(AbstractPlacing):
         nodes[inside[near]] = rows
         reached[inside[near]] = True
         turn = surface.once(
-            ("turn", digest(width)), lambda: TurnIds.found(surface, width.astype(float))
+            ("turn", digest(width)), lambda: WallTurnIds.found(surface, width.astype(float))
         )
         of_points = Layered(correction_at_points, WallRow(*as_jax((nodes, reached))))
         return Layered(correction, extent, turn), of_points
@@ -202,7 +202,7 @@ class NearWall(AbstractPlacing):
 
 class Layered(eqx.Module):
     """Ids or factors of the correction, and those of the wall: `Extent`, `WallRow`, or widths; and
-    what turns, `TurnIds` or a `Turn`, where the walls have faces.
+    what turns, `WallTurnIds` or a `WallTurn`, where the walls have faces.
     """
 
     correction: PyTree
@@ -221,8 +221,8 @@ class WallPlace(eqx.Module):
     rise: Float[Array, "*n"] | None = None
 
 
-def _turn(ids: Layered, surface: Rows, width: Float[Array, " b"]) -> Turn | None:
-    return None if ids.turn is None else Turn.made(ids.turn, surface, width)
+def _turn(ids: Layered, surface: Rows, width: Float[Array, " b"]) -> WallTurn | None:
+    return None if ids.turn is None else WallTurn.made(ids.turn, surface, width)
 
 
 def _placed(

@@ -20,7 +20,7 @@ from .rbf.fitted import Cholesky, FitFactors, FittedRBF, WallIds, deflection
 from .rbf.rbf import RBF
 from .rbf.system import polynomial
 from .reconstruction import SurfaceReconstruction
-from .turn import Turn, TurnIds
+from .turn import WallTurn, WallTurnIds
 
 CODES = (
     "add",
@@ -253,13 +253,13 @@ def _layered(
 
 def _turned(
     tape: Tape,
-    ids: TurnIds | None,
-    turn: Turn,
+    ids: WallTurnIds | None,
+    turn: WallTurn,
     rows: SurfaceRows,
     coarse: tuple[Field, int] | None,
 ) -> int:
-    """Records `Turn.turned`; returns its register, or -1 for a wall that turns nothing. `coarse` is
-    a field, and the register of its displacements at the rows.
+    """Records `WallTurn.turned`; returns its register, or -1 for a wall that turns nothing.
+    `coarse` is a field, and the register of its displacements at the rows.
     """
     if ids is None:
         return -1

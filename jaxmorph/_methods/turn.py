@@ -25,7 +25,7 @@ BALLS = 8  # steps to the largest ball
 NEAREST = 8  # nodes nearest to a ball's centre that may bound it
 
 
-class TurnIds(eqx.Module):
+class WallTurnIds(eqx.Module):
     """Rows of the surface by which its first grid lines turn.
 
     - `faces`: the moving walls' faces (f, c) by number of corners.
@@ -44,7 +44,7 @@ class TurnIds(eqx.Module):
     wall: Int[Array, " b"]
 
     @classmethod
-    def found(cls, surface: Surface, width: Float[np.ndarray, " b"]) -> "TurnIds | None":
+    def found(cls, surface: Surface, width: Float[np.ndarray, " b"]) -> "WallTurnIds | None":
         """Finds the rows on the host; None for a surface whose walls have no faces."""
         x = np.asarray(surface.points, float)
         faces = [
@@ -146,7 +146,7 @@ def _beside(
     return np.concatenate([np.stack([own, own[tree.query(p)[1]]], axis=1) for p in places])
 
 
-class Turn(eqx.Module):
+class WallTurn(eqx.Module):
     """What turns first grid lines, at each row of the surface.
 
     - `normal` (b, d): into the mesh, zero where nothing turns.
@@ -167,7 +167,7 @@ class Turn(eqx.Module):
     step: Float[Array, " b"]
 
     @classmethod
-    def made(cls, ids: TurnIds, x: Rows, width: Float[Array, " b"]) -> "Turn":
+    def made(cls, ids: WallTurnIds, x: Rows, width: Float[Array, " b"]) -> "WallTurn":
         total = jnp.zeros_like(x)
         size = jnp.zeros_like(x[:, 0])
         for corners in ids.faces:
@@ -198,7 +198,7 @@ class Turn(eqx.Module):
             step=step,
         )
 
-    def turned(self, ids: TurnIds, u: Rows, near: Rows, far: Rows) -> Rows:
+    def turned(self, ids: WallTurnIds, u: Rows, near: Rows, far: Rows) -> Rows:
         """Computes what the slope across the wall lacks, for displacements `u` of the wall, and of
         the coarse field at the wall (`near`) and at the probes (`far`).
 

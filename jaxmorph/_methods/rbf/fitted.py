@@ -208,9 +208,10 @@ class FittedRBF(AbstractMethod):
 
     d/ds is the derivative along an edge, and dev sym grad the deviatoric strain at its middle. The
     first two terms follow value and slope along the wall. The third smooths the field: a change of
-    one side of a thin body goes on less beyond its other side. The change of the skin itself is left
-    to the correction, which turns grid lines with the wall. An affine motion of the whole surface is
-    reproduced: strain is measured from the affine motion that fits the surface's displacement best.
+    one side of a thin body goes on less beyond its other side. The change of the skin itself is
+    left to the correction, which turns grid lines with the wall. An affine motion of the whole
+    surface is reproduced: strain is measured from the affine motion that fits the surface's
+    displacement best.
 
     A thin plate spline carries the body's slope on to the far field: at 500 chords a bump moves
     nodes by several times its height. So where fixed sources are farther away than about 45 chords,
