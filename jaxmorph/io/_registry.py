@@ -183,10 +183,10 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
 
     Files are SU2 (.su2), VTK (.vtu, .vtk, .vts, .vtp, .pvtu, .vtm), gmsh (.msh), Fluent (.msh,
     .cas, .cas.h5), CGNS (.cgns), MFEM (.mesh), MED (.med). Others are Exodus (.e, .exo, .ex2,
-    .exoii, .g), PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt), Medit (.mesh, .meshb), Abaqus
-    and CalculiX (.inp), XDMF (.xdmf, .xmf), I-deas (.unv) and AFLR (.ugrid). Any may end in .gz.
-    For an OpenFOAM case `path` is its folder or a time folder. VTK, XDMF, CGNS, MED, Exodus and
-    .cas.h5 need the extra `io`.
+    .exoii, .g), PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g, .grd, .fmt) and Medit (.mesh, .meshb). Abaqus
+    and CalculiX (.inp), XDMF (.xdmf, .xmf), I-deas (.unv) and AFLR (.ugrid) are read, too. Any may
+    end in .gz. For an OpenFOAM case `path` is its folder or a time folder. VTK, XDMF, CGNS, MED,
+    Exodus and .cas.h5 need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
     coordinates when all z of the file are equal. Patches are
