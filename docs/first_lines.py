@@ -51,7 +51,7 @@ def draw(path):
     followed = jm.prepare(mesh, "airfoil", "farfield")
     interpolated = plain(jm.prepare(mesh, "airfoil", "farfield", method=INTERPOLATED))
     u = camber(mesh)
-    figure, axes = plt.subplots(1, 2, figsize=(7.2, 2.6), sharex=True, sharey=True)
+    figure, axes = plt.subplots(1, 2, figsize=(7.2, 2.9), sharex=True, sharey=True)
     quads = mesh.cells["quad"]
     for ax, (title, shown) in zip(
         axes, {"values alone": interpolated, "values and slope": followed}.items(), strict=True
@@ -68,7 +68,7 @@ def draw(path):
         ax.set_title(f"{title}: {float(lines.mean_angle):.1f}° off", loc="left", fontsize=10)
         ax.set(xlim=WINDOW[0], ylim=WINDOW[1], aspect="equal", xticks=[], yticks=[])
     figure.tight_layout(pad=0.4)
-    figure.savefig(path, dpi=200)
+    figure.savefig(path, dpi=160, bbox_inches="tight")
 
 
 def main():

@@ -202,8 +202,8 @@ class WallTurn(eqx.Module):
         """Computes what the slope across the wall lacks, for displacements `u` of the wall, and of
         the coarse field at the wall (`near`) and at the probes (`far`).
 
-        A grid line along n turns with the wall if d u/dn = - sum_t t (n . d u/dt), and keeps its
-        length; where the wall grows by a factor, so does the line.
+        A grid line along n turns with the wall if du/dn = - sum_t t (n . du/dt). It keeps its length,
+        or grows as the wall does.
         """
         first, second = ids.pairs.T
         rise = jnp.sum(self.normal[first] * (u[second] - u[first]), axis=1)
