@@ -202,8 +202,8 @@ class WallTurn(eqx.Module):
         """Computes what the slope across the wall lacks, for displacements `u` of the wall, and of
         the coarse field at the wall (`near`) and at the probes (`far`).
 
-        A grid line along n turns with the wall if du/dn = - sum_t t (n . du/dt). It keeps its length,
-        or grows as the wall does.
+        A grid line along n turns with the wall if du/dn = - sum_t t (n . du/dt). It keeps its
+        length, or grows as the wall does.
         """
         first, second = ids.pairs.T
         rise = jnp.sum(self.normal[first] * (u[second] - u[first]), axis=1)
