@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.adjacency import parts_of
 from .._host.package.rounding import Tree, rows_in
-from .._kernels.values import as_jax
+from .._kernels.values import Either, as_jax
 from .boundary import Boundary
 from .outer_faces import mask, row_of
 from .periodic import Pairing
@@ -77,7 +77,7 @@ class Images(eqx.Module):
             u = jnp.where(is_on[:, None], u - (u @ normal)[:, None] * normal[None], u)
         return u
 
-    def normals_of(self, on_plane: Bool[Array, "n p"]) -> list[tuple[Bool[Array, " n"], Array]]:
+    def normals_of(self, on_plane: Bool[Either, "n p"]) -> list[tuple[Bool[Either, " n"], Array]]:
         """Lists rows (n,), and the unit normal along which they do not move, to apply in turn."""
         sides = [(on_plane[:, k], normal) for k, normal in enumerate(self.normals)]
         for first, second in self.edges:  # the second normal would bring back some of the first

@@ -227,8 +227,10 @@ class KDTree(AbstractSeparated):
             is_wanted = self.leaves is not None and leaves < self.leaves
             is_wanted |= self.points_per_leaf is not None and len(members) > self.points_per_leaf
             is_wanted |= sides.max() > self.largest_box * (1 + SAME)
-            if len(members) > 1 and sides.max() > self.smallest_box * (1 + SAME) and is_wanted:
-                longest = first_largest(sides, resolution(points[members]))
+            same = resolution(points[members])
+            is_wanted &= sides.max() > max(self.smallest_box * (1 + SAME), same)
+            if len(members) > 1 and is_wanted:
+                longest = first_largest(sides, same)
                 for half in _halves(points, members, longest):
                     heapq.heappush(heap, (-len(half), next(counter), half))
             else:
@@ -242,7 +244,8 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
     """Splits members at the median along an axis; points at one coordinate stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
-    gaps = 1 + np.flatnonzero(np.diff(along) > resolution(along[:, None]))
+    steps = np.diff(along)
+    gaps = 1 + np.flatnonzero(steps > min(resolution(along[:, None]), steps.max() / 2))
     middle = gaps[np.abs(gaps - len(members) / 2).argmin()]
     return members[:middle], members[middle:]
 
@@ -270,14 +273,18 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
     return np.unique(extremes)
 
 
+def _with_noise(points: np.ndarray, closest: float) -> float:
+    """A distance up to which points are too close, with that of points that round-off parts."""
+    noise = roundoff(points)
+    return closest * (1 + SAME) + (noise if closest > noise else 0.0)
+
+
 def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
     """Drops ids of points within `closest` of an earlier point that stays; the order stays."""
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = Tree(points[ids]).query_pairs(
-        closest * (1 + SAME) + roundoff(points), output_type="ndarray"
-    )
+    pairs = Tree(points[ids]).query_pairs(_with_noise(points, closest), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
     for first, second in pairs[
         np.lexsort((pairs[:, 1], pairs[:, 0]))
@@ -293,5 +300,4 @@ def drop_near(
     """Drops ids of points within `closest` of one of the `others`; the order stays."""
     if len(ids) == 0 or len(others) == 0:
         return ids
-    apart = closest * (1 + SAME) + roundoff(points)
-    return ids[Tree(points[others]).query(points[ids])[0] > apart]
+    return ids[Tree(points[others]).query(points[ids])[0] > _with_noise(points, closest)]
