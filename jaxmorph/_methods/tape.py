@@ -254,14 +254,14 @@ def _layered(
 def _turned(
     tape: Tape,
     ids: WallTurnIds | None,
-    turn: WallTurn,
+    turn: WallTurn | None,
     rows: SurfaceRows,
     coarse: tuple[Field, int] | None,
 ) -> int:
     """Records `WallTurn.turned`; returns its register, or -1 for a wall that turns nothing.
     `coarse` is a field, and the register of its displacements at the rows.
     """
-    if ids is None:
+    if ids is None or turn is None:
         return -1
     count = rows.count
     axes = np.eye(tape.dimension)
