@@ -146,7 +146,8 @@ def test_bytes_that_are_put_in_make_no_other_mesh(tmp_path):
     write(path, 3, 2.2, 1, "two groups")
     data, mesh = path.read_bytes(), io.read(path)
     start = data.index(b"\n", data.index(b"$Elements\n") + 10) + 1
-    for at in range(start, data.index(b"$EndElements"), 32):
+    # the step has no factor in common with a record's ten numbers: all places in records come
+    for at in range(start, data.index(b"$EndElements"), 4 * 301):
         path.write_bytes(data[:at] + data[at : at + 4] + data[at:])
         with contextlib.suppress(ValueError):
             assert_same(io.read(path), mesh)

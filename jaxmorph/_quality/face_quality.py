@@ -120,7 +120,7 @@ def measured(mesh: Mesh, sides: "Sides", points: Float[Any, "n d"] | None) -> Fa
         return _quality_of(sides, shape, points, old)
 
 
-Result = TypeVar("T")
+Result = TypeVar("Result")
 Cells = Int[np.ndarray, " b"]
 
 FACES_AT_ONCE = 1 << 14  # faces in a block: their columns stay in a core's cache

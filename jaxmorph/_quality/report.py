@@ -232,7 +232,7 @@ class QualityReport(Report, Module):
 
     @property
     def from_start(self) -> Int[Array, "..."]:
-        return self._over_cells(_sum, self.is_inverted & self.was_inverted)
+        return self._over_cells(_add_flags, self.is_inverted & self.was_inverted)
 
     mean_skewness = _reduce_by("mean", "skewness")
     max_skewness = _reduce_by("max", "skewness")

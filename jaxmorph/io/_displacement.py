@@ -80,7 +80,7 @@ def read_displacement(
 def labels_of(mesh: Mesh, nodes: Int[ndarray, " m"]) -> ndarray | None:
     """Returns the numbers that the mesh's file gives some nodes; None where it has no others."""
     labels = getattr(mesh.source, "labels", None)
-    return labels[nodes] if np.size(labels) == len(mesh.points) else None
+    return None if labels is None or len(labels) != len(mesh.points) else labels[nodes]
 
 
 @checked

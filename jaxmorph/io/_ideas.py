@@ -22,7 +22,7 @@ from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints,
 from ._text import Section, decoded, parse
 
 NAME = "I-deas"
-GROUP_DATASETS = dict.fromkeys((2417, 2429, 2430, 2432), 2) | dict.fromkeys(
+GROUP_DATASETS: dict[int, int] = dict.fromkeys((2417, 2429, 2430, 2432), 2) | dict.fromkeys(
     (2435, 2452, 2467, 2477), 4
 )
 """Datasets of groups, and how many numbers each of their members has."""

@@ -15,7 +15,7 @@ from jaxmorph._host.package.text import decoded as decoded
 
 PathLike = str | os.PathLike[str]
 """The name of a file, as users give it."""
-Pieces = Iterator[bytes | memoryview]
+Pieces = Iterator[bytes | bytearray | memoryview]
 """A file, piece by piece."""
 
 ENOUGH = 1 << 14
