@@ -109,6 +109,8 @@ def test_a_symmetry_patch_in_no_list_slides_as_by_the_command_line(tmp_path, cap
         "low",
         "--fixed",
         "far",
+        "--free",
+        "unknown",
         "--method",
         "inverse-distance",
         "--translate",
