@@ -42,7 +42,8 @@ def test_a_reader_that_has_enough_is_no_fault(folder, words):
     command = [sys.executable, "-m", "jaxmorph", *words]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
-    assert process.stderr.read() == b""
+    with process.stderr:
+        assert process.stderr.read() == b""
     assert process.wait() == 0
 
 
@@ -200,7 +201,7 @@ WRONG = {
     "--moving wall --fixed wall --rotate 1": "wall cannot be both",
     f"{SURFACE} --displacement far.dat": "far.dat: 24 of its 24 node ids are not of the moving patches",
     f"{SURFACE} --displacement ring.su2": "ring.su2, line",
-    f"{SURFACE} --translate 1 2 3": r"--translate: `by` has shape \(3,\); positions in 2-D need \(2,\)",
+    f"{SURFACE} --translate 1 2 3": r"--translate: `by` has shape \(3,\); expected \(2,\)",
     f"{SURFACE} --rotate 1 --axis 0 0 1": "--rotate: `axis` is for positions in 3-D",
     f"{SURFACE} --rotate 1 --sources 2": "`count` must be 3 or more in 2-D, not 2",
 }
@@ -210,7 +211,7 @@ WRONG = {
 }
 WRONG |= {
     "info text.su2": "^jaxmorph info: text.su2: no NDIME=",
-    "quality wall.dat": "^jaxmorph quality: FILE wall.dat: unknown file ending '.dat'; known are SU2",
+    "quality wall.dat": "^jaxmorph quality: wall.dat: unknown file ending '.dat'; known are SU2",
     **dict.fromkeys(
         ("dance", "deform ring.su2", "quality a b c", "--dance"), r"^jaxmorph.*--help\)$"
     ),

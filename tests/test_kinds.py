@@ -102,13 +102,15 @@ def test_a_symmetry_patch_in_no_list_slides_as_by_the_command_line(tmp_path, cap
     tunnel(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")
     with pytest.warns(UserWarning, match=r"^By their kinds in the file `symmetry` are 'mirror'"):
-        boundary = jm.Boundary(mesh, "low", "far")
+        boundary = jm.Boundary(mesh, "low", "far", free="unknown")
     assert len(boundary.planes) == 1
     lists = [
         "--moving",
         "low",
         "--fixed",
         "far",
+        "--free",
+        "unknown",
         "--method",
         "inverse-distance",
         "--translate",

@@ -59,7 +59,7 @@ def check(request: Request) -> None:
     if isinstance(request, Deform | Planned):
         both = [name for name in request.moving if name in request.boundary.fixed]
         if both:
-            raise ValueError(f"{both[0]} is named after --moving and after --fixed. Remove one.")
+            raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
         names = itertools.chain(request.moving, *vars(request.boundary).values())
         if request.file.suffix.lower() == ".su2" and (listed := markers(request.file)):
             patch_names(tuple(names), listed, {})

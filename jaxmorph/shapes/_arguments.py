@@ -84,8 +84,7 @@ def vector(
     needed = like.shape[1:] if shape is None else shape
     values = jnp.asarray(values, like.dtype)
     if values.shape != needed:
-        expected = f"of {needed}" if needed else "one number"
-        raise ValueError(f"`{name}` has shape {values.shape}; expected {expected}.")
+        raise ValueError(f"`{name}` has shape {values.shape}; expected {needed or 'one number'}.")
     check_known(**{name: values})
     return values
 
