@@ -159,7 +159,7 @@ def guiding(method: AbstractMethod) -> AbstractMethod:
         coarse = FittedRBF()
     if coarse is method and coarse.exact:
         return coarse
-    layered = isinstance(method, SurfaceReconstruction) and isinstance(method.correction, NearWall)
-    return SurfaceReconstruction(
-        coarse, NearWall(Multiscale(), method.correction.width) if layered else Multiscale()
-    )
+    correction = method.correction if isinstance(method, SurfaceReconstruction) else None
+    if isinstance(correction, NearWall):
+        return SurfaceReconstruction(coarse, NearWall(Multiscale(), correction.width))
+    return SurfaceReconstruction(coarse, Multiscale())

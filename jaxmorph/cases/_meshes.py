@@ -270,7 +270,7 @@ def bodies(
     low, high = np.reshape(sides, (-1, 2, 2, 1)).transpose(2, 0, 1, 3)
 
     def within(places: np.ndarray, margin: float) -> np.ndarray:
-        return ((places > low - margin) & (places < high + margin)).all(axis=1)
+        return np.all((places > low - margin) & (places < high + margin), axis=1)
 
     places, cells = without_solid(axes, lambda *places: within(np.array(places), 0.0).any(axis=0))
     y, x = places.T

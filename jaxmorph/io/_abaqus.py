@@ -186,10 +186,11 @@ class _Deck:
                 self._of_faces(self._labels(card, "ELSET", row[0]), "".join(row[1:2]).upper())
                 for row in card.rows()
             ]
-        if found is None or any(ids is None for ids in found):
+        known = [ids for ids in found or [] if ids is not None]
+        if found is None or len(known) < len(found):
             self.left[f"the surface {name}"] = None
         else:
-            self._add("SURFACE", name, *found)
+            self._add("SURFACE", name, *known)
 
     def _of_faces(self, elements: ndarray, face: str) -> ndarray | None:
         """Finds the nodes of faces S1, S2, ..., or of whole shells; None for others."""

@@ -279,7 +279,7 @@ def _mixed(stream: ndarray) -> Iterator[XDMFBlock]:
     """Yields the cells of each type: a number of the type, perhaps that of its nodes, the nodes."""
     heads = {code: 1 + (code in COUNTED) for code in CODES}
     steps = {code: heads[code] + NODES.get(kind, 1) for code, kind in CODES.items()}
-    numbers = memoryview(np.ascontiguousarray(stream))
+    numbers = np.ascontiguousarray(stream).data
     starts = []
     at = 0
     while at < len(numbers):

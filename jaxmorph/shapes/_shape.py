@@ -205,7 +205,8 @@ class Together(AbstractLinearShape):
         def add(parameters: Sequence[Any]) -> Positions:
             if len(parameters) != len(moves):
                 raise ValueError(f"{len(parameters)} sets of parameters for {len(moves)} shapes.")
-            return sum(move(own) for move, own in zip(moves, parameters, strict=True))
+            first, *others = (move(own) for move, own in zip(moves, parameters, strict=True))
+            return sum(others, start=first)
 
         return add
 

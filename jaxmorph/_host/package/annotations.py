@@ -36,8 +36,9 @@ def array_of(values: Any) -> Any:
 def is_real(value: Any) -> bool:
     if isinstance(value, bool) or (isinstance(value, float | np.floating) and value != value):
         return False
-    is_scalar = has_type(value) and value.shape == () and value.dtype.kind in "fiuV"
-    return isinstance(value, int | float) or is_scalar
+    if isinstance(value, int | float):
+        return True
+    return has_type(value) and value.shape == () and value.dtype.kind in "fiuV"
 
 
 def is_whole(value: Any) -> bool:

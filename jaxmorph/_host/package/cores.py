@@ -2,7 +2,6 @@
 
 import collections
 import contextvars
-import functools
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -31,13 +30,17 @@ def cores() -> int:
 
 def beside(function: Callable[..., T], *arguments: Any) -> Future[T]:
     """Begins a call in a thread; with one core makes it at once. Errors are raised by `result`."""
-    call = functools.partial(contextvars.copy_context().run, function, *arguments)
+    context = contextvars.copy_context()
+
+    def call() -> T:
+        return context.run(function, *arguments)
+
     if cores() > 1:
         pool = ThreadPoolExecutor(1)
-        future = pool.submit(call)
+        begun = pool.submit(call)
         pool.shutdown(wait=False)
-        return future
-    future = Future()
+        return begun
+    future: Future[T] = Future()
     try:
         future.set_result(call())
     except Exception as error:

@@ -306,7 +306,7 @@ def _write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) 
             packed.writelines(_replaced(file, points))
 
 
-def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | memoryview]:
+def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
     place = file.list_at(file.end)
     if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
