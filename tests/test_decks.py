@@ -132,7 +132,7 @@ REFUSED = {
     "type.inp": (WHOLE.replace("C3D8", "C3D27"), "elements of type 'C3D27' are not read"),
     "set.inp": (WHOLE + "*Nset, nset=a\nb\n", r"'b' is no number, and no \*NSET before"),
     "row.inp": (WHOLE.replace("3, ", "", 1), r"row\.inp"),
-    "ucd.inp": ("27 8 0 0 0\n1 0 0 0\n", "no input deck of Abaqus"),
+    "ucd.inp": ("27 8 0 0 0\n1 0 0 0\n", "a UCD file of AVS"),
     "node.inp": (
         WHOLE.replace("*Element", "*Element, elset=a").replace("8, ", "80, "),
         "none of the 27 nodes",
