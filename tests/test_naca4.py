@@ -105,7 +105,7 @@ CODES = ("15", "00155", "naca", "-412", "4 12", "٤٤١٢")
 test_what_has_no_mesh = refusals(
     *((lambda code=code: cases.naca4(code), "four digits") for code in CODES),
     (lambda: cases.naca4("4400"), "no thickness"),
-    (lambda: cases.naca4("4012"), "place of its largest camber"),
+    (lambda: cases.naca4("4012"), "a camber without its place"),
     (lambda: cases.naca4("9999"), r"cells around this section are not convex, first cell \d+ near"),
     (lambda: c_grid(crossed), "trailing edge is crossed"),
     (lambda: cases.naca0015(points=299), "`points` is 299; a C-grid needs at least 300"),

@@ -372,7 +372,7 @@ def test_a_mesh_alone_is_judged_whatever_its_numbering():
 
 
 def test_handedness_is_found_from_ids():
-    cells = box((3, 2, 2))[1]
+    cells = np.array(box((3, 2, 2))[1])
     flip = np.random.default_rng(3).random(len(cells)) < 0.5
     cells[flip] = cells[flip][:, [0, 3, 2, 1, 4, 7, 6, 5]]
     sign, part = handedness({"hexahedron": cells}, *neighbours({"hexahedron": cells}))

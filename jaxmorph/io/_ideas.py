@@ -22,9 +22,7 @@ from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints,
 from ._text import Section, decoded, parse
 
 NAME = "I-deas"
-GROUP_DATASETS: dict[int, int] = dict.fromkeys((2417, 2429, 2430, 2432), 2) | dict.fromkeys(
-    (2435, 2452, 2467, 2477), 4
-)
+GROUP_DATASETS = {2417: 2, 2429: 2, 2430: 2, 2432: 2, 2435: 4, 2452: 4, 2467: 4, 2477: 4}
 """Datasets of groups, and how many numbers each of their members has."""
 OLD_DATASETS = {15: "nodes", 18: "systems of coordinates", 71: "elements", 780: "elements"}
 """Older datasets of what changes the mesh."""
