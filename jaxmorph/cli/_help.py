@@ -70,9 +70,10 @@ faces must be moving, fixed, symmetry, sliding, periodic or free. Nodes of a
 free patch follow like inner nodes, and may leave the boundary. --fixed may be
 left out if no patch stays.
 
-Cyclic patches of an OpenFOAM case, periodic interfaces of a CGNS file and groups
-that gmsh pairs are periodic unless a flag names them. Nodes of an OpenFOAM case's symmetry and
-symmetryPlane patches, and of the axis between wedges, stay in their plane.
+Cyclic patches of an OpenFOAM case, periodic interfaces of a CGNS file and
+groups that gmsh pairs are periodic unless a flag names them. Nodes of an
+OpenFOAM case's symmetry and symmetryPlane patches, and of the axis between
+wedges, stay in their plane.
 
 --decomposed needs jaxmorph[mpi] for several processes. OUT gets all parts, or
 is not written.

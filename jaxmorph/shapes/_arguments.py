@@ -84,7 +84,10 @@ def vector(
     needed = like.shape[1:] if shape is None else shape
     values = jnp.asarray(values, like.dtype)
     if values.shape != needed:
-        raise ValueError(f"`{name}` has shape {values.shape}; expected {needed or 'one number'}.")
+        what = f"expected {needed or 'one number'}"
+        if shape is None:
+            what = f"positions in {needed[0]}-D need {needed}"
+        raise ValueError(f"`{name}` has shape {values.shape}; {what}.")
     check_known(**{name: values})
     return values
 
