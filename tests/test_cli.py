@@ -201,7 +201,7 @@ WRONG = {
     "--moving wall --fixed wall --rotate 1": "wall cannot be both",
     f"{SURFACE} --displacement far.dat": "far.dat: 24 of its 24 node ids are not of the moving patches",
     f"{SURFACE} --displacement ring.su2": "ring.su2, line",
-    f"{SURFACE} --translate 1 2 3": r"--translate: `by` has shape \(3,\); expected \(2,\)",
+    f"{SURFACE} --translate 1 2 3": r"--translate: `by` has shape \(3,\); positions in 2-D need \(2,\)",
     f"{SURFACE} --rotate 1 --axis 0 0 1": "--rotate: `axis` is for positions in 3-D",
     f"{SURFACE} --rotate 1 --sources 2": "`count` must be 3 or more in 2-D, not 2",
 }
