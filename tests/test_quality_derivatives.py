@@ -141,6 +141,7 @@ def report_of(aspect_ratio, volume):
         flags,
         flags,
         jnp.zeros((len(volume), 2)),
+        flags,
         (("triangle", len(volume)),),
     )
 

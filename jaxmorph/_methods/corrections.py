@@ -175,26 +175,7 @@ class NearWall(AbstractPlacing):
 
     def field(self, ids, factors, surface, u):
         rest = jnp.zeros_like(u)
-        return self.turned(ids, factors, surface, u, u, lambda places: rest)
-
-    def turned(
-        self,
-        ids: "Layered",
-        factors: "Layered",
-        surface: Rows,
-        u: Rows,
-        offset: Rows,
-        coarse: Callable[[Rows], Rows],
-    ) -> AbstractField:
-        """Makes the field of the `offset` that a `coarse` field leaves of the displacement `u`; it
-        turns what the coarse field leaves of the slope across the wall, too.
-        """
-        correction = self.correction.field(ids.correction, factors.correction, surface, offset)
-        values = offset
-        if ids.turn is not None:
-            turn = factors.turn.turned(ids.turn, u, u - offset, coarse(factors.turn.probes))
-            values = jnp.concatenate([offset, turn], axis=1)
-        return NearWallField(correction, InterpolatedField(values))
+        return turned_field(self, ids, factors, surface, (u, u), lambda places: rest)
 
     def check(self, ids, factors, u):
         self.correction.check(ids.correction, factors.correction, u)
@@ -208,6 +189,26 @@ class Layered(eqx.Module):
     correction: PyTree
     wall: PyTree
     turn: PyTree = None
+
+
+def turned_field(
+    method: NearWall,
+    ids: Layered,
+    factors: Layered,
+    surface: Rows,
+    u: tuple[Rows, Rows],
+    coarse: Callable[[Rows], Rows],
+) -> AbstractField:
+    """Makes the field of what a `coarse` field leaves: `u` is the displacement and its offset. The
+    field turns what the coarse field leaves of the slope across the wall, too.
+    """
+    whole, offset = u
+    correction = method.correction.field(ids.correction, factors.correction, surface, offset)
+    values = offset
+    if ids.turn is not None:
+        turn = factors.turn.turned(ids.turn, whole, whole - offset, coarse(factors.turn.probes))
+        values = jnp.concatenate([offset, turn], axis=1)
+    return NearWallField(correction, InterpolatedField(values))
 
 
 class WallPlace(eqx.Module):

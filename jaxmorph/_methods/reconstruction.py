@@ -11,11 +11,12 @@ from .base import (
     AbstractPlacing,
     AbstractWhole,
     Control,
+    Rows,
     check_kind,
     has_part,
 )
 from .blocks import map_points, place_points
-from .corrections import DelaunayGraph, NearWall, begun_graph
+from .corrections import DelaunayGraph, NearWall, begun_graph, turned_field
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 from .surface import Surface
@@ -120,17 +121,13 @@ class SurfaceReconstruction(AbstractPlacing):
     def field(self, ids, factors, surface, u):
         coarse, offset = self._split(ids, factors, surface, u)
         correction = self.correction
-        if (
-            isinstance(correction, NearWall) and ids[1] is None
-        ):  # the coarse field is known everywhere
-            field = correction.turned(
-                ids[2],
-                factors[2],
-                surface,
-                u,
-                offset,
-                lambda places: map_points(coarse, places, None),
-            )
+        if isinstance(correction, NearWall) and ids[1] is None:
+            # the coarse field is known everywhere
+
+            def at(places: Rows) -> Rows:
+                return map_points(coarse, places, None)
+
+            field = turned_field(correction, ids[2], factors[2], surface, (u, offset), at)
         else:
             field = correction.field(ids[2], factors[2], surface, offset)
         return SumField(coarse, field)

@@ -231,7 +231,7 @@ def _(method: NearWall, tape, ids, factors, rows) -> Field:
 def _layered(
     method: NearWall, tape: Tape, ids: Layered, factors: Layered, rows: SurfaceRows, turn: int
 ) -> Field:
-    """Records `NearWall.turned`, whose slopes are in the register `turn`, or -1 for none."""
+    """Records `turned_field`, whose slopes are in the register `turn`, or -1 for none."""
     correction = recorded(method.correction, tape, ids.correction, factors.correction, rows)
     count = rows.count
 
