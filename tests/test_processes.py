@@ -39,7 +39,6 @@ places, faces = ball(12)
 places = places - places.min(axis=0)
 sphere = jm.Facets(places, faces)
 wall = np.concatenate([points[floor], points[lid]])
-section = np.stack([np.append(x, x[-2:0:-1]), np.append(0 * x, 0 * x[-2:0:-1] + .01)], axis=1)
 
 CALLS = {
     "prepare": lambda: jm.prepare(boundary).sources,
@@ -57,7 +56,7 @@ CALLS = {
     "all": lambda: jm.AllPoints()(wall),
     "closest": lambda: sphere.closest(np.abs(places[::-1])),
     "onto": lambda: shapes.onto(sphere, jm.Facets(1.1 * places, faces)),
-    "sides": lambda: shapes.upper_side(section),
+    "sides": lambda: shapes.upper_side(jm.cases.naca0015(points=600), "airfoil"),
     "inspect": lambda: jm.inspect(plan, u).offset,
     "judge": lambda: jm.judge(mesh, moved).ok,
 }
