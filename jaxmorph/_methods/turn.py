@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.linear.products import outward, unit_rows
 from .._host.package.rounding import Tree
-from .._host.surface.skin import edges
+from .._host.surface.skin import edges, nearest_held
 from .._kernels.values import Either, area_vectors, as_jax, namespace, norm
 from .base import Pairs, Rows, Scalar, or_one
 from .surface import Surface
@@ -64,11 +64,7 @@ class WallTurnIds(eqx.Module):
         largest = OF_WIDTH / OF_BALL * 2 * width
         inside, outside = (_ball_bounds(tree, own, x, side * normal, largest) for side in (-1, 1))
         other = np.arange(len(x))
-        for label in np.unique(wall[own]):
-            here = own[wall[own] == label]
-            others = np.flatnonzero(wall != label)
-            if len(others):
-                other[here] = others[Tree(x[others]).query(x[here])[1]]
+        other[own] = nearest_held(x, surface.moving, wall, np.stack([own, own], axis=1))
         height = _heights([inside, outside, other], x, normal, width)
         sides = edges(x, surface.moving, surface.faces)
         pairs = np.concatenate([sides, sides[:, ::-1], _beside(tree, own, x, normal, height)])
@@ -98,11 +94,11 @@ def _heights(
     return xp.where(is_flat, 0, total**-0.25)
 
 
-def _radius(arm: Float[Either, "b d"], normal: Float[Either, "b d"]) -> Float[Either, " b"]:
+def _radius(arm: Float[Either, "*b d"], normal: Float[Either, "*n d"]) -> Float[Either, "*b"]:
     """The radius of the ball that touches a row along its normal and meets another row."""
     xp = namespace(arm)
     length = norm(arm)
-    above = xp.sum(arm * normal, axis=1) - SLACK * length
+    above = xp.sum(arm * normal, axis=-1) - SLACK * length
     return xp.where(above > 0, length**2 / (2 * xp.where(above > 0, above, 1)), xp.inf)
 
 
@@ -112,14 +108,12 @@ def _ball_bounds(
     """Finds the row that bounds the largest ball at each row along its normal, or the row."""
     # a ball shrinks until the nodes nearest to its centre are not inside (shrinking balls)
     bound = np.arange(len(x))
-    radius, start = largest[own], x[own]
+    radius = largest[own]
+    start = x[own]
     for _ in range(BALLS):
         centre = start + radius[:, None] * normal[own]
         near = own[tree.query(centre, k=range(1, min(NEAREST, len(own)) + 1))[1]]
-        arm = x[near] - start[:, None]
-        length = np.linalg.norm(arm, axis=2)
-        above = np.einsum("kcd,kd->kc", arm, normal[own]) - SLACK * length
-        met = np.where(above > 0, length**2 / (2 * np.where(above > 0, above, 1)), np.inf)
+        met = _radius(x[near] - start[:, None], normal[own][:, None])
         best = np.arange(len(own)), met.argmin(axis=1)
         least = met[best]
         is_less = least < radius
