@@ -44,8 +44,6 @@ def test_offset_is_what_the_sources_miss(mesh):
         (np.asarray(jm.deform(coarse, u)) - mesh.points - target)[nodes], axis=1
     )
     assert found.offset == pytest.approx(missed.max(), rel=1e-9)
-    assert found.offset_node == nodes[missed.argmax()]
-    assert found.offset_ratio > 1
     assert not found.warnings
     graph = jm.prepare(
         mesh.points, moving, fixed, method=jm.DelaunayGraph()
@@ -69,8 +67,7 @@ def test_a_wall_sliding_along_a_held_boundary_is(mesh):
     found = jm.inspect(plan, np.full((len(moving), 2), [0.5, 0.0]), mesh=named)
     assert len(found.contradictions)
     assert (np.isin(found.contradictions, held).sum(axis=1) == 1).all()
-    assert sorted(found.torn) == ["held", "slid"]
-    assert "'held'" in found.warnings[0]
+    assert re.search("of 'held' and 'slid'|of 'slid' and 'held'", found.warnings[0])
     assert "`sliding`" in found.warnings[0]
 
 
@@ -107,7 +104,7 @@ def test_a_duct_whose_fixed_ends_are_torn_is_told_to_free_them():
     u = np.stack([0.35 + 0 * walls[:, 0], 0.3 * (walls[:, 1] - 0.5)], axis=1)
     plan = jm.prepare(mesh, "walls", "ends")
     inspection = jm.inspect(plan, u, mesh=mesh)
-    assert inspection.folds
+    assert any("folds" in said for said in inspection.advice)
     assert "Name it in `free` (--free)" in inspection.warnings[0]
     moved = jm.deform(jm.prepare(mesh, "walls", free="ends"), u)
     assert int(jm.quality(mesh, moved).inverted) == 0
@@ -349,7 +346,7 @@ def test_advice_on_folded_cells_cures(name):
     u = motion(x)
     count = int(jm.quality(mesh, jm.deform(plan, u)).inverted)
     share = jm.largest_step(plan, 0 * u, u, mesh).step
-    said = jm.inspect(plan, u, mesh=mesh).folds
+    said = jm.inspect(plan, u, mesh=mesh).advice[0]
     assert count > 0
     assert said.startswith(
         f"one step folds {count} cells, the first after {100 * share:.3g} % of the motion. With "
@@ -372,14 +369,14 @@ def test_advice_on_folded_cells_cures(name):
         np.testing.assert_allclose(jm.Turn.of(x, u).path(count), path, rtol=0, atol=1e-12)
         moved = jm.march(plan, np.stack(path))[1]
     assert int(jm.quality(mesh, moved).inverted) == 0
-    assert jm.inspect(plan, 0.9 * share * u, mesh=mesh).folds == ""
+    assert "folds" not in " ".join(jm.inspect(plan, 0.9 * share * u, mesh=mesh).advice)
 
 
 def test_advice_where_nothing_cures_says_what_was_tried():
     mesh = sleeve()
     plan = jm.prepare(mesh, "body", "sleeve")
     u = np.tile([0.598, 0.0], (80, 1))
-    said = jm.inspect(plan, u, mesh=mesh).folds
+    said = jm.inspect(plan, u, mesh=mesh).advice[0]
     assert said.endswith(
         "2 steps, 4 steps, 8 steps, jm.LinearElasticity(), jm.TorsionalSprings() do not cure it."
     )

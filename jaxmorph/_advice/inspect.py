@@ -1,6 +1,7 @@
 """Checks of a surface displacement before the mesh is moved, in numbers and in sentences."""
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ from jaxtyping import ArrayLike, Float, Integer, Real
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
-from .._boundary.outer_faces import mask, row_of
+from .._boundary.outer_faces import mask
 from .._host.package.arguments import checked, finite_array, rows_of
 from .._host.package.cores import beside
 from .._host.package.errors import check_none
@@ -41,145 +42,190 @@ LEAVES = (64, 128, 256, 512, 1024, 2048)  # numbers of leaves of a k-d tree that
 
 @dataclasses.dataclass(frozen=True)
 class Inspection:
-    """Findings of `inspect`; lengths are in the mesh's units.
+    """Findings of `inspect`; lengths are in the mesh's units, nodes are the mesh's.
 
-    - `offset`, `offset_node`: the largest displacement that the correction has to carry (eq. 5; 0
-      for a method without one), and its node.
-    - `offset_ratio`: the largest ratio of a node's offset to the distance of its nearest mesh node.
+    - `warnings`: one sentence for each thing that no method moves well.
+    - `advice`: one sentence for each other method, or number of steps, that may do better; and how
+      many cells one step folds, and how many were folded before.
     - `contradictions`: pairs (k, 2) of neighbouring surface nodes that are torn apart, the worst
-      first; `near` (d,) is where the worst pair lies, `torn` the patches of its two nodes.
-    - `rests` (k,): whether one node of a pair is fixed while the other node moves. `touches` (k,):
-      whether the boundaries of the two have faces in common there; without a mesh as `rests`.
+      first.
+    - `crossings`: where moved walls cross another boundary or themselves; None without a mesh.
+    - `is_hopeless`: whether walls cross, and not because they are torn from what they could slide
+      along.
+    - `offset`: the largest displacement that the correction has to carry (eq. 5; 0 for a method
+      without one).
     - `overshoot`: the largest motion of a node off the surface over the largest motion of the
       surface. `overshoot_behind`: the same behind a thin body's part that rests while its other
       side moves (below an airfoil with a bump on its upper side).
     - `slope`: how steeply the displacement changes along the wall, per length and without its
       affine part. It is exceeded on 2 % of the edges.
-    - `is_fitted`: whether the coarse field is a `FittedRBF`, as in `prepare`'s default.
-    - `crossings`: where moved walls cross another boundary or themselves; None without a mesh.
-    - `put_back`: moving nodes (k,) that do not go where `u` sends them, the worst first, by
-      `put_back_by` at most. Their plane, surface or pair changes the motion by more than a
-      hundredth of the largest motion.
-    - `ended`, `ended_at`: sliding nodes (k,) that come to the end of their surface, and where they
-      are after the motion (k, d).
-    - `gap_left`, `gap_node`: the smallest share of a gap between walls that is left, and the node
-      there. It is 1 or more if no gap becomes smaller; None without a mesh, or with one wall.
-    - `largest`: the largest displacement of a moving node.
-    - `reach`: how far from the surface a field of compact support reaches; infinity for others.
+    - `gap_left`: the smallest share of a gap between walls that is left. It is 1 or more if no gap
+      becomes smaller; None without a mesh, or with one wall.
     - `missed`: residual of an interpolation of the displacement from the moving sources in 3-D,
       relative to the largest displacement.
-    - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it. None if the plan's
-      do already, or if no number does.
-    - `folds`: how many cells one step folds, from where on, and what was found to help. Empty if
-      none folds, where walls cross, and without a mesh.
-    - `folded_before`: how many cells were folded before the motion; empty if none were.
     """
 
-    offset: float
-    offset_node: int
-    offset_ratio: float
+    warnings: tuple[str, ...]
+    advice: tuple[str, ...]
     contradictions: np.ndarray
-    near: np.ndarray
+    crossings: Crossings | None
+    is_hopeless: bool
+    offset: float
     overshoot: float
     overshoot_behind: float
     slope: float
-    is_fitted: bool
-    put_back: np.ndarray
-    put_back_by: float
-    ended: np.ndarray
-    ended_at: np.ndarray
-    largest: float
-    reach: float
-    rests: np.ndarray
-    touches: np.ndarray
+    gap_left: float | None
     missed: float
-    leaves: int | None
-    crossings: Crossings | None = None
-    gap_left: float | None = None
-    gap_node: int | None = None
-    torn: tuple[str, ...] = ()
-    folds: str = ""
-    folded_before: str = ""
-
-    @property
-    def is_hopeless(self) -> bool:
-        """Whether walls cross, and not because they are torn from what they could slide along."""
-        return bool(self.crossings) and not self.touches.any()
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """One sentence for each thing that no method moves well."""
-        return tuple(self._warnings())
-
-    def _warnings(self) -> Iterator[str]:
-        if len(self.contradictions):
-            first, second = self.contradictions[0]
-            place = ", ".join(f"{x:.4g}" for x in self.near)
-            both = " and ".join(repr(name) if name else "no patch" for name in self.torn)
-            yield (
-                f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart "
-                "by more than their distance, the "
-                f"worst nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). "
-                f"{remedies(self.rests, self.touches)}"
-            )
-        if self.crossings:
-            yield str(self.crossings)
-        if len(self.put_back):
-            yield (
-                f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is "
-                f"node {self.put_back[0]}, by "
-                f"{self.put_back_by:.3g}: they stay on their plane or surface, and pairs take the "
-                "mean. Give a motion that does."
-            )
-        if len(self.ended):
-            yield ends(self.ended, self.ended_at)
-
-    @property
-    def advice(self) -> tuple[str, ...]:
-        """One sentence for another method, or for more steps, that may do better."""
-        return tuple(self._advice())
-
-    def _advice(self) -> Iterator[str]:
-        yield from filter(None, (self.folds, self.folded_before))
-        if self.gap_left is not None and self.gap_left < NARROW:
-            yield (
-                f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another "
-                "wall is left. Go there in "
-                "several steps, each of which leaves half of it or more: `march(plan, path, "
-                "rebuild=True)`."
-            )
-        if self.reach < self.largest:
-            yield (
-                f"the field ends {self.reach:.2g} from the surface, which moves by "
-                f"{self.largest:.2g}: cells fold between. Take a "
-                "radius of several times the motion, `jm.CompactRBF(radius)`, or a method "
-                "without one."
-            )
-        if self.leaves is not None:
-            yield (
-                "the sources do not resolve the displacement: between them "
-                f"{100 * self.missed:.0f} % of it is missed. Take "
-                f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, "
-                "extremes=True))))."
-            )
-        if self.is_fitted and self.slope > STEEP:
-            yield (
-                f"the displacement changes by {self.slope:.2g} per length along the wall. The "
-                "fitted field keeps grid lines close "
-                "to their angle to the wall, and may cost a quarter of the smallest Jacobian "
-                "ratio where that is above 0.5. "
-                "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; "
-                "`compare` tries both."
-            )
-
-    def renumbered(self, ids: np.ndarray) -> "Inspection":
-        ids = np.asarray(ids)
-        names = ("contradictions", "put_back", "ended")
-        rows = {name: ids[getattr(self, name)] for name in names}
-        return dataclasses.replace(self, offset_node=int(ids[self.offset_node]), **rows)
 
     def __str__(self) -> str:
         return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Motion:
+    """A motion of a plan's surface by `u` (m, d), whose points are `ids` of a mesh."""
+
+    plan: Plan
+    u: Any
+    ids: np.ndarray
+    mesh: Mesh | None
+    moved: np.ndarray | None
+
+    @functools.cached_property
+    def displacement(self) -> np.ndarray:
+        return np.asarray(self.u, dtype=float)
+
+    @functools.cached_property
+    def vectors(self) -> np.ndarray:
+        """Displacements (o, d) of the surface's nodes, put back on planes and pairs."""
+        return np.asarray(self.plan.of_surface(self.u))
+
+    @functools.cached_property
+    def points(self) -> np.ndarray:
+        """Points (o, d) of the surface."""
+        return np.asarray(self.plan.points)[np.asarray(self.plan.surface_nodes)]
+
+    @functools.cached_property
+    def nodes(self) -> np.ndarray:
+        """The mesh's ids (o,) of the surface's nodes."""
+        return self.ids[np.asarray(self.plan.surface_nodes)]
+
+    @functools.cached_property
+    def size(self) -> np.ndarray:
+        return np.linalg.norm(self.displacement, axis=1)
+
+    @functools.cached_property
+    def is_fixed(self) -> np.ndarray:
+        return np.isin(np.asarray(self.plan.surface_nodes), self.plan.fixed)
+
+    @functools.cached_property
+    def torn(self) -> np.ndarray:
+        """Pairs (k, 2) of rows of the surface that contradict each other, the worst first."""
+        return torn_pairs(self.points, self.vectors, self.is_fixed)
+
+    @functools.cached_property
+    def faces(self) -> np.ndarray | None:
+        """Simplices (s, d) of the boundary's faces, in rows of the surface; None without cells."""
+        cut = None if self.mesh is None else simplices(self.mesh, self.nodes)
+        return cut and cut[0]
+
+    @functools.cached_property
+    def rests(self) -> np.ndarray:
+        """Whether one node of a torn pair is fixed while the other node moves."""
+        return np.asarray(self.is_fixed[self.torn].any(axis=1), dtype=bool)
+
+    @functools.cached_property
+    def touches(self) -> np.ndarray:
+        """Whether the boundaries of a torn pair have faces in common there; or else `rests`."""
+        if self.faces is None or not self.rests.any():
+            return self.rests
+        return self.rests & share_faces(self.torn, self.faces, len(self.nodes))
+
+    @functools.cached_property
+    def gap(self) -> tuple[float, int] | None:
+        """The smallest share of a gap that is left, and the node there."""
+        if self.faces is None or not len(self.faces):
+            return None
+        before = np.asarray(self.mesh.points, dtype=float)[self.nodes]
+        wall = walls(before, self.plan.n_moving, {"simplex": self.faces})
+        scale = TOUCHING * np.ptp(before, axis=0).max()
+        share = share_left(before, before + self.vectors.astype(float), wall, self.faces, scale)
+        if not np.isfinite(share).any():
+            return None
+        return float(share.min()), int(self.nodes[share.argmin()])
+
+    @functools.cached_property
+    def missed(self) -> float:
+        base = self.points[: self.plan.n_moving]
+        sources = np.flatnonzero(np.isin(self.plan.moving, self.plan.sources))
+        if base.shape[1] < 3 or not len(sources):
+            return 0.0
+        return missed(base, self.displacement, sources)
+
+    @functools.cached_property
+    def slope(self) -> float:
+        n = self.plan.n_moving
+        return _slope(self.points[:n], self.vectors[:n])
+
+    def warnings(self) -> Iterator[str]:
+        """What no method moves well, apart from crossings."""
+        if len(self.torn):
+            first, second = self.torn[0]
+            place = ", ".join(f"{x:.4g}" for x in self.points[first])
+            of = ""
+            if self.mesh is not None:
+                names = names_of(self.mesh, self.nodes[self.torn[:1]].reshape(-1, 1))
+                of = " of " + " and ".join(repr(name) if name else "no patch" for name in names)
+            yield (
+                f"{len(self.torn)} pairs of neighbouring surface nodes are torn apart by more than "
+                f"their distance, the worst nodes {self.nodes[first]} and {self.nodes[second]}{of} "
+                f"near ({place}). {remedies(self.rests, self.touches)}"
+            )
+        changed = np.linalg.norm(self.vectors[: self.plan.n_moving] - self.displacement, axis=1)
+        count = int(np.sum(changed > PUT_BACK * self.size.max()))
+        if count:
+            yield (
+                f"{count} moving nodes do not go where `u` sends them, the worst is node "
+                f"{self.nodes[changed.argmax()]}, by {changed.max():.3g}: they stay on their plane "
+                "or surface, and pairs take the mean. Give a motion that does."
+            )
+        rows = ended(self.plan, self.points + self.vectors)
+        if len(rows):
+            yield ends(self.nodes[rows], (self.points + self.vectors)[rows])
+
+    def advice(self) -> Iterator[str]:
+        """What may do better where the motion is large or steep for the plan's method."""
+        if self.gap is not None and self.gap[0] < NARROW:
+            yield (
+                f"{100 * self.gap[0]:.2g} % of the gap between node {self.gap[1]} and another wall "
+                "is left. Go there in several steps, each of which leaves half of it or more: "
+                "`march(plan, path, rebuild=True)`."
+            )
+        largest = float(self.size.max())
+        if self.plan.reach < largest:
+            yield (
+                f"the field ends {self.plan.reach:.2g} from the surface, which moves by "
+                f"{largest:.2g}: cells fold between. Take a radius of several times the motion, "
+                "`jm.CompactRBF(radius)`, or a method without one."
+            )
+        base = self.points[: self.plan.n_moving]
+        leaves = leaves_enough(base, self.displacement) if self.missed > UNRESOLVED else None
+        if leaves is not None:
+            yield (
+                "the sources do not resolve the displacement: between them "
+                f"{100 * self.missed:.0f} % of it is missed. Take "
+                f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({leaves}, "
+                "extremes=True))))."
+            )
+        is_fitted = isinstance(getattr(self.plan.method, "coarse", None), FittedRBF)
+        if is_fitted and self.slope > STEEP:
+            yield (
+                f"the displacement changes by {self.slope:.2g} per length along the wall. The "
+                "fitted field keeps grid lines close to their angle to the wall, and may cost a "
+                "quarter of the smallest Jacobian ratio where that is above 0.5. "
+                "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; "
+                "`compare` tries both."
+            )
 
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
@@ -240,47 +286,47 @@ def inspect(
     plan.check_surface("inspect")
     ids = _ids(plan, mesh, nodes)
     is_whole = mesh is not None and nodes is None
-    surface = np.asarray(plan.surface_nodes)
-    vectors = np.asarray(plan.of_surface(u))
     finite = np.isfinite(np.asarray(u)).all(axis=1)
-    n = plan.n_moving
     check_none(
-        surface[:n][~finite],
-        f"{{count}} of {n} displacements are not finite, first that of node {{node}} (row "
-        f"{int(np.argmin(finite))}).",
+        np.asarray(plan.moving)[~finite],
+        f"{{count}} of {plan.n_moving} displacements are not finite, first that of node {{node}} "
+        f"(row {int(np.argmin(finite))}).",
     )
     if moved is not None or is_whole:
-        moved = finite_array(
-            "moved", deform(plan, u) if moved is None else moved, plan.points.shape
-        )
-    if mesh is None:
-        return _of_plan(plan, u, vectors, moved).renumbered(ids)
-    looking = beside(_of_faces, plan, mesh, ids, vectors.astype(float))
-    crossing = beside(
-        wall_crossings,
-        plan,
-        mesh,
-        np.asarray(u, float)[None],
-        moved,
-        ids if nodes is not None else None,
+        moved = deform(plan, u) if moved is None else moved
+        moved = finite_array("moved", moved, plan.points.shape)
+    motion = _Motion(plan, u, ids, mesh, moved)
+    crossing = None
+    if mesh is not None:
+        part = None if is_whole else ids
+        crossing = beside(wall_crossings, plan, mesh, motion.displacement[None], moved, part)
+    anywhere, behind = overshoot(plan, motion.displacement, moved)
+    gap_left = None if motion.gap is None else motion.gap[0]
+    crossings = None if crossing is None else crossing.result()
+    hopeless = bool(crossings) and not motion.touches.any()
+    warnings = list(motion.warnings())
+    advice = list(motion.advice())
+    if crossings:
+        warnings.insert(min(1, len(motion.torn)), str(crossings))
+    if is_whole:
+        verdict = judge(mesh, moved)
+        folds = ""
+        if verdict.spoilt and not hopeless:
+            folds = advice_on_folds(plan, mesh, motion.displacement, verdict)
+        advice = [*filter(None, (folds, verdict.note)), *advice]
+    return Inspection(
+        warnings=tuple(warnings),
+        advice=tuple(advice),
+        contradictions=motion.nodes[motion.torn].reshape(-1, 2),
+        crossings=crossings,
+        is_hopeless=hopeless,
+        offset=float(np.linalg.norm(np.asarray(plan.offset(u)), axis=1).max()),
+        overshoot=anywhere,
+        overshoot_behind=behind,
+        slope=motion.slope,
+        gap_left=gap_left,
+        missed=motion.missed,
     )
-    inspection = _of_plan(plan, u, vectors, moved).renumbered(ids)
-    faces, found = looking.result()
-    found["crossings"] = crossing.result()
-    torn = inspection.contradictions
-    if faces is not None and inspection.rests.any():
-        rows = row_of(ids[surface], len(mesh.points))
-        found["touches"] = inspection.rests & share_faces(rows[torn], faces, len(surface))
-    found["torn"] = tuple(names_of(mesh, torn[:1].reshape(-1, 1)))
-    inspection = dataclasses.replace(inspection, **found)
-    if not is_whole:
-        return inspection
-    verdict = judge(mesh, moved)
-    if verdict.spoilt and not inspection.is_hopeless:
-        inspection = dataclasses.replace(
-            inspection, folds=advice_on_folds(plan, mesh, np.asarray(u, dtype=float), verdict)
-        )
-    return dataclasses.replace(inspection, folded_before=verdict.note)
 
 
 def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
@@ -295,74 +341,6 @@ def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
     if len(ids) != count:
         raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {count} points.")
     return ids
-
-
-def _of_faces(
-    plan: Plan, mesh: Mesh, ids: np.ndarray, vectors: np.ndarray
-) -> tuple[np.ndarray | None, dict[str, Any]]:
-    """Finds the boundary faces' simplices, and what is left of gaps, by field, where the surface
-    moves by `vectors` (o, d).
-    """
-    nodes = ids[np.asarray(plan.surface_nodes)]
-    cut = simplices(mesh, nodes)
-    if cut is None or not len(cut[0]):
-        return cut and cut[0], {}
-    before = np.asarray(mesh.points, dtype=float)[nodes]
-    wall = walls(before, plan.n_moving, {"simplex": cut[0]})
-    share = share_left(
-        before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max()
-    )
-    if not np.isfinite(share).any():
-        return cut[0], {}
-    return cut[0], {"gap_left": float(share.min()), "gap_node": int(nodes[share.argmin()])}
-
-
-def _of_plan(plan: Plan, u: Any, vectors: np.ndarray, moved: np.ndarray | None) -> Inspection:
-    """Checks all that needs no faces, of displacements `vectors` (o, d) of the surface."""
-    points = np.asarray(plan.points)
-    nodes = np.asarray(plan.surface_nodes)
-    displacement = np.asarray(u, dtype=float)
-    moving = nodes[: plan.n_moving]
-    surface = points[nodes]
-    is_fixed = np.isin(nodes, plan.fixed)
-    offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
-    size = np.linalg.norm(displacement, axis=1)
-    tree = Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
-    spacing = np.asarray(tree.query(surface, k=2)[0])[:, 1]
-    pairs = torn_pairs(surface, vectors, is_fixed)
-    torn = nodes[pairs].reshape(-1, 2)
-    rests = np.asarray(is_fixed[pairs].any(axis=1))
-    anywhere, behind = overshoot(plan, displacement, moved)
-    changed = np.linalg.norm(vectors[: plan.n_moving] - displacement, axis=1)
-    back = np.flatnonzero(changed > PUT_BACK * size.max())
-    rows = ended(plan, surface + vectors)
-    sources = np.flatnonzero(np.isin(moving, plan.sources))
-    too_few = (
-        missed(points[moving], displacement, sources)
-        if points.shape[1] == 3 and len(sources)
-        else 0.0
-    )
-    return Inspection(
-        offset=float(offset.max()),
-        offset_node=int(nodes[offset.argmax()]),
-        offset_ratio=float((offset / np.where(spacing > 0, spacing, np.inf)).max()),
-        contradictions=torn,
-        near=points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan),
-        overshoot=anywhere,
-        overshoot_behind=behind,
-        slope=_slope(points[moving], vectors[: plan.n_moving]),
-        is_fitted=isinstance(getattr(plan.method, "coarse", None), FittedRBF),
-        put_back=nodes[back[np.argsort(-changed[back], kind="stable")]],
-        put_back_by=float(changed.max()) if len(back) else 0.0,
-        ended=nodes[rows],
-        ended_at=(surface + vectors)[rows],
-        largest=float(size.max()),
-        reach=plan.reach,
-        rests=rests,
-        touches=rests,
-        missed=too_few,
-        leaves=leaves_enough(points[moving], displacement) if too_few > UNRESOLVED else None,
-    )
 
 
 def _slope(points: np.ndarray, u: np.ndarray) -> float:

@@ -359,7 +359,8 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
         )
     if kind not in FUNCTIONS:
         raise ValueError(
-            f"the basis {kind.__name__} cannot be exported: jmplan.h has jaxmorph's own bases."
+            f"the basis {kind.__name__} cannot be exported: native/jmplan.h computes "
+            f"{', '.join(basis.__name__ for basis in FUNCTIONS)}."
         )
     # the matrix of eq. (3) again: half of a symmetric matrix's factors is enough
     matrix = np.empty_like(factors.lu)
