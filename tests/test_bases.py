@@ -155,6 +155,7 @@ def test_what_a_radius_may_be(make):
     assert jax.tree.leaves(jax.eval_shape(make, 2.0))[0].shape == ()
 
 
+@pytest.mark.nightly
 def test_a_ridge_smooths_noise():
     """On noisy values of a smooth motion the field with a ridge is nearer to the motion than the one that follows them."""
     rng = np.random.default_rng(1)

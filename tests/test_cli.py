@@ -266,6 +266,7 @@ def test_info(here, capsys):
     assert "no cell  1 node, at rest: 216" in printed(capsys, ["info", "loose.su2"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", runs(["."], nightly=["../case"]))
 def test_a_case_is_called_by_the_name_of_its_folder(tmp_path, monkeypatch, capsys, name):
     foam.write_case(tmp_path / "case", *mixed(), PATCHES)

@@ -104,6 +104,7 @@ def test_a_mesh_that_was_bad_before_is_told_and_gets_no_advice(here, capsys):
     assert "With" not in said
 
 
+@pytest.mark.nightly
 def test_the_preset_is_that_of_checkmesh_and_single_limits_win(here, capsys):
     assert (
         deform(
@@ -194,6 +195,7 @@ def test_skewness_of_faces_in_3d(kind):
     )
 
 
+@pytest.mark.slow
 def test_as_many_steps_as_it_takes(here, capsys):
     """By an angle, and by a file of new positions alone: the surface turns on its way, in as many steps as by hand."""
     motion = ("--rotate", "150", "--about", "0.3", "0")

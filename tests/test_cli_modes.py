@@ -55,6 +55,7 @@ def test_each_file_is_what_deform_writes(here, capsys):
         )
 
 
+@pytest.mark.nightly
 def test_a_series_opens_in_paraview_at_its_amplitudes(here):
     assert modes("series.pvd", "bump.csv", "--amplitude", "-0.1", "0", "0.2") == 0
     reader = pyvista.PVDReader("series.pvd")

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from meshes import lattice, ring, tetrahedra
-from runs import refused
+from runs import over, refused
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
@@ -92,7 +92,7 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", MOTIONS)
+@over("name", ["several"], nightly=[name for name in MOTIONS if name != "several"])
 def test_a_node_of_several_patches_moves_once(tmp_path, monkeypatch, name):
     """Patches that move alike, by one --moving or by one each, in whichever order: one motion."""
     monkeypatch.chdir(tmp_path)
@@ -130,6 +130,7 @@ def test_patches_that_move_a_common_node_differently_are_told():
         path_of(mesh, ["--moving", "one", "three", *up, "--moving", "three", "--rotate", "5"])
 
 
+@pytest.mark.nightly
 def test_twist_grows_along_the_line_and_stops_at_its_ends(brick):
     line = ("--along", "0", "2", "0", "--about", "1", "-1", "0", "--length", "2")
     x, y, mesh = moved(brick, "--moving", "high", "--twist", "30", *line)

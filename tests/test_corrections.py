@@ -69,6 +69,7 @@ INVERTED = runs(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("section", "points", "extremes", "motion"), INVERTED)
 def test_the_defect_and_the_cure(section, points, extremes, motion):
     own = section == "cusped"

@@ -186,6 +186,7 @@ test_bad_input_is_refused_in_a_sentence = refusals(
 )
 
 
+@pytest.mark.nightly
 def test_a_mesh_that_is_folded_before_it_is_curved_is_told():
     high = jm.elevate(ring(), 2)
     folded = np.array(high.points)

@@ -140,6 +140,7 @@ def test_what_gmsh_writes_is_read_as_gmsh_reads_it(tmp_path, dimension, form, va
     np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, moved.points)
 
 
+@pytest.mark.nightly
 def test_bytes_that_are_put_in_make_no_other_mesh(tmp_path):
     """Four bytes twice, anywhere among the elements of a binary file of version 2.2."""
     path = tmp_path / "a.msh"

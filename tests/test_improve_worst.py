@@ -233,6 +233,7 @@ def test_a_mesh_that_arrives_folded_is_unfolded(kind):
         assert " are now" in str(result)
 
 
+@pytest.mark.nightly
 def test_what_stays_folded_is_counted():
     """All nodes of a triangle in a corner are held, one of them beyond the other two."""
     mesh = filled("triangle", 2)

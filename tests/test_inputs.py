@@ -58,8 +58,10 @@ reference = functools.cache(lambda: results(np.asarray))
     "form",
     [
         "list",
-        "another byte order",
-        *(pytest.param(form, marks=pytest.mark.slow) for form in ("jax", "long")),
+        *(
+            pytest.param(form, marks=pytest.mark.slow)
+            for form in ("another byte order", "jax", "long")
+        ),
     ],
 )
 def test_every_call_takes_every_form(form):

@@ -237,6 +237,7 @@ def test_parts_move_as_the_whole_bit_for_bit(library, tmp_path):
         np.testing.assert_array_equal(nodes[here[here >= 0]], mesh.moving[here >= 0])
 
 
+@pytest.mark.slow
 def test_ranges_and_threads_give_equal_bits(library, tmp_path):
     mesh = cases.naca0015(points=6000)
     plan = jm.prepare(mesh, "airfoil", "farfield")
@@ -376,6 +377,7 @@ int main(int count, char **words) {
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rounds", runs(fast=[100], nightly=[5000]))
 def test_files_with_wrong_words_and_right_sums_do_no_harm(tmp_path, rounds):
     """Under the sanitizers of addresses and of undefined behaviour; most such files are refused, some are read."""
@@ -407,7 +409,7 @@ def test_files_with_wrong_words_and_right_sums_do_no_harm(tmp_path, rounds):
         assert 0 < int(done.stdout) < rounds
 
 
-@pytest.mark.parametrize("language", ["c", "c++", "f90"])
+@over("language", ["c"], slow=["c++", "f90"])
 def test_the_examples_move_the_wall_up(tmp_path, language):
     file = tmp_path / "body.plan"
     small_plan(file)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from meshes import ball, blocks, circle, lattice, naca
 from oracles import jacobian
-from runs import all_refused
+from runs import all_refused, over
 
 import jaxmorph as jm
 from jaxmorph import shapes
@@ -24,7 +24,7 @@ def section(count=31):
     return jm.Facets(loop, np.column_stack([np.roll(ids, -1), ids]))
 
 
-@pytest.mark.parametrize("wall", [ring(), jm.Facets(*ball(80))])
+@over("wall", [ring()], nightly=[jm.Facets(*ball(80))])
 def test_a_ball_grows_and_shrinks_no_farther_than_its_middle(wall):
     points = np.asarray(wall.points)
     outward = float(jnp.sum(wall.normals()[0] * points[0]))
@@ -39,6 +39,7 @@ def test_a_ball_grows_and_shrinks_no_farther_than_its_middle(wall):
     assert (radius(-100.0) > 0.0999).all()
 
 
+@pytest.mark.nightly
 def test_the_sides_of_an_airfoil_do_not_meet():
     wall = section()
     points = np.asarray(wall.points)
@@ -52,6 +53,7 @@ def test_the_sides_of_an_airfoil_do_not_meet():
     assert (np.interp(where, x[upper], y[upper]) > np.interp(where, x[lower], y[lower])).all()
 
 
+@pytest.mark.nightly
 def test_two_walls_across_a_gap_keep_some_of_it():
     x = np.linspace(0, 1, 21)
     points = np.concatenate([np.column_stack([x, 0 * x]), np.column_stack([x, 0.1 + 0 * x])])
@@ -64,6 +66,7 @@ def test_two_walls_across_a_gap_keep_some_of_it():
     np.testing.assert_allclose(moved[21:, 1], 0.055, rtol=1e-6)
 
 
+@pytest.mark.nightly
 def test_heights_are_smoothed_as_a_smoother_does():
     wall, rng = ring(), np.random.default_rng(0)
     heights = 1e-3 * rng.normal(size=60)
@@ -74,6 +77,7 @@ def test_heights_are_smoothed_as_a_smoother_does():
     np.testing.assert_allclose(moved, wall.points + smoothed[:, None] * wall.normals(), atol=1e-15)
 
 
+@pytest.mark.nightly
 def test_a_border_stays_in_its_plane():
     half = circle(41)[:21]
     half[[0, -1], 1] = 0
@@ -85,6 +89,7 @@ def test_a_border_stays_in_its_plane():
     np.testing.assert_allclose(moved[[0, -1], 0], half[[0, -1], 0] * 1.1, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_derivatives_equal_differences():
     """Also where heights are limited, and with respect to the wall."""
     wall, rng = section(), np.random.default_rng(0)
@@ -117,8 +122,8 @@ def test_what_is_refused():
     )
 
 
-@pytest.mark.parametrize("wall", [ring(), jm.Facets(*ball(40))], ids=["curve", "surface"])
-@pytest.mark.parametrize("wrong", [0, -1, slice(0, 9)], ids=["first", "last", "nine"])
+@over("wall", [ring()], nightly=[jm.Facets(*ball(40))], ids=["curve", "surface"])
+@over("wrong", [0], nightly=[-1, slice(0, 9)], ids=["first", "last", "nine"])
 def test_the_sense_of_most_of_the_area_wins(wall, wrong):
     """Faces that are listed the other way round turn no wall inside out, wherever they stand."""
     faces = np.array(wall.faces)
@@ -136,6 +141,7 @@ def test_a_tie_of_senses_goes_by_place():
     np.testing.assert_array_equal(jm.Facets(points[::-1], 2 - faces).normals(), up[::-1])
 
 
+@pytest.mark.nightly
 def test_quads_of_equal_diagonals_are_cut_by_place():
     """On a bent lattice of squares, however nodes, faces and their first corners are numbered."""
     points = lattice(np.arange(5.0), np.arange(6.0))

@@ -66,6 +66,7 @@ def roughness(facets):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smooth", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_ball_goes_onto_an_ellipsoid_with_a_bump(smooth):
     mesh = layered()
@@ -127,6 +128,7 @@ def test_a_target_elsewhere_is_found_by_a_rigid_motion():
     )  # the same nodes, not those of another side
 
 
+@pytest.mark.slow
 def test_the_sharp_edge_of_an_airfoil_goes_onto_the_sharp_edge():
     (ring, edges), (other, segments) = (
         section(1e-12, 0.12, 41),
@@ -249,6 +251,7 @@ def test_a_scan_with_noise_is_smoothed():
     assert np.abs(x[points[:, 2] == 0, 2]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_derivatives_by_both_surfaces_equal_differences():
     wall, onto, rng = jm.Facets(*ball(60)), target(150, smooth=True), np.random.default_rng(0)
     made = shapes.Onto(wall, onto)
@@ -298,6 +301,7 @@ def test_a_function_of_closest_places_is_a_target():
     assert abs(moved[0, 1]) < 1e-12
 
 
+@pytest.mark.nightly
 def test_an_ambiguous_way_is_refused_with_its_place():
     square, faces = refined(
         np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2, 3]]), 6

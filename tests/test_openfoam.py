@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from foam import PATCHES, mixed, split, strip
 from formats import rewritten
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -220,7 +221,7 @@ def two_regions(case):
     shutil.move(case.parent / "fluid" / "system", case / "system")
 
 
-@pytest.mark.parametrize("region", ["fluid", "solid"])
+@over("region", ["fluid"], nightly=["solid"])
 def test_the_points_of_a_region_go_to_the_region(tmp_path, capsys, region):
     """Into a time, which is read again, and into a new case; by Python and by the command line."""
     case = tmp_path / "case"

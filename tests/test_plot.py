@@ -145,6 +145,7 @@ def test_colours_turn_round_where_small_is_bad_and_a_label_brings_a_bar():
     assert bar.get_ylabel() == "V/V0"
 
 
+@pytest.mark.nightly
 def test_pictures_show_the_bodies_and_some_room(airfoil):
     """Unless a window is given; a mesh without inner patches is shown whole."""
     wall = airfoil.points[airfoil.patch("airfoil")]

@@ -54,7 +54,7 @@ def with_loose(mesh, places):
     return jm.Mesh(np.concatenate([places, mesh.points]), cells, patches)
 
 
-@over("planes", [""], slow=["y0 y1"], nightly=["y0", "x0 x1 y0 y1"])
+@over("planes", slow=["y0 y1"], nightly=["", "y0", "x0 x1 y0 y1"])
 def test_nodes_of_no_cell_stay_beside_planes_in_chunks_and_in_steps(planes):
     planes, box = planes.split(), unit_box()
     fixed = [name for name in box.patches if name not in (*planes, "z0")]

@@ -95,6 +95,7 @@ def test_an_install_without_source_works(tmp_path):
     assert (tmp_path / "out.su2").exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 def test_a_daemon_may_ignore_the_ends_of_processes(tmp_path):
     """Perl's and other daemons ignore SIGCHLD; what they start inherits it."""

@@ -290,6 +290,7 @@ def test_bases_against_the_dense_solve(basis, options):
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7 * np.abs(exact).max())
 
 
+@pytest.mark.slow
 def test_many_sources_are_solved_by_iterations(monkeypatch, tmp_path):
     """Beyond a number, here a small one; the plan can be saved."""
     mesh = body(2)

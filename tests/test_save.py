@@ -114,6 +114,7 @@ def test_fields_keep_their_types(tmp_path):
     assert again.method.reduction.largest_box == np.inf
 
 
+@pytest.mark.slow
 def test_steps_symmetry_and_single_precision(tmp_path):
     points = np.concatenate([body(2).points, [[-9.0, -9], [-9, 9], [9, -9], [9, 9]]])
     far = [*range(len(points) - 4, len(points))]

@@ -97,6 +97,7 @@ def test_the_transpose_and_derivatives(name):
     np.testing.assert_allclose(slope[smooth], differences[smooth], atol=1e-6)
 
 
+@pytest.mark.nightly
 def test_a_box_around_points_holds_them_all():
     for d in (2, 3):
         box = shapes.FreeForm.around(cloud(d), (3,) * d, margin=0.0)

@@ -204,6 +204,7 @@ def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
         np.testing.assert_array_equal(tracks_of(walls, (), points)[1], stays)
 
 
+@pytest.mark.nightly
 def test_a_circle_in_single_precision_and_an_ellipse():
     mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
     outer = mesh.patch("outer")
@@ -293,6 +294,7 @@ def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
         assert f"0.25 off (node {node})" in str(off).replace(" their surface", "")
 
 
+@pytest.mark.nightly
 def test_walls_and_translations_follow_the_base():
     """Of another base `refit` makes what `prepare` does; pairs that match bit for bit go on to."""
     mesh, (left, right), wrapped = duct()

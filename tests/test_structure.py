@@ -332,6 +332,7 @@ def run_silently(code: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+@pytest.mark.slow
 def test_importing_leaves_no_trace():
     """Nothing printed or warned of, no option changed, no optional package, no array made, no logger; JAX where it is used."""
     code = f"""

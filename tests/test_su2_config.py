@@ -699,6 +699,7 @@ def change(p, q, at, camber):
     return control
 
 
+@pytest.mark.nightly
 def test_dot_takes_the_volume_through_the_mesh(folder, tmp_path, capsys):
     mesh = io.read(folder / "airfoil.su2")
     io.write(tmp_path / "airfoil.su2", mesh)

@@ -62,6 +62,7 @@ def test_one_zone_moves_alone(path, which):
     assert path.with_name("same.su2").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.nightly
 def test_a_wall_between_zones_moves_in_both(path):
     """Their nodes are where the motion of the wall takes them, which two zones have at x = 1."""
     zones, moved = io.read_zones(path), []
@@ -81,6 +82,7 @@ def test_a_wall_between_zones_moves_in_both(path):
         assert int(jm.quality(mesh).inverted) == 0
 
 
+@pytest.mark.nightly
 def test_a_config_moves_one_zone_and_draws_it(path, capsys):
     config = path.with_name("def.cfg")
     config.write_text(

@@ -51,7 +51,7 @@ def mirrored_motion(x, sectors):
     return radius * ways + along * [0.0, 0.0, 1.0]
 
 
-@over("degrees method", [(30, "full")], slow=[(60, "full"), (45, "graph"), (30, "graph")])
+@over("degrees method", slow=[(30, "full")], nightly=[(60, "full"), (45, "graph"), (30, "graph")])
 def test_a_sector_moves_as_the_whole_body(degrees, method):
     """Two mirrors at 180 / n degrees have 2 n images; nodes stay on both, also on their axis."""
     method = METHODS["full"] if method == "full" else jm.SurfaceReconstruction(METHODS["full"])
@@ -76,6 +76,7 @@ def test_a_sector_moves_as_the_whole_body(degrees, method):
     assert (np.abs(more - x).max(axis=0) > 0.01).all()
 
 
+@pytest.mark.nightly
 def test_the_default_moves_a_sector_and_its_cells():
     part = capsule(30)
     plan = jm.prepare(part, "wall", "far", symmetry=between_half_planes(30))
@@ -202,6 +203,7 @@ def half():
     )
 
 
+@pytest.mark.nightly
 def test_a_marched_symmetric_mesh():
     part, moving, fixed, _ = half()
     plan = jm.prepare(

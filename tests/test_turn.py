@@ -109,6 +109,7 @@ def test_slopes_are_those_of_the_wall():
     np.testing.assert_allclose(growth / strength, 0.1 * normal, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_layer_ends_before_edges_and_other_walls():
     """Its height falls to nothing at a sharp trailing edge, below a quarter of the half thickness, and below the gap's share."""
     mesh = faults.sharp_o_grid(around=96, layers=24, first_cell=1e-4)
@@ -160,6 +161,7 @@ def test_neighbouring_meshes_move_alike(changed):
         assert np.abs(first @ turn - second).max() < 1e-2 * np.abs(motion).max()
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_base_points():
     """Through `refit` the layer's normals, heights and slopes follow the base points."""
     mesh = cases.naca4("0012", points=600, first_cell=1e-3)

@@ -67,7 +67,7 @@ def test_names_find_the_numbers_they_name():
     assert shapes.names({}) == []
 
 
-@over("steps", [1], nightly=[2])
+@over("steps", slow=[1], nightly=[2])
 def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
     plan = jm.prepare(ring.points, np.arange(24), np.arange(192, 216), method=jm.RBF.classic())
     rng, shape = np.random.default_rng(2), chain()

@@ -13,6 +13,7 @@ import pytest
 import vtk_files
 from formats import rewritten
 from meshes import bricks, gmsh_session
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -87,7 +88,7 @@ def test_what_gmsh_writes_is_read(tmp_path, dimension, binary):
     np.testing.assert_array_equal(corners, grid.cells_dict[5 if dimension == 2 else 10])
 
 
-@pytest.mark.parametrize("binary", [False, True])
+@over("binary", [True], nightly=[False])
 def test_no_damage_of_sizes_is_taken(tmp_path, binary):
     """A number more or less in any section is told."""
     mixed().to_pyvista().save(tmp_path / "a.vtk", binary=binary)
@@ -219,6 +220,7 @@ def test_a_mesh_is_kept_by_pickle(tmp_path):
     assert vtk_files.said(found[0]) == vtk_files.said(found[1])
 
 
+@pytest.mark.nightly
 def test_only_what_a_file_needs_is_imported():
     code = "import sys, jaxmorph.cli, jaxmorph.io; print(sorted(name for name in sys.modules if 'vtk' in name.split('.')[0]))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -294,6 +296,7 @@ KINDS_OF_HOSTILE = ("bomb", "points", "cells", "components", "field", "offsets")
 KINDS_OF_HOSTILE += ("legacy points", "legacy cells", "legacy field", "legacy grid")
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="memory is limited as Linux does it"
 )

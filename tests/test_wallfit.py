@@ -120,6 +120,7 @@ def test_both_lengths_are_differentiable():
         assert abs(difference) > 1e-3
 
 
+@pytest.mark.nightly
 def test_grid_lines_stay_at_right_angles_to_a_cambered_wall():
     """10 % of camber turns the wall by up to 22 degrees, and the classic method's grid lines not at all."""
     mesh, plan, base, _ = airfoil("9412")
