@@ -6,6 +6,7 @@ import numpy as np
 
 from .._host.cells.topology import Pair
 from .._host.package.rounding import SAME, canonical_order
+from .._host.ragged import spread
 from .faces import BLOCK, Faces, open_cells, standard_cells
 
 SLIVER = 1e-3  # share of a cell's mean piece below which a piece is left out: its sign says nothing
@@ -116,16 +117,6 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
         parts.append(corners)
         owners.append(block[cell])
     return np.concatenate(parts), np.concatenate(owners)
-
-
-def spread(first: np.ndarray, last: np.ndarray) -> Pair:
-    """Lists the whole numbers of many ranges in a row, and the range of each."""
-    # A count through all ranges is shifted in each: by the range's first number, less the numbers
-    # of the ranges before it.
-    counts = last - first
-    ends = np.cumsum(counts)
-    which = np.repeat(np.arange(len(counts)), counts)
-    return np.arange(counts.sum()) + (first - ends + counts)[which], which
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

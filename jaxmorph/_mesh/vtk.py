@@ -8,9 +8,10 @@ import numpy as np
 
 from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
+from .._host.ragged import spread
 from .exchange import Arrays, Grid, Parts, check_width, checked_parts, imported, parts, sized
 from .faces import Faces, faces_of_cells, joined_faces
-from .polyhedra import cells_of_faces, spread
+from .polyhedra import cells_of_faces
 
 AXIS_ALIGNED = {
     8: [0, 1, 3, 2],

@@ -14,7 +14,7 @@ from numpy import ndarray
 from jaxmorph import Facets, Mesh
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import input_path, read_arrays, real_array
-from jaxmorph._host.package.rounding import rows_in
+from jaxmorph._host.rows import Rows
 from jaxmorph._host.surface.gaps import closest, fans
 
 from ._format import faults_of
@@ -337,7 +337,7 @@ def in_order(
     own = ""
     if labels is not None:
         if len(foreign) + len(missing) and np.array_equal(np.sort(ids), np.sort(labels)):
-            return values[rows_in(ids, labels)]
+            return values[Rows(ids).of(labels)]
         own = f", or are all of the mesh file's own, {labels.min()} to {labels.max()}"
     faults = [
         f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})"
@@ -348,7 +348,7 @@ def in_order(
     ]
     if faults:
         raise ValueError(f"{', and '.join(faults)}. Ids count the nodes from 0{own}.")
-    return values[rows_in(ids, wanted)]
+    return values[Rows(ids).of(wanted)]
 
 
 def _restart(

@@ -15,9 +15,10 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.topology import SIDE_TYPES
+from jaxmorph._host.ragged import Ragged, heads_of, spread
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
-from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
 from ._format import Source
 from ._places import CoordinatePart, PlacedPoints
@@ -55,10 +56,9 @@ class FaceZone(NamedTuple):
 
 
 class FaceTable(NamedTuple):
-    """Faces: ids of nodes from 1, their number in each face, and cells (k, 2) from 1."""
+    """Faces: ids of nodes from 1, and cells (k, 2) from 1."""
 
-    labels: ndarray
-    sizes: ndarray
+    nodes: Ragged
     cells: ndarray
 
 
@@ -152,9 +152,11 @@ class _FluentText:
         return PlacedPoints(points, text, places, singles=singles)
 
     def table(self) -> FaceTable:
-        return FaceTable(
-            *map(np.concatenate, zip(*(table for _, table in self.faces), strict=True))
-        )
+        nodes = [table.nodes for _, table in self.faces]
+        labels = np.concatenate([each.values for each in nodes])
+        sizes = np.concatenate([each.sizes for each in nodes])
+        cells = np.concatenate([table.cells for _, table in self.faces])
+        return FaceTable(Ragged.of(labels, sizes), cells)
 
     def zones(self) -> Iterator[FaceZone]:
         first = 0
@@ -209,29 +211,25 @@ def _closing(text: bytes, at: int) -> int:
 
 def _table(words: ndarray, kind: int) -> FaceTable:
     if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
-        begins = []
-        at = 0
-        counts = words.tolist()
-        while at < len(counts):
-            if counts[at] < 2:
-                raise ValueError(f"a face of {counts[at]} nodes")
-            begins.append(at)
-            at += counts[at] + 3
-        if at != len(counts):
-            raise ValueError("faces that are cut short")
-        first = np.array(begins, np.int64) + 1
+        first = heads_of(words, _width) + 1
         sizes = words[first - 1]
+        if (first[-1:] + sizes[-1:] + 2 != len(words)).any():
+            raise ValueError("faces that are cut short")
     else:
         rows, rest = divmod(len(words), kind + 2)
         if rest or kind < 2:
             raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
         first = (kind + 2) * np.arange(rows)
         sizes = np.full(rows, kind)
-    return FaceTable(
-        words[spread(first, first + sizes)[0]],
-        sizes,
-        words[(first + sizes)[:, None] + np.arange(2)],
-    )
+    places, _ = spread(first, first + sizes)
+    cells = words[(first + sizes)[:, None] + np.arange(2)]
+    return FaceTable(Ragged.of(words[places], sizes), cells)
+
+
+def _width(count: int) -> int:
+    if count < 2:
+        raise ValueError(f"a face of {count} nodes")
+    return count + 3
 
 
 def mesh_of(
@@ -261,8 +259,8 @@ def mesh_of(
 def _patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
     for number, name, kind, rows in zones:
         if kind != KINDS[INTERIOR]:
-            places, _ = spread(faces.starts[rows], faces.starts[rows + 1])
-            yield Patch(name, f"zone_{number}", faces.labels[places])
+            own = Ragged(faces.labels, faces.starts).take(rows)
+            yield Patch(name, f"zone_{number}", own.values)
 
 
 def _notes(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
@@ -275,7 +273,7 @@ def _notes(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
 def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
     if KINDS[PARENT] in [zone.kind for zone in zones]:
         raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
-    labels = table.labels
+    labels = table.nodes.values
     cells = table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
@@ -297,12 +295,11 @@ def _outward(table: FaceTable, points: ndarray) -> Faces:
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.
     """
     first, second = table.cells.T - 1
-    starts = np.append(0, np.cumsum(table.sizes))
-    labels = table.labels - 1
-    labels = _reversed(labels, starts, first < 0)
-    faces = Faces(
-        labels, starts, np.where(first < 0, second, first), np.where(first < 0, -1, second)
-    )
+    rows = Ragged(table.nodes.values - 1, table.nodes.starts).turned(first < 0)
+    labels = rows.values
+    starts = rows.starts
+    owner = np.where(first < 0, second, first)
+    faces = Faces(labels, starts, owner, np.where(first < 0, -1, second))
     if points.shape[1] == 2 and (faces.sizes != 2).any():
         raise ValueError("faces of more than two nodes in a mesh of two dimensions.")
     here = points[labels]
@@ -315,15 +312,8 @@ def _outward(table: FaceTable, points: ndarray) -> Faces:
         size = np.einsum("fi,fi->f", areas, here[starts[:-1]])[is_outer].sum()
     if not np.isfinite(size):
         raise ValueError("coordinates of its nodes are not finite.")
-    return dataclasses.replace(
-        faces, labels=_reversed(labels, starts, np.full(len(first), size < 0))
-    )
-
-
-def _reversed(labels: ndarray, starts: ndarray, chosen: ndarray) -> ndarray:
-    rows, which = spread(starts[:-1], starts[1:])
-    back = starts[which] + starts[which + 1] - 1 - rows
-    return labels[np.where(chosen[which], back, rows)]
+    turned = rows.turned(np.full(len(first), size < 0))
+    return dataclasses.replace(faces, labels=turned.values)
 
 
 def _plane_cells(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmorph._host.ragged import Ragged
 from jaxmorph._mesh.exchange import Parts
 
 from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
@@ -62,7 +63,7 @@ def _table(mesh: Any) -> FaceTable:
             cells[first : first + len(array), column] = array[()]
     if sizes.min() < 2 or sizes.sum() != len(labels):
         raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
-    return FaceTable(labels, sizes, cells)
+    return FaceTable(Ragged.of(labels, sizes), cells)
 
 
 def _zones(faces: Any) -> Iterator[FaceZone]:

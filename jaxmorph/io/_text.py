@@ -119,7 +119,7 @@ class Section(NamedTuple):
         for chunk in chunks(self.text, self.start, self.stop):
             yield from chunk.removesuffix(b"\n").split(b"\n")
 
-    def blocks(self, dtype: type) -> Iterator["Rows"]:
+    def blocks(self, dtype: type) -> Iterator["NumberRows"]:
         row = 0
         for chunk in chunks(self.text, self.start, self.stop):
             counts = scan(chunk)[2]
@@ -127,15 +127,15 @@ class Section(NamedTuple):
             if len(values) != counts.sum():
                 raise self._not_a_number(dtype)
             if len(counts):
-                yield Rows(self, values, counts, row)
+                yield NumberRows(self, values, counts, row)
             row += len(counts)
 
-    def rows(self, dtype: type) -> "Rows":
-        blocks = [Rows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
+    def rows(self, dtype: type) -> "NumberRows":
+        blocks = [NumberRows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
         values, counts = (
             [getattr(block, name) for block in blocks] for name in ("values", "counts")
         )
-        return Rows(self, np.concatenate(values), np.concatenate(counts))
+        return NumberRows(self, np.concatenate(values), np.concatenate(counts))
 
     def _not_a_number(self, dtype: type) -> ValueError:
         kind, what = (
@@ -152,7 +152,7 @@ class Section(NamedTuple):
         return self.error("the rows that follow hold something that is not a number.")
 
 
-class Rows(NamedTuple):
+class NumberRows(NamedTuple):
     """Lines of a section with numbers, from number `row` on: all `values`, `counts` a line."""
 
     section: Section

@@ -191,10 +191,3 @@ def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
     """Rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
     return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))
-
-
-def rows_among(known: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds the row of each id among the `known` ones; -1 where it is absent."""
-    order = np.argsort(known, kind="stable")
-    rows = order[np.minimum(np.searchsorted(known, ids, sorter=order), len(order) - 1)]
-    return np.where(known[rows] == ids, rows, -1)

@@ -5,6 +5,8 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from ..rows import Rows
+
 T = TypeVar("T")
 
 
@@ -87,9 +89,8 @@ class Agreement:
         )
         self.ids, first = np.unique(np.concatenate(ids_sent), return_index=True)
         self.values = np.concatenate(values_sent)[first]
-        answers = self.ranks.alltoall(
-            [self.values[np.searchsorted(self.ids, names)] for names, _ in received]
-        )
+        known = Rows(self.ids)
+        answers = self.ranks.alltoall([self.values[known.of(names)] for names, _ in received])
         common = values.copy()
         for row, answer in zip(rows, answers, strict=True):
             common[row] = answer

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ..cells.topology import Pair
+from ..rows import first_of_equals
 from .cores import cores
 
 SAME = 1e-9  # relative difference up to which two numbers count as equal
@@ -64,8 +65,7 @@ def distinct(points: np.ndarray) -> Pair:
     """Each place's first point (k,), and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)
-    _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return first, place.ravel()
+    return first_of_equals(rows)
 
 
 def first_largest(values: np.ndarray, slack: float | None = None) -> int:
@@ -116,12 +116,6 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
     """Sorts points by their coordinates, so that results do not depend on the order given."""
     slack = resolution(points)
     return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
-
-
-def rows_in(ids: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The row in `ids` (k,) of each of `wanted`, which are all among them."""
-    order = np.argsort(ids, kind="stable")
-    return order[np.searchsorted(ids[order], wanted)]
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:

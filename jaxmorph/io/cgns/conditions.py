@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._joined import block_ids
-from .zone import Condition, Ragged, Zone, children, data, first, word
+from .zone import Condition, Zone, children, data, first, word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
 SYMMETRY = "BCSymmetryPlane"
@@ -122,8 +122,8 @@ def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
             yield condition.patch, nodes
     if not zone.conditions and not any(interfaces(zone)):
         for section in zone.outer_sections():
-            if not isinstance(section.vertices, Ragged):
-                yield section.section, section.vertices.ravel()
+            if not section.is_of_faces:
+                yield section.section, section.vertices.values
 
 
 def _joints(zone: Zone) -> set[bytes]:
@@ -225,7 +225,7 @@ def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> 
         rows = (np.arange(low[0], high[0] + 1) if len(start) == 1 else low[low <= high]) - begin
         count += len(rows)
         if section.dimension < zone.content.dimension:
-            nodes.append(section.vertices[rows].ravel())
+            nodes.append(section.vertices.take(rows).values)
         else:
             solid += len(rows)
     missing = (stop - start + 1).sum() - count

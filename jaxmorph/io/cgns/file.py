@@ -137,11 +137,7 @@ def _left(zones: list[Zone], found: list[Connection], patches: Members) -> Itera
     inside = np.zeros(zones[-1].rows.stop, bool)
     inside[np.concatenate([np.zeros(0, np.int64), *itertools.chain(*patches.values())])] = True
     sections = itertools.chain(*(zone.outer_sections() for zone in zones))
-    outside = [
-        each.section
-        for each in sections
-        if not inside[getattr(each.vertices, "values", each.vertices)].all()
-    ]
+    outside = [each.section for each in sections if not inside[each.vertices.values].all()]
     if outside and any(zone.conditions for zone in zones):
         names = ", ".join(dict.fromkeys(outside))
         yield f"no boundary condition has all faces of the sections {names}: they are in unnamed."

@@ -7,30 +7,18 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.cells import topology
-from jaxmorph._host.cells.adjacency import rows_among
 from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
+from jaxmorph._host.ragged import Ragged
+from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.faces import Faces
-from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
 from .._joined import block_cells, block_ids, block_sides
 from .._text import decoded
 from .._tree import Coordinates, text_of
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Ragged:
-    """Rows of different lengths: all `values`, and where each row begins (one more `start`)."""
-
-    values: np.ndarray
-    starts: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.starts) - 1
-
-    def __getitem__(self, rows: np.ndarray) -> np.ndarray:
-        return self.values[spread(self.starts[rows], self.starts[rows + 1])[0]]
 
 
 class Block(NamedTuple):
@@ -41,17 +29,15 @@ class Block(NamedTuple):
     """
 
     kind: str
-    corners: np.ndarray
-    cell: np.ndarray | None = None
+    corners: ndarray
+    cell: ndarray | None = None
 
 
-def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
+def _sides(numbers: ndarray, cells: list[Ragged]) -> ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
-    cell = np.repeat(
-        np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells])
-    )
-    face = rows_among(numbers, np.abs(used))
+    cell = Ragged.of(used, np.concatenate([rows.sizes for rows in cells])).row
+    face = Rows(numbers).of(np.abs(used))
     if (face < 0).any():
         raise ValueError("NFACE_n names faces that are in no section NGON_n")
     sides = np.full((2, len(numbers)), -1)
@@ -61,16 +47,13 @@ def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
     return sides
 
 
-def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
+def _faces(corners: Ragged, sides: ndarray) -> Faces:
     """Makes faces of those that have a cell; one with a cell only behind it is turned round."""
     turned = (sides[0] < 0) & (sides[1] >= 0)
-    has_cell = sides.max(axis=0) >= 0
-    ends = np.cumsum(sizes)
-    starts = ends - sizes
-    rows, which = spread(starts, ends)
-    rows = np.where(turned[which], (starts + ends - 1)[which] - rows, rows)[has_cell[which]]
+    has_cell = np.flatnonzero(sides.max(axis=0) >= 0)
     owner, neighbour = np.where(turned, sides[::-1], sides)[:, has_cell]
-    return Faces(labels[rows], np.append(0, np.cumsum(sizes[has_cell])), owner, neighbour)
+    rows = corners.turned(turned).take(has_cell)
+    return Faces(rows.values, rows.starts, owner, neighbour)
 
 
 TYPES = {
@@ -144,7 +127,7 @@ def first(group: Any, *labels: str) -> Any:
     return next((child for _, child in children(group, *labels)), None)
 
 
-def data(group: Any) -> np.ndarray:
+def data(group: Any) -> ndarray:
     return group[" data"][()]
 
 
@@ -155,7 +138,9 @@ def word(group: Any, default: str = "") -> str:
 class ElementSection(NamedTuple):
     section: str
     dimension: int
-    vertices: Any
+    vertices: Ragged
+    is_of_faces: bool
+    """True for polygons, and for polyhedra by their faces."""
 
 
 class ZoneContent(NamedTuple):
@@ -167,7 +152,7 @@ class ZoneContent(NamedTuple):
 
     blocks: list[Block]
     elements: dict[int, ElementSection]
-    sides: Sequence[np.ndarray] = ()
+    sides: Sequence[ndarray] = ()
     whole: Polyhedra | None = None
     dimension: int = 3
 
@@ -246,7 +231,7 @@ class Zone:
             for axis, values in enumerate(sets)
         ]
 
-    def cells(self, points: np.ndarray) -> ZoneContent:
+    def cells(self, points: ndarray) -> ZoneContent:
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
@@ -256,53 +241,54 @@ class Zone:
             return ZoneContent([Block(*block_cells(ids))], {}, block_sides(ids))
         blocks = []
         elements = {}
-        polygons = []
+        polygons: dict[int, tuple[Ragged, ndarray]] = {}
         volumes = []
         for name, node in children(self.group, "Elements_t"):
             section = _Section(self, name, node)
             if section.kind == NFACE:
                 volumes.append(section.ragged(least=4))
-                elements[section.start] = ElementSection(name, 3, volumes[-1])
+                elements[section.start] = ElementSection(name, 3, volumes[-1], True)
             elif section.kind == NGON:
                 rows = section.ragged(least=3)
                 section.check(rows.values)
-                numbers = section.start + np.arange(len(rows))
-                polygons.append(
-                    (numbers, rows.values - 1, np.diff(rows.starts), section.parents(len(rows)))
-                )
-                elements[section.start] = ElementSection(
-                    name, 2, Ragged(rows.values - 1 + self.first, rows.starts)
-                )
+                polygons[section.start] = rows, section.parents(len(rows))
+                nodes = Ragged(rows.values - 1 + self.first, rows.starts)
+                elements[section.start] = ElementSection(name, 2, nodes, True)
             else:
                 for begin, number, corners in section.runs():
                     ids = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
-                    elements[begin] = ElementSection(name, DIMENSION[number], ids)
+                    nodes = Ragged.of(ids.ravel(), np.full(len(ids), ids.shape[1]))
+                    elements[begin] = ElementSection(name, DIMENSION[number], nodes, False)
                     blocks.append(Block(TYPES[number], ids))
         return self._with_polyhedra(ZoneContent(blocks, elements), polygons, volumes, points)
 
     def _with_polyhedra(
-        self, content: ZoneContent, polygons: list[tuple], volumes: list[Ragged], points: np.ndarray
+        self,
+        content: ZoneContent,
+        polygons: dict[int, tuple[Ragged, ndarray]],
+        volumes: list[Ragged],
+        points: ndarray,
     ) -> ZoneContent:
-        """Adds the cells of NFACE_n, or else of the parents of faces.
+        """Adds the cells of NFACE_n, or else of the parents of faces, 0 for none.
 
-        Of each section `polygons` has numbers, vertices, sizes and parents, 0 for none, of faces.
+        `polygons` are faces and their parents by the number of the first face.
         """
         if not polygons:
             return content
-        numbers, labels, sizes, parents = map(np.concatenate, zip(*polygons, strict=True))
+        corners, parents = zip(*polygons.values(), strict=True)
+        parents = np.concatenate(parents)
         if not volumes and not parents.any():
             return content
+        labels = np.concatenate([rows.values for rows in corners]) - 1
+        rows = Ragged.of(labels, np.concatenate([rows.sizes for rows in corners]))
+        numbers = [first + np.arange(len(own)) for first, (own, _) in polygons.items()]
         try:
             if volumes:
-                sides = _sides(numbers, volumes)
+                sides = _sides(np.concatenate(numbers), volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
-                sides = (
-                    np.unique(np.append(0, parents), return_inverse=True)[1][1:]
-                    .reshape(parents.shape)
-                    .T
-                    - 1
-                )
-            faces = _faces(labels, sizes, sides)
+                place = np.unique(np.append(0, parents), return_inverse=True)[1][1:]
+                sides = place.reshape(parents.shape).T - 1
+            faces = _faces(rows, sides)
             cells_by_type, whole = cells_of_faces(faces, points)
         except ValueError as error:
             raise self.error(str(error)) from error
@@ -328,7 +314,7 @@ class _Section:
     def error(self, message: str) -> ValueError:
         return self.zone.error(f"section {self.name} {message}")
 
-    def check(self, vertices: np.ndarray) -> None:
+    def check(self, vertices: ndarray) -> None:
         if vertices.size and (vertices.min() < 1 or vertices.max() > self.zone.count):
             raise self.error(f"names vertices beyond 1 to {self.zone.count}")
 
@@ -344,33 +330,21 @@ class _Section:
                 f"the offsets of section {self.name} do not cut its {len(values)} numbers into "
                 f"{self.count} rows"
             )
-        else:  # the last row may be cut short
-            counts = []
-            at = 0
-            numbers = values.tolist()
-            while at < len(numbers):
-                counts.append(at)
-                at += 1 + max(numbers[at], 0)
-            rows = Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))
+        else:
+            rows = Ragged.counted(values)
             fault = (
                 f"section {self.name} has no ElementStartOffset, and its {len(values)} numbers "
                 f"are not {self.count} rows"
             )
-        starts = rows.starts
-        sizes = np.diff(rows.starts)
-        if (
-            len(rows) != self.count
-            or starts[0]
-            or starts[-1] != len(rows.values)
-            or (sizes < least).any()
-        ):
+        ends = rows.starts[[0, -1]].tolist()
+        if len(rows) != self.count or ends != [0, len(rows.values)] or (rows.sizes < least).any():
             raise self.zone.error(
                 f"{fault} of {least} numbers or more, each behind its count before version 4 of "
                 "CGNS"
             )
         return rows
 
-    def parents(self, count: int) -> np.ndarray:
+    def parents(self, count: int) -> ndarray:
         """Reads the numbers (count, 2) of the cells on both sides of each face, 0 for none."""
         cells = (
             data(self.node["ParentElements"])
@@ -381,7 +355,7 @@ class _Section:
             raise self.error(f"has ParentElements for {cells.size // 2} of its {count} faces")
         return cells.T
 
-    def runs(self) -> Iterator[tuple[int, int, np.ndarray]]:
+    def runs(self) -> Iterator[tuple[int, int, ndarray]]:
         """Yields elements of one type after another: number of the first, type, vertices."""
         start = self.start
         at = 0
