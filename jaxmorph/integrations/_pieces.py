@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import solid, together
@@ -19,8 +20,8 @@ def check_comm(comm: Any) -> None:
 
 
 def faces_of(
-    comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray
-) -> dict[str, np.ndarray] | None:
+    comm: Any, mesh: jm.Mesh | None, nodes: ndarray, is_shared: ndarray
+) -> dict[str, ndarray] | None:
     """Finds a piece's boundary faces (k, corners) by type, from whole ids (n,); or None."""
     if len(set(comm.allgather(mesh is None))) > 1:
         raise ValueError(
@@ -34,7 +35,7 @@ def faces_of(
     marked = _marked(comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared)
     cells = {kind: ids[is_first] for kind, ids, is_first, _ in marked}
 
-    def outer() -> dict[str, np.ndarray]:
+    def outer() -> dict[str, ndarray]:
         if mesh.polyhedra is not None and mesh.between is None and comm.size > 1:
             raise ValueError(
                 "polyhedra do not tell which of their faces other pieces have: read the piece by "
@@ -51,8 +52,8 @@ def faces_of(
 
 
 def _marked(
-    comm: Any, cells: Mapping[str, Any], nodes: np.ndarray, is_shared: np.ndarray
-) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+    comm: Any, cells: Mapping[str, Any], nodes: ndarray, is_shared: ndarray
+) -> Iterator[tuple[str, ndarray, ndarray, ndarray]]:
     """Yields cells or faces by type with two marks: first in this piece, also in others."""
     widths = comm.allgather({kind: np.shape(ids)[1] for kind, ids in cells.items()})
     for kind, width in sorted({pair for share in widths for pair in share.items()}):
@@ -64,7 +65,7 @@ def _marked(
         yield kind, corners, is_first, is_twice
 
 
-def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def owned(comm: Any, keys: ndarray) -> tuple[ndarray, ndarray]:
     """Marks keys, ids (k,) or rows (k, c), that this process has first, or others have too."""
     # Keys go to their keeper, which finds the first of equal keys in the order of the processes.
     # Its answers go back in the order in which it was asked.
@@ -91,8 +92,8 @@ class WholeSurface:
     parallel planes or on boundary faces. The outermost points, with id -1, are last.
     """
 
-    points: np.ndarray
-    names: np.ndarray
+    points: ndarray
+    names: ndarray
     moving: int
     listed: int
     known: int
@@ -102,13 +103,13 @@ class WholeSurface:
         moving, fixed = np.split(np.arange(self.listed), [self.moving])
         return jm.Boundary(self.points, moving, fixed, symmetry=symmetry, free=free)
 
-    def rows(self, ids: np.ndarray) -> np.ndarray:
+    def rows(self, ids: ndarray) -> ndarray:
         order = np.argsort(self.names, kind="stable")
         return order[np.searchsorted(self.names, ids, sorter=order)]
 
 
 def surface_of(
-    comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[str, np.ndarray] | None
+    comm: Any, boundary: jm.Boundary, ids: ndarray, faces: dict[str, ndarray] | None
 ) -> WholeSurface:
     """Gathers the surface of all pieces; of this one `boundary`, whose points have the `ids` (n,).
 

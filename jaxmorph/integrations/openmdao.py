@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import shapes
@@ -222,7 +223,7 @@ def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
 
 def add_parameters(
     component: Any, parameters: PyTree, **options: Any
-) -> dict[str, Float[np.ndarray, "..."]]:
+) -> dict[str, Float[ndarray, "..."]]:
     leaves = jax.tree_util.tree_leaves_with_path(parameters)
     arrays = {_name(path): np.asarray(leaf, float) for path, leaf in leaves}
     for name, values in arrays.items():

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
@@ -79,7 +80,7 @@ Names = dict[tuple[int | None, int], str]
 """Names of physical groups by dimension and tag; None: of any dimension."""
 Groups = dict[tuple[int, int], list[int]]
 """Tags of the physical groups of an entity, by its dimension and tag."""
-Nodes = tuple[np.ndarray, np.ndarray]
+Nodes = tuple[ndarray, ndarray]
 """Tags of nodes, and the place of each one's x."""
 
 
@@ -105,7 +106,7 @@ class ElementBlock(NamedTuple):
     """Elements of one type: node tags (k, corners), and the rows of each physical group."""
 
     kind: str
-    corners: np.ndarray
+    corners: ndarray
     groups: dict[int, Any]
 
 
@@ -113,7 +114,7 @@ class _Found:
     def __init__(self, form: MeshFormat):
         self.form, self.content, self.labels = form, None, None
         self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
-        self.links: list[tuple[int, np.ndarray]] = []
+        self.links: list[tuple[int, ndarray]] = []
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
@@ -179,7 +180,7 @@ def read(path: pathlib.Path) -> Parts:
     return of_grid(path, grid, Source(path, NAME, content, notes=notes, **known), patches)
 
 
-def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, np.ndarray]]:
+def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, ndarray]]:
     """Yields the dimension of each periodic pair of entities, and tags (k, 2): node, its origin."""
     if form.version <= 4:  # of the transform there are words
         text = blanked(section.content, rb"(?m)^[ \t]*Affine[^\n]*")
@@ -195,9 +196,7 @@ def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, np.ndarray]
     stream.end()
 
 
-def _periodic(
-    sides: list[np.ndarray], tags: np.ndarray, patches: list[Patch]
-) -> Iterator[Periodic]:
+def _periodic(sides: list[ndarray], tags: ndarray, patches: list[Patch]) -> Iterator[Periodic]:
     """Yields pairs of patches: for each pair of entities the smallest patches that hold them."""
     names = collections.Counter(patch.name for patch in patches)
     own = sorted((p for p in patches if names[p.name] == 1), key=lambda patch: len(patch.nodes))
@@ -213,7 +212,7 @@ def _periodic(
 
 
 def grid_of(
-    points: np.ndarray, blocks: list[ElementBlock], names: Names
+    points: ndarray, blocks: list[ElementBlock], names: Names
 ) -> tuple[Grid, list[Patch], tuple[str, ...]]:
     """Makes a grid, patches of the groups of lower dimension, and a note on the others."""
     groups = list(_groups(blocks, names))
@@ -420,7 +419,7 @@ def _kind(number: int) -> tuple[str, int]:
     return TYPES[number], CORNERS.get(TYPES[number], 1)
 
 
-def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
+def _lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c): of version 2 in text, and of version 1.
 
     Lines are number, type, tags and nodes. In version 2 the number of tags comes before them, in
@@ -457,7 +456,7 @@ def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
         yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
 
 
-def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
+def _old_blocks(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c), of the blocks of version 2, binary."""
     left = stream.announced()
     numbers = []
@@ -478,7 +477,7 @@ def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
         Labels(np.concatenate(numbers), "elements")
 
 
-def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
+def _of_tags(kind: str, corners: ndarray, table: ndarray) -> ElementBlock:
     """Finds groups by tags of group (0: none) and entity; elements of two groups are read once."""
     physical = np.abs(table[:, 0])
     tags = np.unique(physical[physical > 0]).tolist()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import checked, complete, output_path, rows_of
@@ -79,7 +80,7 @@ def _moved(mesh: jm.Mesh, places: Places) -> Ids:
     )
 
 
-def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: np.ndarray) -> None:
+def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: ndarray) -> None:
     nodes = np.union1d(moving, mesh.patch(*body_patches(mesh)))
     only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
     _save(path, before_after_3d(only, places, patch="drawn" if len(nodes) else None))
@@ -104,7 +105,7 @@ def _of_cells(verdict: jm.Verdict) -> Column:
     return values
 
 
-def _in_2d(path: pathlib.Path, side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> None:
+def _in_2d(path: pathlib.Path, side: "FlatSide", moving: ndarray, verdict: jm.Verdict) -> None:
     mesh = side.mesh
     name = _measure(verdict)
     label = name.replace("_", " ")

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 from scipy.spatial import Delaunay
 
 import jaxmorph as jm
@@ -50,7 +51,7 @@ except ImportError as error:
     ) from error
 
 Window = tuple[tuple[float, float], tuple[float, float]]
-Outlines = Float[np.ndarray, "_ c 2"]
+Outlines = Float[ndarray, "_ c 2"]
 
 # widths of lines in points: of cells, a sixth of the cell; of walls
 THINNEST = 0.01
@@ -220,7 +221,7 @@ class PlaneCells:
     """
 
     points: Places
-    ids: Int[np.ndarray, "k 4"]
+    ids: Int[ndarray, "k 4"]
     cell: Ids
     whole: Ids
     steps: int
@@ -261,7 +262,7 @@ class PlaneCells:
         """Lists the cells in a given window; else all, for views that move."""
         return np.arange(len(self.ids)) if window is None else seen_in(self.outlines, window)
 
-    def edges(self, cells: Ids) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def edges(self, cells: Ids) -> tuple[ndarray, ndarray, ndarray]:
         """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""
         ids = self.ids[cells]
         ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

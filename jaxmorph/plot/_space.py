@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import checked, lagrange_types
@@ -33,7 +34,7 @@ LIT = {"ambient": 0.4, "diffuse": 0.7}
 PLAIN = LIT | {"color": GREY}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
 
-Direction = Sequence[float] | np.ndarray
+Direction = Sequence[float] | ndarray
 
 # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
 VIEWER = (-1.0, -2.5, 1.8)
@@ -159,7 +160,7 @@ def cut(
     return drawn
 
 
-def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:
+def _cropped(section: Any, body: ndarray | None, axes: Sequence[ndarray]) -> Any:
     if body is None:
         return section
     room = ROOM * max(np.ptp(body @ axis) for axis in axes)
@@ -219,7 +220,7 @@ def _in_front(actor: Any) -> None:
     actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -200)
 
 
-def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
+def viewer_of(part: Any, motion: ndarray | None = None) -> ndarray:
     """Chooses the viewer's direction: not into an open surface, but across a motion (3,)."""
     only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
     viewer = np.array(VIEWER)
@@ -354,7 +355,7 @@ def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
     plotter.renderer.reset_camera_clipping_range()
 
 
-def view_axes(viewer: Direction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def view_axes(viewer: Direction) -> tuple[ndarray, ndarray, ndarray]:
     """Returns unit vectors to the viewer, right, and up in the picture: z, or y seen along z."""
     towards = np.array(viewer) / np.linalg.norm(viewer)
     across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
@@ -382,7 +383,7 @@ def pyvista() -> Any:
     return pyvista
 
 
-def lines_of(points: Any, ids: np.ndarray) -> Any:
+def lines_of(points: Any, ids: ndarray) -> Any:
     return pyvista().PolyData(points, lines=np.insert(ids, 0, 2, axis=1).ravel())
 
 
@@ -417,7 +418,7 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
     return faces
 
 
-def _skin(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]) -> Any:
+def _skin(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -> Any:
     surface, owner = mesh.moved(places).skin(*patches)
     if not len(owner):
         return pyvista().PolyData()
@@ -437,7 +438,7 @@ def _skin(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]
     return pyvista().wrap(used.GetOutput())
 
 
-def _polygons(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]) -> Any:
+def _polygons(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -> Any:
     """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
     whole: Any = mesh.polyhedra
     whole = whole.faces
@@ -461,7 +462,7 @@ def _polygons(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[
     return faces
 
 
-def _space_points(mesh: jm.Mesh, points: Any) -> np.ndarray:
+def _space_points(mesh: jm.Mesh, points: Any) -> ndarray:
     if mesh.points.shape[1] != 3:
         raise ValueError(
             f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`."
@@ -469,9 +470,7 @@ def _space_points(mesh: jm.Mesh, points: Any) -> np.ndarray:
     return finite_points(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
 
 
-def _near_plane(
-    mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray
-) -> Any:
+def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: ndarray, origin: ndarray) -> Any:
     """Returns solid cells that a plane may cut, curved ones in pieces; `whole` are the file's."""
     x = _space_points(mesh, points)
     kinds = lagrange_types()

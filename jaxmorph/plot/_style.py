@@ -5,14 +5,15 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Real
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import finite_array, lagrange_types
 
 Limits = tuple[float | int, float | int]
-Column = Float[np.ndarray, " k"]
-Places = Float[np.ndarray, "_ d"]
-Ids = Int[np.ndarray, " _"]
+Column = Float[ndarray, " k"]
+Places = Float[ndarray, "_ d"]
+Ids = Int[ndarray, " _"]
 Values = Real[Any, " k"] | Sequence[float | int]
 
 DARK = "#1b1b1b"
@@ -44,7 +45,7 @@ SEGMENTS = 4  # pieces of a curved edge, for each order of its polynomial
 MOST_PIECES = 1_000_000  # of a picture
 
 
-def finite_points(points: Any) -> np.ndarray:
+def finite_points(points: Any) -> ndarray:
     array = np.asarray(points, dtype=float)
     return finite_array("points", array, array.shape)
 
@@ -63,7 +64,7 @@ def refined(mesh: jm.Mesh, most: int = MOST_PIECES) -> tuple[jm.Mesh, Ids]:
     return mesh.refined(order * int(np.clip((most / count) ** (1 / dimension), 1, SEGMENTS)))
 
 
-def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
+def cell_values(mesh: jm.Mesh, values: Any) -> ndarray:
     """Returns a value for each of `mesh.cells`, from one a cell, or one a whole polyhedron."""
     ids = np.asarray(mesh.cell_ids)
     shape = np.shape(values)
@@ -78,7 +79,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
 
 
 def scale_of(
-    values: Real[np.ndarray, " k"], sizes: Column, limits: Limits | None
+    values: Real[ndarray, " k"], sizes: Column, limits: Limits | None
 ) -> tuple[str, Limits, bool, bool]:
     """Returns the colour map, reversed where the dark end is smaller, its limits, ascending, and
     whether values are below them, and above.
@@ -95,7 +96,7 @@ def scale_of(
     return colours, (low, high), bool(np.any(values < low)), bool(np.any(values > high))
 
 
-def _usual_limits(values: Real[np.ndarray, " k"], sizes: Column) -> Limits:
+def _usual_limits(values: Real[ndarray, " k"], sizes: Column) -> Limits:
     """Returns the least and largest value without outliers: 1 % of the area would pale others."""
     chosen = np.isfinite(values)
     values = values[chosen].astype(float)

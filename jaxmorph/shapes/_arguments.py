@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
+from numpy import ndarray
 
 from jaxmorph.extend import Module, finite_array, is_known
 from jaxmorph.extend import rows_of as listed_rows
@@ -44,7 +45,7 @@ def cast(module: M, x: Positions) -> M:
     )
 
 
-def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
+def known_positions(x: Numbers, name: str = "x") -> Float[ndarray, "m d"]:
     """Turns positions that can be read into a finite array (m, d) of NumPy."""
     places = positions(x, name)
     check_known(**{name: places})
@@ -66,7 +67,7 @@ def check_parameters(parameters: Any) -> None:
             )
 
 
-def rows_like(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
+def rows_like(name: str, ids: Any, count: int) -> Int[ndarray, "..."]:
     try:
         array = np.asarray(ids)
     except ValueError:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -34,7 +35,7 @@ from ._arguments import (
 from ._shape import AbstractLinearShape, Linked, Move
 
 Control = Float[Array, "..."]  # (*counts, d)
-Mask = Bool[np.ndarray, "..."]
+Mask = Bool[ndarray, "..."]
 Groups = Sequence[Sequence[tuple[int, ...]]]
 Counts = Sequence[int]
 Degree = int | Sequence[int | None] | None
@@ -207,7 +208,7 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def linked(
-        self, *, free: np.ndarray | None = None, groups: Groups = (), mirror: int | None = None
+        self, *, free: ndarray | None = None, groups: Groups = (), mirror: int | None = None
     ) -> Linked:
         """Makes a shape with fewer parameters (q,): frozen, linked and mirrored control points.
 
@@ -287,8 +288,8 @@ def _lattice_of(counts: Counts, degree: Degree, d: int) -> tuple[tuple[int, ...]
 
 
 def _link_matrix(
-    free: Mask, groups: Groups, mirror: tuple[int, np.ndarray] | None
-) -> Float[np.ndarray, "p q"]:
+    free: Mask, groups: Groups, mirror: tuple[int, ndarray] | None
+) -> Float[ndarray, "p q"]:
     """Builds the matrix from free parameters to the flattened displacements of all controls.
     `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
     """
@@ -315,7 +316,7 @@ def _link_matrix(
     return matrix
 
 
-def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.ndarray]:
+def _reflection(axes: Float[ndarray, "d d"], mirror: int) -> tuple[int, ndarray]:
     if whole("mirror", mirror, 0) >= len(axes):
         raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
     edge = np.abs(axes[mirror])
@@ -395,7 +396,7 @@ class Hexahedron(AbstractLinearShape):
         return self.box.free
 
     @property
-    def given_corners(self) -> Float[np.ndarray, "c d"]:
+    def given_corners(self) -> Float[ndarray, "c d"]:
         return np.asarray(self.corners)[tuple(ORDER[len(self.counts)].T)]
 
     def neutral(self) -> Control:

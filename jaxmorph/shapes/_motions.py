@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy import ndarray
 
 from jaxmorph.extend import checked, finite_array, is_known
 
@@ -262,6 +263,6 @@ class ReferenceAxis(AbstractShape):
         return piecewise(y, stations, self.coefficients)
 
 
-def _unit_vector(name: str, values: Numbers) -> Float[np.ndarray, " 3"]:
+def _unit_vector(name: str, values: Numbers) -> Float[ndarray, " 3"]:
     known = finite_array(name, values, (3,))
     return known / np.linalg.norm(known)

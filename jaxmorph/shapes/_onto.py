@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy import ndarray
 from scipy import sparse
 from scipy.linalg import null_space
 from scipy.sparse.linalg import splu
@@ -22,7 +23,7 @@ from ._features import SAME, Borders, Clip, Planes, Rail, borders_of, clipped, g
 from ._smooth import stiffness_of
 
 Target = Facets | Callable
-Motion = tuple[np.ndarray, np.ndarray]
+Motion = tuple[ndarray, ndarray]
 
 FIRST = 0.5
 LAST = 0.01  # first and last length over the wall's extent
@@ -67,9 +68,9 @@ class Onto(Module):
     clips: tuple[Clip, ...]
     guides: tuple[Rail, ...]
     borders: Borders
-    turn: Float[Array | np.ndarray, "d d"]
-    shift: Float[Array | np.ndarray, " d"]
-    lengths: Float[Array | np.ndarray, " s"]
+    turn: Float[Array | ndarray, "d d"]
+    shift: Float[Array | ndarray, " d"]
+    lengths: Float[Array | ndarray, " s"]
     is_exact: bool = eqx.field(static=True)
 
     @checked
@@ -227,9 +228,7 @@ def _rotated(
     return (corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01))[..., :d]
 
 
-def _solved(
-    faces: np.ndarray, local: np.ndarray, weights: np.ndarray, right: np.ndarray
-) -> np.ndarray:
+def _solved(faces: ndarray, local: ndarray, weights: ndarray, right: ndarray) -> ndarray:
     m, d = right.shape
     places = [
         np.broadcast_to(ids, local.shape).ravel() for ids in (faces[:, :, None], faces[:, None])
@@ -293,7 +292,7 @@ def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Pla
     return best
 
 
-def _starts(x: np.ndarray, target: Target, planes: Sequence[Plane]) -> list[Motion]:
+def _starts(x: ndarray, target: Target, planes: Sequence[Plane]) -> list[Motion]:
     """From where the wall is, and with its axes laid on the target's, the smallest turn first."""
     d = x.shape[1]
     starts = [(np.eye(d), np.zeros(d))]
@@ -325,7 +324,7 @@ def _fitted(y, off, normals, motions, turn, shift):
     return *new, is_done
 
 
-def _free_motions(planes: Sequence[Plane], d: int) -> np.ndarray:
+def _free_motions(planes: Sequence[Plane], d: int) -> ndarray:
     """A basis (6, k) of turns and shifts that keep planes, and in 2-D that of the drawing."""
     rows = [np.zeros((1, 6))]
     for normal in [np.pad(plane.normal, (0, 3 - d)) for plane in planes] + [np.eye(3)[2]] * (3 - d):
@@ -344,7 +343,7 @@ def onto(
     symmetry: Planes = (),
     features: Sequence[Any] = (),
     length: float = 0.0,
-) -> Float[np.ndarray, "m d"]:
+) -> Float[ndarray, "m d"]:
     """Computes the displacement (m, d) of a wall's nodes onto a target, on the host.
 
     Arguments and errors are those of `Onto`, which is traced. `target.distance(x)` tells how far
@@ -363,7 +362,7 @@ def onto(
 COLLAPSED = 0.01  # share of a face's size that must be left, of the median of all
 
 
-def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
+def _check_one_to_one(made: Onto, x: ndarray, moved: ndarray) -> None:
     faces = np.asarray(made.wall.faces)
     before = made.wall.at(x)
     after = made.wall.at(moved)

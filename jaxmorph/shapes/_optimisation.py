@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from numpy import ndarray
 
 from jaxmorph import DesignedMesh
 from jaxmorph.extend import (
@@ -41,15 +42,15 @@ class QualityRows:
     - `cells` (k,): the cells, in the order of `quality`.
     """
 
-    values: Float[np.ndarray, " k"]
-    matrix: Float[np.ndarray, "k p"]
-    cells: Int[np.ndarray, " k"]
+    values: Float[ndarray, " k"]
+    matrix: Float[ndarray, "k p"]
+    cells: Int[ndarray, " k"]
 
 
 class LastDesign:
     """Mutable, so that a guard compares it by identity."""
 
-    value: Float[np.ndarray, " p"] | None = None
+    value: Float[ndarray, " p"] | None = None
 
 
 class MeshGuard(Module):
@@ -99,7 +100,7 @@ class MeshGuard(Module):
         """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
         return float(eqx.filter_jit(self.mesh.ratios)(_flat(design)).min())
 
-    def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
+    def gradient(self, design: Numbers) -> Float[ndarray, " p"]:
         """Computes the derivative by each design variable (p,), for NumPy."""
         return np.asarray(eqx.filter_jit(eqx.filter_grad(self))(_flat(design)), float)
 
@@ -223,17 +224,17 @@ class History:
         return len(self.rows)
 
     @property
-    def designs(self) -> Float[np.ndarray, "k p"]:
+    def designs(self) -> Float[ndarray, "k p"]:
         """The design variables of each iteration."""
         return np.array([row["design"] for row in self.rows], float).reshape(len(self), -1)
 
     @property
-    def values(self) -> Float[np.ndarray, " k"]:
+    def values(self) -> Float[ndarray, " k"]:
         """The objective of each iteration; NaN where it was not finite."""
         return np.array([row["value"] for row in self.rows], float)
 
     @checked
-    def column(self, name: str) -> Float[np.ndarray, "k *n"]:
+    def column(self, name: str) -> Float[ndarray, "k *n"]:
         """Collects one constraint or measure over the iterations; NaN where an iteration lacks it.
 
         **Raises:** `ValueError` for a name that no iteration has.

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from .lagrange import PLACES, inner_places, lagrange_types, lattice
 from .topology import SHAPES, numbers
@@ -19,13 +20,13 @@ class NodeOrder:
 
     edges: Sides
     faces: Sides
-    inner: Callable[[str, int], np.ndarray]
+    inner: Callable[[str, int], ndarray]
 
-    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
+    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> ndarray:
         return lattice(shape, order, is_complete, self.edges, self.faces, self.inner)
 
     @functools.cache  # noqa: B019
-    def places(self, kind: str) -> np.ndarray:
+    def places(self, kind: str) -> ndarray:
         """The place (k,) in the format's list of each node of the canonical order."""
         cell = lagrange_types()[kind]
         listed = self.lattice(cell.shape, cell.order, is_complete=cell.is_complete)
@@ -40,7 +41,7 @@ def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder |
     return ids if target is None else ids[:, np.argsort(target.places(kind))]
 
 
-def _as_gmsh(shape: str, order: int) -> np.ndarray:
+def _as_gmsh(shape: str, order: int) -> ndarray:
     """gmsh's inner lattice: the nodes of a cell of the order that is left."""
     if shape == "line":
         return inner_places(shape, order)
@@ -88,7 +89,7 @@ VTK_ORDER = NodeOrder(
 """The order of VTK's quadratic and Lagrange cells, from VTK 9 on: parametric coordinates."""
 
 
-def _spirals(shape: str, order: int) -> np.ndarray:
+def _spirals(shape: str, order: int) -> ndarray:
     """CGNS's inner lattice: layer by layer, each layer of a square in rings."""
     rows = inner_places(shape, order)
     if shape == "quad":
@@ -99,7 +100,7 @@ def _spirals(shape: str, order: int) -> np.ndarray:
     return rows
 
 
-def _spiral(square: np.ndarray) -> np.ndarray:
+def _spiral(square: ndarray) -> ndarray:
     """Orders a square's places in rings inwards, each from its least corner along axis 0."""
     low = 1
     high = square[:, :2].max(initial=0)
@@ -130,7 +131,7 @@ CGNS_ORDER = NodeOrder(
 
 
 class _Meshio(NodeOrder):
-    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
+    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> ndarray:
         origin = VTK_ORDER if order == 2 and not (shape == "pyramid" and is_complete) else GMSH
         return origin.lattice(shape, order, is_complete=is_complete)
 

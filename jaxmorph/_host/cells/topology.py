@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
+from numpy import ndarray
 
-Pair = tuple[np.ndarray, np.ndarray]
-ByType = Mapping[str, np.ndarray]  # cells or faces (k, nodes) by their type
+Pair = tuple[ndarray, ndarray]
+ByType = Mapping[str, ndarray]  # cells or faces (k, nodes) by their type
 
 CORNERS = {
     "line": 2,

@@ -4,6 +4,7 @@ import functools
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 from scipy import sparse
 
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
@@ -20,13 +21,13 @@ ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 class Pattern(NamedTuple):
     """The blocks of a matrix in compressed rows."""
 
-    starts: np.ndarray  # where rows begin
-    columns: np.ndarray  # column of every block
-    block: np.ndarray  # the block to which a pair of a cell's corners adds
-    order: np.ndarray  # row i belongs to node `order[i]`
+    starts: ndarray  # where rows begin
+    columns: ndarray  # column of every block
+    block: ndarray  # the block to which a pair of a cell's corners adds
+    order: ndarray  # row i belongs to node `order[i]`
 
 
-def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
+def pattern(cells: list[ndarray], n: int, dimension: int) -> Pattern:
     """Makes the pattern of cells, given by corner ids (k, c), type by type. Pairs of a type run
     over first corners, then over second corners, then, fastest, over cells.
     """
@@ -42,7 +43,7 @@ def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
     return Pattern(*(part.astype(np.int32) for part in (starts, columns, block, order)))
 
 
-def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rows(cells: list[ndarray], n: int) -> tuple[ndarray, ndarray, ndarray]:
     # Each pair of corners of a cell adds a block at (row, column). The key row * n + column is one
     # integer: unique keys are the matrix in CSR order, and their inverse the blocks' places.
     rows = [np.repeat(ids.T, ids.shape[1], axis=0).ravel() for ids in cells]
@@ -52,9 +53,7 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
     return np.searchsorted(unique // n, np.arange(n + 1)), unique % n, block
 
 
-def _solved(
-    accuracy: float | None, starts, columns, block, order, blocks, shift, right
-) -> np.ndarray:
+def _solved(accuracy: float | None, starts, columns, block, order, blocks, shift, right) -> ndarray:
     # The entries (a, b) of all blocks that fall on one place of the matrix are summed, then lie as
     # (d, d) blocks in CSR order; rows of nodes stand in `order`, and the solution is put back.
     n, d = right.shape
@@ -90,7 +89,7 @@ solve_exactly = functools.partial(_solved, 1e-10)
 """Solves as `solve`, to round-off or 1e-10; NaN if not positive, or without convergence."""
 
 
-def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.ndarray:
+def _factored(matrix: Any, right: ndarray, damping: tuple[float, ...]) -> ndarray:
     """Solves by pivots on the diagonal, with the first `damping` term that makes it positive."""
     for added in damping:
         factors = Factors(matrix + added * sparse.identity(len(right)), is_ordered=True)
@@ -99,7 +98,7 @@ def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.
     return np.full_like(right, np.nan) if len(damping) == 1 else right / damping[-1]
 
 
-def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
+def _iterated(matrix: Any, right: ndarray, accuracy: float) -> ndarray:
     """Solves by conjugate gradients, with the inverses of the blocks on the diagonal."""
     d = matrix.blocksize[0]
     rows = np.repeat(np.arange(len(right) // d), np.diff(matrix.indptr))

@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from scipy import sparse
 from scipy.sparse import linalg
 
@@ -21,7 +22,7 @@ RESORT = 60_000
 LATEST = 2  # number of the latest systems whose factors are cached
 
 
-def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
+def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> ndarray:
     """Solves A x = right for the free unknowns; x is zero for all other unknowns.
 
     - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
@@ -47,7 +48,7 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
 def inverse_of(system: tuple[tuple[tuple[int, ...], str, bytes], ...], multigrid: bool) -> Callable:
     """The solver of a system, whose arrays are given by their bytes."""
     pairs, values, diagonal, masses, free = (
-        np.ndarray(shape, dtype, data) for shape, dtype, data in system
+        ndarray(shape, dtype, data) for shape, dtype, data in system
     )
     if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
         return lambda right: np.full_like(right, np.nan)
@@ -110,7 +111,7 @@ def _matrix(pairs, values, diagonal, rows) -> Any:
     return kind((entries[chosen.data - 1], chosen.indices, chosen.indptr))
 
 
-def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operator:
+def _of_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
     """The solver of the `used` unknowns for right sides; other unknowns are zero."""
     diagonal = np.where(used, matrix.diagonal(), 1)
     if not (diagonal > 0).all():
@@ -136,7 +137,7 @@ def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operat
     return apply
 
 
-def _scale(matrix: Any, scale: np.ndarray) -> None:
+def _scale(matrix: Any, scale: ndarray) -> None:
     """Multiplies rows and columns by `scale`, in place; where it is 0, the diagonal becomes 1."""
     factor = scale.reshape(len(matrix.indptr) - 1, -1)
     data = matrix.data.reshape(-1, factor.shape[1], factor.shape[1])
@@ -146,9 +147,7 @@ def _scale(matrix: Any, scale: np.ndarray) -> None:
     data[owner == matrix.indices] += (factor == 0)[:, :, None] * np.eye(factor.shape[1])
 
 
-def iterated(
-    matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.ndarray
-) -> np.ndarray:
+def iterated(matrix: Any, right: ndarray, cycle: Operator | None, scale: ndarray) -> ndarray:
     """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
     wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
     error: a residual that is small beside stiff cells moves soft cells far.
@@ -168,7 +167,7 @@ def iterated(
     return x if is_solved else np.full_like(right, np.nan)
 
 
-def _cycle(matrix: Any, mode: np.ndarray) -> Operator:
+def _cycle(matrix: Any, mode: ndarray) -> Operator:
     """A matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
     d = len(mode) // (len(matrix.indptr) - 1)
     cycles = []
@@ -206,13 +205,13 @@ def _of_square(root: Any) -> Operator:
     return apply
 
 
-def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
+def reached(pairs: ndarray, known: ndarray) -> ndarray:
     """Marks the nodes (n,) that pairs (e, 2) connect to a node that is `known` (n,)."""
     part = parts_of(pairs[:, 0], pairs[:, 1], len(known))
     return np.bincount(part, known)[part] > 0
 
 
-def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
+def coincident(points: ndarray, first: ndarray) -> ndarray:
     """The point that represents each point's place (n,); one of `first` if there is any."""
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
     index, inverse = distinct(points[order])

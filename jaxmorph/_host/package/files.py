@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterator
 
 import numpy as np
+from numpy import ndarray
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
@@ -60,7 +61,7 @@ def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
         return a.resolve() == b.resolve()
 
 
-def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
+def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, ndarray]:
     """Reads arrays by name. Raises `ValueError` for objects, a damaged file, or not `what`."""
     with path.open("rb") as file:
         try:
@@ -82,7 +83,7 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
             ) from error
 
 
-def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+def real_array(path: pathlib.Path, arrays: dict[str, ndarray], name: str) -> ndarray:
     if arrays[name].dtype.kind not in "fiu":
         raise ValueError(
             f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected."

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from numpy import ndarray
 
 from ..rows import Rows
 
@@ -78,7 +79,7 @@ class Agreement:
         self.ranks = ranks
         self.ids, self.values = np.zeros(0, np.int64), np.zeros((0, 0))
 
-    def __call__(self, ids: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def __call__(self, ids: ndarray, values: ndarray) -> ndarray:
         """Returns common values (k, d) of ids (k,); all processes call it, also without nodes."""
         # The keeper of an id is the process `id % size`. Every process sends ids and values to
         # their keepers, which add new ids and answer with their values.

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy import ndarray
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
@@ -24,7 +25,7 @@ BATCH = 256  # candidates for the next nodes in a batch
 WIDTH = 8  # entries in a row of a sweep's table
 
 
-def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> Pair:
+def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
     """Orders nodes so that the next is always the farthest from its predecessors.
 
     Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
@@ -42,7 +43,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     nearest = np.arange(len(points))
     radius = np.zeros(len(points))
 
-    def approach(near: np.ndarray, node: np.ndarray) -> None:
+    def approach(near: ndarray, node: ndarray) -> None:
         """Updates distances and nearest nodes of nodes `near` that are nearer to `node`."""
         gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
         closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
@@ -91,12 +92,12 @@ class Share(AbstractReduction):
     def __post_init__(self):
         between("fraction", self.fraction, 0, 1, "(]")
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def __call__(self, points: ndarray) -> ndarray:
         count = int(np.ceil(self.fraction * len(points)))
         return FarthestPoints(count)(points) if count else np.zeros(0, dtype=np.int64)
 
 
-def _pairs_of_equals(numbers: np.ndarray) -> Pair:
+def _pairs_of_equals(numbers: ndarray) -> Pair:
     """All pairs of two different rows (k,) with equal numbers, both ways."""
     groups = np.unique(numbers, return_inverse=True)[1]
     member = sparse.csr_array((np.ones(len(numbers), bool), (np.arange(len(numbers)), groups)))
@@ -104,7 +105,7 @@ def _pairs_of_equals(numbers: np.ndarray) -> Pair:
     return first[first != second], second[first != second]
 
 
-def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
+def _farthest(distance: ndarray, least: float) -> ndarray:
     """Nodes with the largest distances above `least`, largest first; ties by first node."""
     count = min(BATCH, len(distance))
     last = np.partition(distance, -count)[-count]
@@ -112,9 +113,7 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
     return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:BATCH]]
 
 
-def overlaps(
-    points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
-) -> Pair:
+def overlaps(points: ndarray, centres: ndarray, radius: ndarray, targets: ndarray) -> Pair:
     """Pairs (target, centre) within the centre's radius (b,), by target, then centre."""
     tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     rank, target = tree.within(points[centres], radius[centres])
@@ -122,14 +121,14 @@ def overlaps(
     return target[order], centres[rank[order]]
 
 
-def _places_in_runs(*keys: np.ndarray) -> np.ndarray:
+def _places_in_runs(*keys: ndarray) -> ndarray:
     """The place of each entry (e,) in its run of entries with equal keys."""
     row = np.arange(len(keys[0]))
     begins = np.logical_or.reduce([np.diff(key, prepend=-1) != 0 for key in keys])
     return row - np.maximum.accumulate(np.where(begins, row, 0))
 
 
-def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
+def padded(target: ndarray, centre: ndarray, count: int) -> Pair:
     """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs."""
     column = _places_in_runs(target)
     rows = np.zeros((count, 1 + column.max(initial=0)), dtype=np.int32)
@@ -139,7 +138,7 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
     return rows, used
 
 
-def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Pair, Pair]:
+def sweeps(row: ndarray, column: ndarray, count: int) -> tuple[Pair, Pair]:
     """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
     The `count` equations have ones on the diagonal. A level needs only earlier levels.
     """
@@ -153,7 +152,7 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Pair, Pair]
     return _sweep(row, level[row]), _sweep(column, level.max(initial=0) - level[column])
 
 
-def _sweep(owner: np.ndarray, level: np.ndarray) -> Pair:
+def _sweep(owner: ndarray, level: ndarray) -> Pair:
     """Lays entries (e,), by level and owner, into s steps of r rows, each of up to `WIDTH` entries
     of its owner. Returns positions (s, r, WIDTH), -1 for padding, and owners (s, r).
     """

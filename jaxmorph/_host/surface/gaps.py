@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.topology import Pair
 from ..linear.products import cofactor_rows, cross_rows, outward
@@ -17,8 +18,8 @@ NEAR = 8  # nearest simplices that bound the distance to all others
 
 
 def share_left(
-    before: np.ndarray, after: np.ndarray, wall: np.ndarray, faces: np.ndarray, touching: float
-) -> np.ndarray:
+    before: ndarray, after: ndarray, wall: ndarray, faces: ndarray, touching: float
+) -> ndarray:
     """Share (b,) of the gap at every row that a motion leaves; infinite without a gap. The gap
     before is the smaller of those at the row and at the corners of the face that is nearest
     afterwards: sliding walls keep their gap. Distances up to `touching` count as no gap.
@@ -30,7 +31,7 @@ def share_left(
     return np.where(known, second[0] / np.where(known, narrowest, 1), np.inf)
 
 
-def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> Pair:
+def gaps(points: ndarray, wall: ndarray, faces: ndarray) -> Pair:
     """Each point's distance (b,) from other walls, else infinite, and the face (b, d) there. `wall`
     (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles (f, 3). A
     face between two walls does not count.
@@ -55,7 +56,7 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> Pair:
     return distance, nearest
 
 
-def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def fans(ids: ndarray, counts: ndarray) -> ndarray:
     """Cuts polygons, of `counts` corners in `ids`, into triangles (t, 3) about first corners."""
     last = np.cumsum(counts) - 1
     first = last - counts + 1
@@ -63,7 +64,7 @@ def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return ids[np.stack([np.repeat(first, counts - 2), inner, inner + 1], axis=1)]
 
 
-def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
+def closest(corners: ndarray, x: ndarray) -> tuple[ndarray, ...]:
     """Finds the first simplex (m,) of `corners` (t, c, d) that is closest to each of `x` (m, d).
     Returns its number, the weights (m, c) of its corners at its closest place, and the distance.
     """
@@ -80,9 +81,7 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
     return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
 
 
-def _closest(
-    trees: list, corners: np.ndarray, x: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _closest(trees: list, corners: ndarray, x: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
@@ -102,7 +101,7 @@ def _closest(
     return simplex[best], weights[best], distance[best]
 
 
-def _places(corners: np.ndarray, x: np.ndarray) -> Pair:
+def _places(corners: ndarray, x: ndarray) -> Pair:
     """Weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
     choices = []
     for i, j in itertools.combinations(range(corners.shape[1]), 2):
@@ -141,9 +140,7 @@ SPLIT = 8  # parts of a straight way, in each of which a node changes sides once
 HALVES = 40  # bisections of a way to the place where a node passes a face
 
 
-def crossing_faces(
-    points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray
-) -> Pair:
+def crossing_faces(points: ndarray, moved: ndarray, faces: ndarray, place: ndarray) -> Pair:
     """Finds pairs (k, 2) of faces that meet only after the motion, and where (k, d) they meet.
     `faces` are segments (f, 2) or triangles (f, 3), rows of `points` (b, d), which are `moved`.
     Faces with a common number of `place` (b,) are neighbours, and do not count.
@@ -164,8 +161,8 @@ def crossing_faces(
 
 
 def overlapping_boxes(
-    corners: np.ndarray, is_moving: np.ndarray, after: np.ndarray | None = None
-) -> np.ndarray:
+    corners: ndarray, is_moving: ndarray, after: ndarray | None = None
+) -> ndarray:
     """Pairs (p, 2) of faces (f, corners, d), one moving, with overlapping boxes, each pair once.
     With their places `after` a motion, those that no axis separates in one order before and after:
     of others no two points come together on straight ways.
@@ -191,7 +188,7 @@ def overlapping_boxes(
     return order[pairs[pairs[:, 0] != pairs[:, 1]]]
 
 
-def _boxes(corners: np.ndarray, is_still: np.ndarray) -> np.ndarray:
+def _boxes(corners: ndarray, is_still: ndarray) -> ndarray:
     slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
     low = corners.min(axis=1) - slack
     return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
@@ -203,26 +200,26 @@ class Passages:
     `shares` (k,) are those of the way, `places` (k, d) where. `senses` (k,) are 1 from inside out.
     """
 
-    pairs: np.ndarray
-    nodes: np.ndarray
-    shares: np.ndarray
-    places: np.ndarray
-    senses: np.ndarray
+    pairs: ndarray
+    nodes: ndarray
+    shares: ndarray
+    places: ndarray
+    senses: ndarray
 
     @classmethod
     def joined(cls, steps: "Sequence[Passages]") -> "Passages":
         return cls(*map(np.concatenate, zip(*(vars(step).values() for step in steps), strict=True)))
 
-    def at(self, rows: np.ndarray) -> "Passages":
+    def at(self, rows: ndarray) -> "Passages":
         return Passages(*(column[rows] for column in vars(self).values()))
 
 
 def passages(
-    before: np.ndarray,
-    after: np.ndarray,
-    faces: np.ndarray,
-    place: np.ndarray,
-    is_solid: np.ndarray,
+    before: ndarray,
+    after: ndarray,
+    faces: ndarray,
+    place: ndarray,
+    is_solid: ndarray,
 ) -> Passages:
     """Finds the nodes, marked by `is_solid` (b,), that change the side of a face within it while
     all rows (b, d) go straight from `before` to `after`. Nodes that touch a face at an end of the
@@ -245,7 +242,7 @@ def passages(
 
 
 def _passed(
-    before: np.ndarray, after: np.ndarray, faces: np.ndarray, pairs: np.ndarray, node: np.ndarray
+    before: ndarray, after: ndarray, faces: ndarray, pairs: ndarray, node: ndarray
 ) -> Passages:
     near = _come_near(before, after, faces[pairs[:, 1]], node)
     pairs = pairs[near]
@@ -274,9 +271,7 @@ def _passed(
     return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
 
 
-def _come_near(
-    before: np.ndarray, after: np.ndarray, corners: np.ndarray, node: np.ndarray
-) -> np.ndarray:
+def _come_near(before: ndarray, after: ndarray, corners: ndarray, node: ndarray) -> ndarray:
     """Lists pairs of faces (k, c) and nodes (k,) that no axis separates in one order."""
     near = np.ones(len(node), dtype=bool)
     for start, end in zip(before.T, after.T, strict=True):
@@ -288,16 +283,14 @@ def _come_near(
     return np.flatnonzero(near)
 
 
-def _between(
-    before: np.ndarray, after: np.ndarray, share: Any, corners: np.ndarray, node: np.ndarray
-) -> Pair:
+def _between(before: ndarray, after: ndarray, share: Any, corners: ndarray, node: ndarray) -> Pair:
     """Faces (k, c, d) and nodes (k, d) at a share, one or (k,), of the way."""
     share = np.reshape(share, (-1, 1))
     face = before[corners] + share[:, None] * (after[corners] - before[corners])
     return face, before[node] + share * (after[node] - before[node])
 
 
-def _side(corners: np.ndarray, x: np.ndarray, slack: float = BEFORE) -> np.ndarray:
+def _side(corners: ndarray, x: ndarray, slack: float = BEFORE) -> ndarray:
     """The side (k,) of faces on which points (k, d) lie: 1 outside, -1 inside, 0 on the face."""
     normal = outward(corners)
     height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
@@ -307,7 +300,7 @@ def _side(corners: np.ndarray, x: np.ndarray, slack: float = BEFORE) -> np.ndarr
     return np.where(np.abs(height) > slack * size, np.sign(height), 0)
 
 
-def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:
+def _meeting(corners: ndarray, slack: float) -> ndarray:
     """Where pairs (k, 2, c, d) of faces meet (k, d); NaN for none, or in one plane."""
     where = np.full((len(corners), corners.shape[3]), np.nan)
     for pairs in (corners, corners[:, ::-1]):
@@ -320,7 +313,7 @@ def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:
     return where
 
 
-def _share(start: np.ndarray, along: np.ndarray, corners: np.ndarray, slack: float) -> np.ndarray:
+def _share(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
     """The share (k,) of a segment up to where it meets a simplex (k, d, d); NaN if it does not."""
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
     rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial import Delaunay, QhullError
 
 from ..cells.topology import Pair
@@ -33,15 +34,15 @@ FLAT = 64  # a simplex lower than this times the round-off of the coordinates ho
 class Graph:
     """The Delaunay graph of a surface, in which any number of points can be located."""
 
-    centre: np.ndarray
+    centre: ndarray
     size: float
-    unique: np.ndarray  # (k,) ids of the distinct nodes
-    nodes: np.ndarray  # (k, d) their places relative to `centre`, over `size`
+    unique: ndarray  # (k,) ids of the distinct nodes
+    nodes: ndarray  # (k, d) their places relative to `centre`, over `size`
     delaunay: Delaunay  # the simplices between the distinct nodes
     flat: float  # the height below which a simplex holds no point
     slack: float  # round-off of the coordinates
 
-    def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def smallest_weight(self, simplex: ndarray, points: ndarray) -> ndarray:
         """Least barycentric coordinates (k,) of points in simplices; -inf in -1 or flat ones."""
         smallest = np.empty(len(points))
 
@@ -58,7 +59,7 @@ class Graph:
         return smallest
 
 
-def graph_of(surface: np.ndarray) -> Graph:
+def graph_of(surface: ndarray) -> Graph:
     """Builds the Delaunay graph of a surface (b, d). Raises `ValueError` for a flat one."""
     dimension = surface.shape[1]
     slack = roundoff(surface)
@@ -87,7 +88,7 @@ class _Graph(Delaunay):
     """
 
     @functools.cached_property
-    def transform(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def transform(self) -> ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The inverse of the edges from the last corner, and that corner: (k, d + 1, d)."""
         transform = np.empty((len(self.simplices), self.ndim + 1, self.ndim))
 
@@ -98,7 +99,7 @@ class _Graph(Delaunay):
         return transform
 
 
-def _inverse(corners: np.ndarray) -> np.ndarray:
+def _inverse(corners: ndarray) -> ndarray:
     edges = list((corners[:, :-1] - corners[:, -1:]).swapaxes(0, 1))
     rows = cofactor_rows(edges)
     volume = np.einsum("kd,kd->k", rows[0], edges[0])[:, None]
@@ -106,7 +107,7 @@ def _inverse(corners: np.ndarray) -> np.ndarray:
         return np.stack([*(row / volume for row in rows), corners[:, -1]], axis=1)
 
 
-def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
+def _graph(nodes: ndarray, flat: float) -> Delaunay:
     # Coordinates are rounded to about `SNAP` of the nearest distance: qhull sees no last bits.
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     graph = None
@@ -124,7 +125,7 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
     return graph
 
 
-def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
+def _jittered(nodes: ndarray, phase: int) -> ndarray:
     """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
     Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
@@ -143,7 +144,7 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
 TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
 
 
-def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
     """Finds the ids (w, d + 1) of the surface nodes whose simplex holds each `wanted` point.
     Coordinates in single precision count as exact numbers, except for points on the hull. `points`
     (n, d) are all points, and `wanted` (w,) the ids of those to locate. Raises `MeshError` for
@@ -174,7 +175,7 @@ def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return graph.unique.astype(np.int32)[graph.delaunay.simplices][simplex]
 
 
-def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
+def _repair(graph: Graph, points: ndarray, simplex: ndarray) -> Pair:
     # A point moves a little towards the middle, out of the flat simplices along a plane side of the
     # hull, and is searched again. The best simplex has the largest smallest weight.
     simplex = np.maximum(simplex, 0)
@@ -192,7 +193,7 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     return simplex, best
 
 
-def _search(graph: Graph, points: np.ndarray) -> Pair:
+def _search(graph: Graph, points: ndarray) -> Pair:
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
     corners = graph.nodes[graph.delaunay.simplices[sound]]
@@ -211,7 +212,7 @@ def _search(graph: Graph, points: np.ndarray) -> Pair:
     return simplex, beyond
 
 
-def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
+def _beyond_hull(graph: Graph, targets: ndarray) -> ndarray:
     """Measures how far points surely lie beyond the plane of a facet of the hull: 0 or less inside.
     A small facet says little about a distant point: jitter and round-off may have turned it.
     """
@@ -230,7 +231,7 @@ def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
     return np.concatenate([(part @ outward.T - offsets).max(axis=1) for part in parts])
 
 
-def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
+def _check_inside(points: ndarray, ids: ndarray, beyond: ndarray) -> None:
     """Raises `MeshError` for points outside of the hull; points on it, within round-off, pass."""
     outside = ids[worst_first(beyond, 0)]
     if outside.size:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.topology import Pair
 from ..package.cores import by_blocks
@@ -24,16 +25,16 @@ AROUND = 8  # neighbours among whose distances a leap is searched
 Once = Callable[[Any, Callable[[], Any]], Any]
 
 
-def digest(values: np.ndarray) -> tuple[int, int]:
+def digest(values: ndarray) -> tuple[int, int]:
     """A cache key of an array: its length and a hash of its bytes."""
     return len(values), hash(values.tobytes())
 
 
 def near_walls(
-    surface: np.ndarray,
-    wall: np.ndarray,
-    reach: np.ndarray,
-    points: np.ndarray,
+    surface: ndarray,
+    wall: ndarray,
+    reach: ndarray,
+    points: ndarray,
     count: int,
     once: Once = lambda key, make: make(),
 ) -> Pair:
@@ -84,7 +85,7 @@ def near_walls(
     return near[is_nearest], rows[is_nearest]
 
 
-def _by_reach(wall: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, float]]:
+def _by_reach(wall: ndarray, reach: ndarray) -> list[tuple[ndarray, float]]:
     # nodes of similar reach are searched together: too large a bound costs ten times as much
     size = np.frexp(reach)[1]
     bounded = []
@@ -94,7 +95,7 @@ def _by_reach(wall: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, flo
     return bounded
 
 
-def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
+def _closest(nodes: ndarray, squared: ndarray, count: int) -> ndarray:
     """Picks each row's `count` nearest nodes (k, c), nearest first; ties by first node."""
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
@@ -104,7 +105,7 @@ def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
     return nodes[:, :count]
 
 
-def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+def searched_together(wall: ndarray, rows: ndarray) -> list[ndarray]:
     """Divides rows of the surface by their walls, unless there are more than `FEW`. A search in a
     plane is fast from any distance. In a tree of several planes, a search from the middle of a cube
     takes fifty times longer.
@@ -115,11 +116,11 @@ def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
 
 
 def _nearest(
-    surface: np.ndarray,
-    bounded: list[tuple[np.ndarray, float]],
-    points: np.ndarray,
+    surface: ndarray,
+    bounded: list[tuple[ndarray, float]],
+    points: ndarray,
     once: Once,
-    reach: np.ndarray | None = None,
+    reach: ndarray | None = None,
 ) -> Pair:
     """The nearest node of several lists within their bounds, and its distance, else infinite. With
     `reach` (b,), a node counts only within its own reach. Ties go to the first list.
@@ -133,7 +134,7 @@ def _nearest(
     place = np.zeros(len(points), dtype=np.int32)
     slack = max(roundoff(points), roundoff(surface))
 
-    def search(k: int, rows: np.ndarray) -> None:
+    def search(k: int, rows: ndarray) -> None:
         members, bound = bounded[k]
         several = range(1, min(2, len(members)) + 1)
         found, row = trees[k].query(points[rows], k=several, distance_upper_bound=bound, workers=1)
@@ -167,18 +168,18 @@ def _nearest(
     return distance, nearest
 
 
-def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
+def _to_box(points: ndarray, tree: Tree) -> ndarray:
     """Distances (n,) of points from the box of a tree's points."""
     box = zip(points.T, tree.mins, tree.maxes, strict=True)
     return np.sqrt(sum(np.maximum(np.maximum(low - x, x - high), 0) ** 2 for x, low, high in box))
 
 
-def _tree(points: np.ndarray) -> Tree:
+def _tree(points: ndarray) -> Tree:
     """A tree for many searches: cells cut in the middle are faster than at the median."""
     return Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
-def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
+def _around(surface: ndarray, wall: ndarray, count: int) -> ndarray:
     """The (b, count) nearest nodes on the wall: the node itself first, and as padding."""
     around = np.empty((len(surface), count), dtype=np.int32)
     for label in np.unique(wall):
@@ -191,7 +192,7 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
     return around
 
 
-def nearly_coincident(points: np.ndarray, radius: float, share: float) -> Pair:
+def nearly_coincident(points: ndarray, radius: float, share: float) -> Pair:
     """Points with neighbours far nearer than the next: ids, and nearest ids, closest first. Far
     nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up to
     `AROUND` points may be near each other.

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
 from ..cells.topology import ByType, Pair
@@ -34,7 +35,7 @@ APART = {
 }  # distance of the points of a ring, relative to its radius: about 8 on a circle
 
 
-def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.ndarray:
+def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
     Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
@@ -50,7 +51,7 @@ def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.nd
     return sides[length > roundoff(points)]
 
 
-def _neighbours(points: np.ndarray) -> np.ndarray:
+def _neighbours(points: ndarray) -> ndarray:
     """Pairs a node with its nearest and the nearest behind it (2-D), or its six nearest (3-D)."""
     first = distinct(points)[0]
     unique = points[first]
@@ -65,7 +66,7 @@ def _neighbours(points: np.ndarray) -> np.ndarray:
     return first[np.column_stack([np.repeat(start, nearest.shape[1]), nearest.ravel()])]
 
 
-def thinned(places: np.ndarray, most: int) -> np.ndarray:
+def thinned(places: ndarray, most: int) -> ndarray:
     """Picks the ids of at most `most` places, spread like all places."""
     if len(places) <= most:
         return np.arange(len(places))
@@ -74,7 +75,7 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
 
 
-def chords(points: np.ndarray, wall: np.ndarray, faces: ByType | None = None) -> Pair:
+def chords(points: ndarray, wall: ndarray, faces: ByType | None = None) -> Pair:
     """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,). It is half of
     the wall's length, in 3-D of its area over the distance of the two nodes: a wing's chord, about
     the diameter of a sphere.
@@ -93,7 +94,7 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: ByType | None = None) ->
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
 
-def _shares(points: np.ndarray, faces: ByType | None) -> np.ndarray:
+def _shares(points: ndarray, faces: ByType | None) -> ndarray:
     """Measures the length (2-D) or area (3-D) around every node (b,); an estimate without faces."""
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
@@ -115,9 +116,7 @@ def _shares(points: np.ndarray, faces: ByType | None) -> np.ndarray:
     return share
 
 
-def nearest_held(
-    points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray
-) -> np.ndarray:
+def nearest_held(points: ndarray, moving: int, wall: ndarray, pairs: ndarray) -> ndarray:
     """Finds each edge's (e,) nearest row fixed or on another wall; else the edge's first row."""
     middle = points[pairs].mean(axis=1)
     nearest = pairs[:, 0].copy()
@@ -130,9 +129,7 @@ def nearest_held(
     return nearest
 
 
-def drawn_in(
-    surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray
-) -> tuple:
+def drawn_in(surface: ndarray, moving: ndarray, fixed: ndarray, images: ndarray) -> tuple:
     """Finds distant fixed sources, and shares of the way to them where the field comes to rest. The
     way begins at the middle of the moving sources.
     """
@@ -152,7 +149,7 @@ def drawn_in(
     return np.tile(far, len(rings)), (rings / way[far]).ravel()
 
 
-def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
+def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
     `surface` (b, d) has images in symmetry planes; `is_free` (n,) marks `points` off the surface.
     """
@@ -179,7 +176,7 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
     )
 
 
-def has_free_faces(points: np.ndarray, faces: ByType, is_held: np.ndarray) -> bool:
+def has_free_faces(points: ndarray, faces: ByType, is_held: ndarray) -> bool:
     """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
@@ -208,14 +205,14 @@ class Tips:
     - `tips` (t,): places at which a wall is sharp.
     """
 
-    rows: np.ndarray
-    points: np.ndarray
-    ends: np.ndarray
-    beside: np.ndarray
-    count: np.ndarray
-    tips: np.ndarray
+    rows: ndarray
+    points: ndarray
+    ends: ndarray
+    beside: ndarray
+    count: ndarray
+    tips: ndarray
 
-    def lengths(self, tip: int, lengths: np.ndarray) -> np.ndarray:
+    def lengths(self, tip: int, lengths: ndarray) -> ndarray:
         return lengths[(self.ends == tip).any(axis=1)]
 
     def sides(self, tip: int, length: float) -> list[int]:
@@ -237,7 +234,7 @@ class Tips:
         return found
 
 
-def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
+def sharp_tips(points: ndarray, pairs: ndarray) -> Tips:
     """Finds the sharp tips of the walls with the edges `pairs` (e, 2)."""
     first, same = distinct(points[pairs.ravel()])
     rows, ends = (
@@ -256,7 +253,7 @@ def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))
 
 
-def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
+def behind_tips(walls: Tips, length: ndarray, closest: float, room: ndarray) -> ndarray:
     """Lists rows (g, 3): a sharp tip of a wall, and a node on either side. The middle of the two,
     mirrored in the tip, lies behind it. Its distance is at least `length`, at least one edge, more
     than `closest`, and less than `room`, both of edges (e,).
@@ -273,7 +270,7 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
     return walls.rows[np.array(found, dtype=np.int64).reshape(-1, 3)]
 
 
-def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
+def beside_tips(walls: Tips, chord: ndarray) -> ndarray:
     """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
     Distances shorter than the wall's edges at the tip are left out.
     """

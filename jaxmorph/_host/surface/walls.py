@@ -1,6 +1,7 @@
 """Walls of a surface: by faces between its nodes, or by chains of nearest neighbours; its order."""
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.adjacency import parts_of
 from ..cells.topology import ByType
@@ -21,11 +22,11 @@ AROUND = 512
 
 
 def walls(
-    points: np.ndarray,
+    points: ndarray,
     moving: int,
     faces: ByType | None = None,
-    in_planes: np.ndarray | None = None,
-) -> np.ndarray:
+    in_planes: ndarray | None = None,
+) -> ndarray:
     """Returns each surface node's wall (b,); the first `moving` nodes move.
 
     Moving and fixed nodes are on different walls. `faces` are rows of `points`, counterclockwise as
@@ -54,7 +55,7 @@ def walls(
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def in_order(faces: np.ndarray) -> np.ndarray:
+def in_order(faces: ndarray) -> ndarray:
     """Sorts faces (k, c) by their nodes, each from its first node on; edges keep their sense."""
     if faces.shape[1] > 2:
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
@@ -62,7 +63,7 @@ def in_order(faces: np.ndarray) -> np.ndarray:
     return faces[np.lexsort(faces.T[::-1])]
 
 
-def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.ndarray:
+def ordered_rows(points: ndarray, moving: int, faces: ByType | None) -> ndarray:
     """Sorts nodes (b, d) by place, the first `moving` nodes before all others. Of nodes in one
     place, as on two sides of a slit, the directions of their `faces` decide.
     """
@@ -81,7 +82,7 @@ def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.nd
     return np.lexsort([*columns[::-1], is_still])
 
 
-def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
+def _by_faces(points: ndarray, moving: int, groups: list[ndarray]) -> ndarray:
     """The wall of every node (b,) by its faces; -1 for a node without faces."""
     normal = np.concatenate([outward(points[group]) for group in groups])
     middle = np.concatenate([points[group].mean(axis=1) for group in groups])
@@ -104,7 +105,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     return label
 
 
-def owners(groups: list[np.ndarray]) -> np.ndarray:
+def owners(groups: list[ndarray]) -> ndarray:
     """The face of every corner, group by group (k, c), first corners of all its faces first."""
     starts = np.cumsum([0, *map(len, groups)])
     faces = zip(starts, groups, strict=False)
@@ -113,7 +114,7 @@ def owners(groups: list[np.ndarray]) -> np.ndarray:
     )
 
 
-def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _beside(groups: list[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
     """Pairs of faces that share an edge (2-D: node), and a mask of opposite senses along it."""
     # Every face lists its edges; in 2-D its nodes, as an edge from the first and to the last.
     # Sorted by their nodes, lowest node first, equal edges are neighbours.
@@ -132,7 +133,7 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return owner[before], owner[after], turned[before] != turned[after]
 
 
-def _by_chains(points: np.ndarray) -> np.ndarray:
+def _by_chains(points: ndarray) -> ndarray:
     """The wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
     first, inverse = distinct(points)
     unique = points[first]
@@ -148,7 +149,7 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
     return label[inverse]
 
 
-def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+def _next_to_curves(points: ndarray, label: ndarray, spacing: ndarray) -> ndarray:
     """Pairs (p, 2) of every part that is a curve and the next part of its wall, on both sides."""
     pairs = []
     for curve in range(label.max() + 1):
@@ -170,7 +171,7 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _parts_beside(curve: np.ndarray, offsets: np.ndarray, label: np.ndarray) -> list[int]:
+def _parts_beside(curve: ndarray, offsets: ndarray, label: ndarray) -> list[int]:
     """The part next to a curve on either side, if most nodes of a sample of the curve find it.
     `offsets` (s, k, d) lead from the sample to other nodes, whose parts are `label` (s, k).
     """

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Inexact, Int
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -14,8 +15,8 @@ from jaxmorph.extend import finite_array, rows_of, together
 from .. import mpi
 from .._pieces import check_comm
 
-Points = Inexact[np.ndarray, "k 3"]
-Coordinates = Inexact[np.ndarray, " c"]
+Points = Inexact[ndarray, "k 3"]
+Coordinates = Inexact[ndarray, " c"]
 """Three numbers of each point in turn."""
 
 
@@ -33,9 +34,9 @@ class DistributedGrid:
     """
 
     comm: Any
-    points: Inexact[np.ndarray, "n 3"]
-    nodes: Int[np.ndarray, " n"]
-    rows: Int[np.ndarray, " k"]
+    points: Inexact[ndarray, "n 3"]
+    nodes: Int[ndarray, " n"]
+    rows: Int[ndarray, " k"]
     mesh: jm.Mesh | None
     outside: jm.Mesh | None
     case: io.Decomposed | None = None
@@ -122,23 +123,23 @@ class SolverOrder:
 
     comm: Any
     count: int
-    sent: list[np.ndarray]
-    places: list[np.ndarray]
+    sent: list[ndarray]
+    places: list[ndarray]
 
     @property
     def size(self) -> int:
         return sum(map(len, self.places))
 
-    def to_solver(self, values: np.ndarray) -> np.ndarray:
+    def to_solver(self, values: ndarray) -> ndarray:
         return self._sent(values, self.sent, self.places, self.size)
 
-    def from_solver(self, values: np.ndarray) -> np.ndarray:
+    def from_solver(self, values: ndarray) -> ndarray:
         """Adds up the solvers' numbers: the transpose of `to_solver`."""
         return self._sent(values, self.places, self.sent, self.count)
 
     def _sent(
-        self, values: np.ndarray, sent: list[np.ndarray], places: list[np.ndarray], size: int
-    ) -> np.ndarray:
+        self, values: ndarray, sent: list[ndarray], places: list[ndarray], size: int
+    ) -> ndarray:
         result = np.zeros(size, values.dtype)
         for rows, answer in zip(
             places, self.comm.alltoall([values[rows] for rows in sent]), strict=True
@@ -174,7 +175,7 @@ def communicator(comm: Any) -> Any:
     return comm
 
 
-def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
+def surface_blocks(comm: Any, path: str) -> tuple[ndarray, ndarray]:
     """Reads a PLOT3D surface's points (k, 3) and quadrilaterals (q, 4); in the first process."""
     if comm.rank:
         return np.zeros((0, 3)), np.zeros((0, 4), int)
@@ -188,7 +189,7 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
     return points, first[np.asarray(mesh.cells["quad"])]
 
 
-def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def faces(points: Any, conn: Any, sizes: Any) -> tuple[ndarray, ndarray, ndarray]:
     points = reals("pts", points if np.size(points) else np.zeros((0, 3)), (None, 3))
     corners = whole_numbers("conn", conn)
     counts = whole_numbers("faceSizes", sizes)
@@ -200,17 +201,17 @@ def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, n
     return points, rows_of("conn", corners, len(points)), counts
 
 
-def whole_numbers(name: str, values: Any) -> np.ndarray:
+def whole_numbers(name: str, values: Any) -> ndarray:
     array = reals(name, np.ravel(values), (None,))
     if not (array == np.floor(array)).all():
         raise ValueError(f"`{name}` must be whole numbers.")
     return array.astype(np.int64)
 
 
-def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> ndarray:
     return finite_array(name, values, shape).astype(float)
 
 
-def agreed(comm: Any, name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+def agreed(comm: Any, name: str, values: Any, shape: tuple[int, ...]) -> ndarray:
     """Checks numbers in each process; all raise together."""
     return together(comm, lambda: reals(name, values, shape))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Complex
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import float64_mode, together
@@ -30,7 +31,7 @@ OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
     "fileType": ((str,), "CGNS"),
     "specifiedSurfaces": ((list, tuple), None),
     "symmetrySurfaces": ((list, tuple), None),
-    "symmetryPlanes": ((list, tuple, np.ndarray), None),
+    "symmetryPlanes": ((list, tuple, ndarray), None),
     "symmTol": ((int, float), 1e-6),
     "useRotations": ((bool,), None),
     "aExp": ((int, float), 3.0),
@@ -376,9 +377,7 @@ class USMesh:
             )
         return walls
 
-    def _define(
-        self, points: np.ndarray, corners: np.ndarray, sizes: np.ndarray, is_own: bool
-    ) -> None:
+    def _define(self, points: ndarray, corners: ndarray, sizes: ndarray, is_own: bool) -> None:
         definition = Definition.gathered(self.comm, points, corners, sizes)
         grid = self._grid
 
@@ -411,10 +410,10 @@ class USMesh:
             )
         return self._order
 
-    def _rows(self, name: str, values: Any) -> np.ndarray:
+    def _rows(self, name: str, values: Any) -> ndarray:
         return agreed(self.comm, name, values, self._defined().points.shape)
 
-    def _volume(self, values: Any, is_solvers: bool) -> np.ndarray:
+    def _volume(self, values: Any, is_solvers: bool) -> ndarray:
         if not is_solvers:
             return agreed(self.comm, "dXv", values, (3 * len(self._grid.rows),))
         order = self._solver()
@@ -428,9 +427,9 @@ class USMesh_C(USMesh):
     in `warpDerivFwd`, so a step may be as small as 1e-200.
     """
 
-    _step: np.ndarray | None = None
+    _step: ndarray | None = None
 
-    def getSurfaceCoordinates(self) -> Complex[np.ndarray, "k 3"]:
+    def getSurfaceCoordinates(self) -> Complex[ndarray, "k 3"]:
         """Returns the surface's points that this process has, with their steps."""
         points = super().getSurfaceCoordinates()
         return points + 1j * (0 if self._step is None else self._step)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -75,8 +76,8 @@ class MultiUSMesh:
             options = {**optionsDict[name], "gridFile": CGNSFile}
             self.meshes.append(self._mesh_class._of(self.comm, options, part))
         self._order: SolverOrder | None = None
-        self._chosen: list[np.ndarray] = []
-        self._rows: list[np.ndarray] | None = None
+        self._chosen: list[ndarray] = []
+        self._rows: list[ndarray] | None = None
         self._coordinates = np.zeros((0, 3))
 
     def setExternalMeshIndices(self, ind: Any) -> None:
@@ -195,7 +196,7 @@ class MultiUSMesh:
             raise ValueError("the solver's order is not known: call setExternalMeshIndices.")
         return self._order
 
-    def _parts(self) -> list[tuple[np.ndarray, USMesh]]:
+    def _parts(self) -> list[tuple[ndarray, USMesh]]:
         if self._rows is None:
             raise ValueError("the surface is not known: call setSurfaceDefinition.")
         return list(zip(self._rows, self.meshes, strict=True))
@@ -217,9 +218,7 @@ class MultiUSMesh_C(MultiUSMesh):
         super().__init__(CGNSFile, optionsDict, comm, "D", debug)
 
 
-def _read_grids(
-    path: str, options: Any
-) -> tuple[jm.Mesh, tuple[list[str], np.ndarray, np.ndarray]]:
+def _read_grids(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], ndarray, ndarray]]:
     """Reads a mesh and its grids: names, and by zone its grid, or -1, and its number of nodes."""
     with opened(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
@@ -234,10 +233,10 @@ def _read_grids(
     return io.read(path), (names, np.array(numbers), np.array(counts))
 
 
-def _part_of(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
+def _part_of(mesh: jm.Mesh, is_own: ndarray) -> jm.Mesh:
     nodes, listed = np.unique(mesh.file_nodes[is_own], return_inverse=True)
 
-    def own(lists: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    def own(lists: Mapping[str, Any]) -> dict[str, ndarray]:
         inside = {
             name: ids[np.isin(ids, nodes).reshape(len(ids), -1).all(axis=1)]
             for name, ids in lists.items()

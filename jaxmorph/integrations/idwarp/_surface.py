@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -31,19 +32,17 @@ NEAR_FACE = 0.1
 class Definition:
     """A surface: points (s, 3) of all processes in turn, and triangles (t, 3) between them."""
 
-    points: Float[np.ndarray, "s 3"]
-    triangles: Int[np.ndarray, "t 3"]
+    points: Float[ndarray, "s 3"]
+    triangles: Int[ndarray, "t 3"]
 
     @staticmethod
-    def gathered(
-        comm: Any, points: np.ndarray, conn: np.ndarray, sizes: np.ndarray
-    ) -> "Definition":
+    def gathered(comm: Any, points: ndarray, conn: ndarray, sizes: ndarray) -> "Definition":
         shares, triangles = zip(*comm.allgather((points, fans(conn, sizes))), strict=True)
         firsts = np.cumsum([0, *map(len, shares)])
         corners = [own + first for own, first in zip(triangles, firsts, strict=False)]
         return Definition(np.concatenate(shares), np.concatenate(corners))
 
-    def weights(self, x: Points) -> tuple[Any, np.ndarray, np.ndarray]:
+    def weights(self, x: Points) -> tuple[Any, ndarray, ndarray]:
         """Computes sparse weights (k, s) by which the surface's points move nodes `x`.
 
         A node moves as the closest point of the faces, or without faces as the three nearest
@@ -104,7 +103,7 @@ def _patches_in(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
     return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
 
 
-def _places_of(mesh: jm.Mesh) -> np.ndarray:
+def _places_of(mesh: jm.Mesh) -> ndarray:
     return np.asarray(mesh.points, dtype=float)
 
 
@@ -165,7 +164,7 @@ def boundary_of(
 
 def _on_surface(
     mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose: Collection[str]
-) -> np.ndarray:
+) -> ndarray:
     for names in (walls, [name for name in mesh.patches if name not in loose]):
         found = []
         for nodes in (np.asarray(mesh.patches[name]) for name in names):
@@ -195,7 +194,7 @@ class Follower:
     `own` are the rows of this process' points among all.
     """
 
-    def __init__(self, piece: mpi.Piece, weights: Any, points: np.ndarray):
+    def __init__(self, piece: mpi.Piece, weights: Any, points: ndarray):
         self.piece = piece
         self.weights = weights
         self.points = points
@@ -203,15 +202,15 @@ class Follower:
         self.own = slice(first, first + len(points))
         self.copies = dataclasses.replace(piece, is_owner=np.ones_like(piece.is_owner))
 
-    def deform(self, coordinates: np.ndarray) -> np.ndarray:
+    def deform(self, coordinates: ndarray) -> ndarray:
         with float64_mode():
             return self.piece.deform(self._u(coordinates - self.points))
 
-    def pushforward(self, coordinates: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    def pushforward(self, coordinates: ndarray, tangent: ndarray) -> ndarray:
         with float64_mode():
             return self.piece.pushforward(self._u(coordinates - self.points), self._u(tangent))
 
-    def pullback(self, coordinates: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
+    def pullback(self, coordinates: ndarray, cotangent: ndarray) -> ndarray:
         """Pulls back a derivative by all processes' nodes: derivatives by a shared node add up."""
         with float64_mode():
             share = self.copies.pullback(self._u(coordinates - self.points), cotangent)
@@ -220,5 +219,5 @@ class Follower:
             moving[rows] = values
         return (self.weights.T @ moving)[self.own]
 
-    def _u(self, values: np.ndarray) -> np.ndarray:
+    def _u(self, values: ndarray) -> ndarray:
         return (self.weights @ np.concatenate(self.piece.comm.allgather(values)))[self.piece.rows]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.interpolate
 from jaxtyping import Array, Float
+from numpy import ndarray
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
 from jaxmorph.extend import warn
@@ -63,7 +64,7 @@ class BoxPart(AbstractPart):
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
 
 
-def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _control_point(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     """Moves control points, of which -1 names all of a direction.
 
     SU2 moves none where a plane of a given number stays. Of a direction of all it leaves planes out
@@ -82,7 +83,7 @@ def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> No
     factors += chosen[..., None] * ways.reshape(-1, *[1] * d, d)
 
 
-def _pair(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _pair(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     """Moves two control points across a box alike (camber), or apart (thickness)."""
     index = variable.index
     d = factors.shape[-1]
@@ -91,12 +92,12 @@ def _pair(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
         factors[(0, *index, 1, d - 1)] = 1
 
 
-def _gull(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _gull(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     (j,) = variable.index
     factors[0, :, j, :, 2] = j not in part.fixed[1]
 
 
-def _nacelle(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _nacelle(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     """Moves the control points at an angle and at the opposite angle."""
     i, j, k = variable.index
     last = factors.shape[2] - 1
@@ -224,9 +225,7 @@ def _wall_in_box(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
     return surface
 
 
-def _of_spline(
-    places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron
-) -> Float[np.ndarray, "k d"]:
+def _of_spline(places: Float[ndarray, "k d"], shape: shapes.Hexahedron) -> Float[ndarray, "k d"]:
     """Finds coordinates at which the splines of the lattice at rest give the places in the box.
 
     The lattice is equal along each edge, so each direction stands alone. Splines of the highest
@@ -330,7 +329,7 @@ def _check_variable(variable: Variable, box: io.Box) -> None:
 
 
 def _fixed_planes(
-    options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names
+    options: Options, lattice: Float[ndarray, "..."], mesh: Mesh, moving: Names
 ) -> Fixed:
     """Finds the planes that stay in each direction of a lattice, so that no wall tears."""
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *PLANES_BEHIND)
@@ -353,16 +352,14 @@ def _fixed_planes(
     return tuple(fixed)
 
 
-def _face(
-    lattice: Float[np.ndarray, "..."], direction: int, last: int
-) -> Float[np.ndarray, "t d d"]:
+def _face(lattice: Float[ndarray, "..."], direction: int, last: int) -> Float[ndarray, "t d d"]:
     """Cuts one face of a box into two triangles between its corners; in 2-D it is a segment."""
     d = lattice.shape[-1]
     corners = np.take(lattice[np.ix_(*[[0, -1]] * d)], last, axis=direction).reshape(-1, d)
     return corners[None] if d == 2 else corners[np.array([[0, 1, 2], [3, 2, 1]])]
 
 
-def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d d"]) -> bool:
+def _crosses(segments: Float[ndarray, "s 2 d"], faces: Float[ndarray, "t d d"]) -> bool:
     start = segments[:, 0]
     way = segments[:, 1] - segments[:, 0]
     for face in faces:
@@ -381,7 +378,7 @@ def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d
     return False
 
 
-def _wall_segments(mesh: Mesh, moving: Names) -> Float[np.ndarray, "s 2 d"]:
+def _wall_segments(mesh: Mesh, moving: Names) -> Float[ndarray, "s 2 d"]:
     faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()]
     pairs = [
         ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)

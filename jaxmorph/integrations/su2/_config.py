@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray
 
 from jaxmorph import Mesh, io, shapes
 from jaxmorph.extend import checked, complete, finite_array, input_path, output_path, warn
@@ -70,7 +71,7 @@ class Config:
     mesh: Mesh
     output: pathlib.Path
     shape: DesignVariables
-    parameters: Float[np.ndarray, " n"]
+    parameters: Float[ndarray, " n"]
     moving: tuple[str, ...]
     symmetry: tuple[str, ...]
     fixed: tuple[str, ...]
@@ -93,13 +94,13 @@ class Config:
         return [name for name in self.names if _sort(name) == "constant"]
 
     @functools.cached_property
-    def path(self) -> Float[np.ndarray, "k m d"]:
+    def path(self) -> Float[ndarray, "k m d"]:
         """Total displacements of the moving nodes in equal steps, as `jm.march` takes them."""
         u = np.asarray(jax.jit(self.shape)(self._wall, self.parameters)) - self._wall
         return np.stack([u * (k + 1) / self.steps for k in range(self.steps)])
 
     @property
-    def _wall(self) -> Float[np.ndarray, "m d"]:
+    def _wall(self) -> Float[ndarray, "m d"]:
         return np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
 
     @property
@@ -257,7 +258,7 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
 
 def _read_values(
     options: Options, shape: DesignVariables, definition: bool
-) -> Float[np.ndarray, " n"]:
+) -> Float[ndarray, " n"]:
     """Reads the value of each design variable; without `DV_VALUE_NEW` of them all are at rest."""
     name = "DV_VALUE_NEW" if definition else "DV_VALUE"
     rest = np.asarray(shape.rest)
@@ -272,7 +273,7 @@ def _read_values(
 
 
 def _make_shape(
-    options: Options, listed: list[Variable], parts: Sequence[AbstractPart], free: np.ndarray
+    options: Options, listed: list[Variable], parts: Sequence[AbstractPart], free: ndarray
 ) -> DesignVariables:
     names = []
     scales = []
@@ -295,7 +296,7 @@ def _make_shape(
     )
 
 
-def _free_coordinates(mesh: Mesh, moving: Names, planes: Names) -> Bool[np.ndarray, "m d"]:
+def _free_coordinates(mesh: Mesh, moving: Names, planes: Names) -> Bool[ndarray, "m d"]:
     """Marks coordinates that may change: on `planes` all but that across the patch."""
     nodes = mesh.patch(*moving) if moving else np.zeros(0, int)
     points = np.asarray(mesh.points, float)
@@ -317,7 +318,7 @@ class Sensitivity:
     """
 
     path: pathlib.Path
-    by_nodes: Float[np.ndarray, "k d"]
+    by_nodes: Float[ndarray, "k d"]
     by_angle: float | None
 
 
@@ -378,7 +379,7 @@ def _existing(name: pathlib.Path, kind: str) -> pathlib.Path | None:
     return None
 
 
-def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] | None:
+def _by_normals(config: Config, file: pathlib.Path) -> Float[ndarray, "m d"] | None:
     """Reads derivatives along the wall's normals, which point into the flow; None without them."""
     with file.open("rb") as stream:
         names = [
@@ -426,7 +427,7 @@ def _by_angle(file: pathlib.Path) -> float | None:
 
 @checked
 def write_gradient(
-    path: str | os.PathLike[str], gradient: Float[np.ndarray, " n"], objective: str = "DRAG"
+    path: str | os.PathLike[str], gradient: Float[ndarray, " n"], objective: str = "DRAG"
 ) -> None:
     """Writes a derivative a line below a line with the name of the objective: `of_grad.dat`.
 

@@ -9,13 +9,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy import ndarray
 
 from jaxmorph import Mesh, io, shapes
 
 from ._options import LOWER, Options, Variable
 
 Names = Sequence[str]
-Numbers = Sequence[tuple[float, ...]] | Float[np.ndarray, "k p"]
+Numbers = Sequence[tuple[float, ...]] | Float[ndarray, "k p"]
 TAIL = 0.99
 """The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
 EPS = 1e-16
@@ -114,14 +115,14 @@ def check_axis(kind: str, numbers: Sequence[float], d: int) -> None:
         raise ValueError(f"{kind} about an axis without length: its two ends are one point.")
 
 
-def _signs(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, " m"]:
+def _signs(options: Options, mesh: Mesh, moving: Names) -> Float[ndarray, " m"]:
     """Finds the side of each node: 1 where the wall's normal points up, -1 where down."""
     return np.sign(shapes.wall_normals(mesh, *moving)[:, 1])
 
 
 def _chord(
     options: Options, mesh: Mesh, moving: Names
-) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
+) -> tuple[shapes.Chord, Float[ndarray, " m"]]:
     """Finds the airfoil's own chord, which SU2 takes to be 1 long; 1 for nodes ahead of `TAIL`."""
     wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
     own = shapes.Chord.along(wall)
@@ -131,7 +132,7 @@ def _chord(
     return chord, np.where(np.asarray(chord.coordinates(jnp.asarray(wall))[0]) <= TAIL, 1.0, 0.0)
 
 
-def _file(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, "m d"]:
+def _file(options: Options, mesh: Mesh, moving: Names) -> Float[ndarray, "m d"]:
     name = options.text(
         "DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat")
     )  # the older name
@@ -188,7 +189,7 @@ def _surface_bump(x, values, numbers: Numbers, data):
     return jnp.where(t < 1, _bumps(t, ((top - start) / (end - start))[0]), 0) @ values
 
 
-def _bumps(t: Float[Array, "m _"], tops: Float[np.ndarray, " k"]) -> Float[Array, "m k"]:
+def _bumps(t: Float[Array, "m _"], tops: Float[ndarray, " k"]) -> Float[Array, "m k"]:
     """Evaluates sin(pi t^(ln 0.5 / ln c))^3 for tops c."""
     behind = t > 10 * EPS
     power = (math.log(0.5) / np.log(tops))[None, :].astype(t.dtype)

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from .._joined import block_ids
 from .zone import Condition, Zone, children, data, first, word
@@ -41,10 +42,10 @@ class Connection(NamedTuple):
 
     zone: str
     name: str
-    nodes: np.ndarray
-    others: np.ndarray
-    centre: np.ndarray
-    angles: np.ndarray
+    nodes: ndarray
+    others: ndarray
+    centre: ndarray
+    angles: ndarray
 
 
 def interfaces(zone: Zone) -> Iterator[Interface]:
@@ -109,7 +110,7 @@ def name_patches(zones: list[Zone]) -> list[str]:
     return notes + [text.format(name, count) for name, count in members.items() if count > 1]
 
 
-def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
+def patches(zone: Zone) -> Iterator[tuple[str, ndarray | None]]:
     """Yields the patch and the nodes of each boundary condition; None for a condition on cells.
 
     gmsh writes these for volumes. Conditions inside of the mesh are left out. A zone without any
@@ -136,7 +137,7 @@ def _joints(zone: Zone) -> set[bytes]:
     return joined
 
 
-def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
+def _nodes_of(zone: Zone, condition: Condition) -> ndarray | None:
     parts = condition.node
     what = next((part for part in CHOICES if part in parts), None)
     if what is None:
@@ -151,7 +152,7 @@ def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
     return _picked(zone, condition.name, parts, what, place)
 
 
-def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndarray | None:
+def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> ndarray | None:
     """Finds nodes of a range or list of points, faces or elements; None for a region of cells.
 
     A range may run backwards. One that ends before the first node is empty.
@@ -176,9 +177,7 @@ def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndar
     return zone.first - 1 + (np.arange(start[0], stop[0] + 1) if len(start) == 1 else start)
 
 
-def _of_block(
-    zone: Zone, name: str, place: str, start: np.ndarray, stop: np.ndarray
-) -> np.ndarray | None:
+def _of_block(zone: Zone, name: str, place: str, start: ndarray, stop: ndarray) -> ndarray | None:
     low = start.min(axis=0)
     high = stop.max(axis=0)
     step = np.zeros(len(low), np.int64)
@@ -198,7 +197,7 @@ def _of_block(
     )
 
 
-def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: str) -> int | None:
+def _normal(low: ndarray, high: ndarray, shape: tuple[int, ...], place: str) -> int | None:
     """Finds the axis across faces from `low` to `high`; None for cells.
 
     Where the faces are one wide in several axes, it is the axis in which they lie behind the last
@@ -214,7 +213,7 @@ def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: st
     return int(np.argmax(np.where(is_thin, rank, -1)))
 
 
-def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> np.ndarray | None:
+def _of_elements(zone: Zone, name: str, start: ndarray, stop: ndarray) -> ndarray | None:
     nodes = [np.zeros(0, np.int64)]
     count = 0
     solid = 0

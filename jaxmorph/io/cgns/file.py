@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_faces
@@ -22,7 +23,7 @@ from .conditions import Connection, connections, left_interfaces, name_patches, 
 from .zone import DIMENSION, TYPES, Zone, children, data, first, word
 
 NAME = "CGNS"
-Members = dict[str, list[np.ndarray]]
+Members = dict[str, list[ndarray]]
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
@@ -94,7 +95,7 @@ def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
             yield name, base, int(data(base)[0])
 
 
-def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
+def _read_cells(zones: list[Zone], dimension: int, points: ndarray) -> None:
     contents = [zone.cells(points[zone.rows]) for zone in zones]
     levels = {LEVEL[block.kind] for content in contents for block in content.blocks}
     if max(levels, default=0) == 2 < dimension:  # a surface alone in a base of volumes
@@ -106,7 +107,7 @@ def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
         zone.content = content._replace(blocks=blocks, dimension=dimension)
 
 
-def _patches(zones: list[Zone]) -> tuple[Members, list[np.ndarray], list[str]]:
+def _patches(zones: list[Zone]) -> tuple[Members, list[ndarray], list[str]]:
     of_patch = {}
     faces = []
     regions = []
@@ -171,7 +172,7 @@ def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> 
     return Periodic(first, second, about=about, axis=None if is_flat else interface.angles)
 
 
-def _whole(zones: list[Zone], node: Any) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
+def _whole(zones: list[Zone], node: Any) -> tuple[Polyhedra, ndarray] | tuple[None, None]:
     """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
     if not any(len(getattr(zone.content.whole, "cut", ())) for zone in zones):
         return None, None

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.package.errors import warn
@@ -31,7 +32,7 @@ SYMMETRY = ("symmetry", "symmetryPlane")
 PLANES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
 
-Members = dict[str, np.ndarray]
+Members = dict[str, ndarray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,17 +40,17 @@ class CaseContent:
     """A case's file of points, its values, the folder of faces, planes in 2-D, shared points."""
 
     file: FoamFile
-    points: np.ndarray
+    points: ndarray
     topology: pathlib.Path
     plane: Front | None
-    shared: np.ndarray
+    shared: ndarray
 
-    def in_file(self, points: np.ndarray) -> np.ndarray:
+    def in_file(self, points: ndarray) -> ndarray:
         """Computes the points (N, 3) of the file, in 2-D both planes'; unmoved ones as read."""
         moved = points if self.plane is None else self.plane.in_space(self.points, points)
         return np.where(moved == self.points.astype(moved.dtype), self.points, moved)
 
-    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+    def in_mesh(self, values: ndarray) -> ndarray:
         return values if self.plane is None else self.plane.fitted(values).in_plane(values)
 
     @property
@@ -64,7 +65,7 @@ class CaseContent:
         return {"in_file": self.in_file, "held": None if is_held else self, "file_nodes": nodes}
 
     @functools.cached_property
-    def point_ids(self) -> np.ndarray:
+    def point_ids(self) -> ndarray:
         """The numbers (n,) of a part's points in the whole mesh: its `pointProcAddressing`."""
         try:
             ids = load(self.topology, "pointProcAddressing").numbers("label").ravel()
@@ -246,7 +247,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     write_points(path, content, points)
 
 
-def file_points(mesh: MeshLike) -> np.ndarray:
+def file_points(mesh: MeshLike) -> ndarray:
     """Computes the file's points (N, 3) of a mesh, in 2-D both planes'; checks cyclic patches."""
     content = content_of(mesh, NAME)
     points = content.in_file(np.asarray(mesh.points))
@@ -254,7 +255,7 @@ def file_points(mesh: MeshLike) -> np.ndarray:
     return points
 
 
-def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -> None:
+def write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> None:
     case = content.case
     name = content.file.path.name
     if not _is_time(path):
@@ -291,7 +292,7 @@ def copy_case(case: pathlib.Path, folder: pathlib.Path, **options: Any) -> None:
             shutil.copytree(case / name, folder / name, **options)
 
 
-def _write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -> None:
+def _write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> None:
     file = content.file
     if np.array_equal(points, content.points):
         path.write_bytes(file.raw)
@@ -306,7 +307,7 @@ def _write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) 
             packed.writelines(_replaced(file, points))
 
 
-def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
+def _replaced(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearray | memoryview]:
     place = file.list_at(file.end)
     if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
@@ -320,7 +321,7 @@ def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | bytearray 
         )
 
 
-def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
+def _points(folder: pathlib.Path) -> tuple[FoamFile, ndarray]:
     file = load(folder, "points")
     points = file.numbers("scalar", 3)
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
@@ -335,7 +336,7 @@ Found = tuple[Parts, Members, Polyhedra | None, Front | None]
 """A mesh, the case's number of each cell by type, whole cells if some are cut, and planes."""
 
 
-def _in_space(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
+def _in_space(faces: Faces, points: ndarray, nodes: Members, planes: Boundary) -> Found:
     (cells, ids), whole = standard_cells(faces), None
     if "polyhedron" in ids:
         whole = Polyhedra(faces, ids.pop("polyhedron"))
@@ -345,7 +346,7 @@ def _in_space(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary
     return checked_parts(points, cells, nodes), ids, whole, None
 
 
-def _in_plane(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
+def _in_plane(faces: Faces, points: ndarray, nodes: Members, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
     kinds = {patch.type for patch in planes if patch.size}
     sides = [

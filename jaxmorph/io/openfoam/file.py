@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.package.files import unpacked
 from jaxmorph._mesh.faces import Faces, open_cells
@@ -24,7 +25,7 @@ UNIFORM = 2 * 10**8
 PARENTHESES = bytes.maketrans(b"()", b"  ")
 KINDS = {"label": np.int64, "scalar": np.float64}
 
-Rows = tuple[np.ndarray, np.ndarray]
+Rows = tuple[ndarray, ndarray]
 """The labels of all faces, and where each face begins (one more at the end)."""
 
 
@@ -74,7 +75,7 @@ class FoamFile(NamedTuple):
         found = _END.search(self.data, max(start, len(self.data) - (1 << 16)))
         return found.start() if found else start
 
-    def numbers(self, what: str, width: int = 1) -> np.ndarray:
+    def numbers(self, what: str, width: int = 1) -> ndarray:
         """Reads the list of `label`s or `scalar`s: (count, width), as int32 or float64."""
         items = self.list_at(self.end)
         if items.uniform and items.size * width * 8 > UNIFORM + 10 * len(self.raw):
@@ -96,14 +97,14 @@ class FoamFile(NamedTuple):
             )
         return values.reshape(-1, width)
 
-    def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> np.ndarray:
+    def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> ndarray:
         """Reads the numbers of a text list; `mark` takes the place of opening parentheses."""
         parts = [_narrow(np.zeros(0, kind))]
         for chunk in chunks(self.data, items.start, stop):
             parts.append(_narrow(parse(chunk.replace(b"(", mark).translate(PARENTHESES), kind)))
         return np.concatenate(parts)
 
-    def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
+    def binary(self, items: List, what: str, width: int = 1) -> tuple[ndarray, int]:
         """Views the numbers of a binary list, one element if it is uniform; tells where it ends."""
         dtype = self.dtype(what)
         stored = width * (1 if items.uniform else items.size)
@@ -162,7 +163,7 @@ class FoamFile(NamedTuple):
         )
 
 
-def _narrow(values: np.ndarray) -> np.ndarray:
+def _narrow(values: ndarray) -> ndarray:
     """Takes labels to int32, unless they are too large for it, and scalars to float64."""
     if values.dtype.kind == "f":
         return values.astype(float, copy=False)
@@ -205,7 +206,7 @@ class FoamPatch(NamedTuple):
         return self.start + self.size
 
     @property
-    def faces(self) -> np.ndarray:
+    def faces(self) -> ndarray:
         return np.arange(self.start, self.end)
 
     @property
@@ -330,7 +331,7 @@ def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
 
 
 def _check_labels(
-    folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.ndarray, neighbour: np.ndarray
+    folder: pathlib.Path, labels: ndarray, n: int, owner: ndarray, neighbour: ndarray
 ) -> None:
     """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
+from numpy import ndarray
 
 from jaxmorph import Layer, Mesh, Periodic, Plan, export
 from jaxmorph._boundary.outer_faces import outer_faces
@@ -46,10 +47,10 @@ class Side(NamedTuple):
     - `pairs`, `symmetry`: pairs of cyclic patches, and patches in symmetry planes.
     """
 
-    nodes: np.ndarray
-    points: np.ndarray
-    faces: Mapping[str, np.ndarray]
-    patches: Mapping[str, np.ndarray]
+    nodes: ndarray
+    points: ndarray
+    faces: Mapping[str, ndarray]
+    patches: Mapping[str, ndarray]
     groups: Mapping[str, tuple[str, ...]]
     pairs: tuple[tuple[str, str], ...]
     symmetry: tuple[str, ...]
@@ -181,7 +182,7 @@ class Decomposed:
             points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known)
         )
 
-    def _common_points(self, sides: Sequence[Side]) -> tuple[np.ndarray, np.ndarray]:
+    def _common_points(self, sides: Sequence[Side]) -> tuple[ndarray, ndarray]:
         everywhere, places = (
             np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points")
         )
@@ -252,7 +253,7 @@ class Decomposed:
             together(ranks, end)
 
 
-def _gathered(sides: Sequence[Side], name: str, nodes: np.ndarray) -> dict[str, np.ndarray]:
+def _gathered(sides: Sequence[Side], name: str, nodes: ndarray) -> dict[str, ndarray]:
     """Joins the ids that all sides have by type or patch, and renumbers them by their place."""
     return gathered(
         (key, np.searchsorted(nodes, ids))
@@ -261,7 +262,7 @@ def _gathered(sides: Sequence[Side], name: str, nodes: np.ndarray) -> dict[str, 
     )
 
 
-def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _said(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[str, Any]:
     """Lists what the sides know; parts have the same patches, of which some are empty."""
     pairs = [Periodic(*pair) for pair in sides[0].pairs if all(len(members[name]) for name in pair)]
     symmetry = dict.fromkeys(itertools.chain(*(side.symmetry for side in sides)))
@@ -314,7 +315,7 @@ class Writer(NamedTuple):
         part `k` or does not fit the other parts.
         """
 
-        def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def shared() -> tuple[ndarray, ndarray, ndarray]:
             if moved is None:
                 return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
             if k is None:
@@ -352,7 +353,7 @@ class Writer(NamedTuple):
 
 
 @checked
-def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
+def global_nodes(mesh: Mesh) -> Int[ndarray, " n"]:
     """Returns the whole mesh's number of each node of an OpenFOAM part (`pointProcAddressing`).
 
     Nodes that parts share have one number. In 2-D it is that of the point in front.
@@ -433,9 +434,7 @@ def _layer(content: Any) -> Layer | None:
     return Layer(content.plane.file_nodes(), (first, second))
 
 
-def _check_part(
-    folder: pathlib.Path, part: np.ndarray, whole: np.ndarray, rows: np.ndarray
-) -> None:
+def _check_part(folder: pathlib.Path, part: ndarray, whole: ndarray, rows: ndarray) -> None:
     away = (
         np.abs(part - whole[rows]).max(axis=1)
         if rows.max(initial=-1) < len(whole)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.package.errors import place_of
 from jaxmorph._mesh.exchange import gathered
@@ -33,37 +34,37 @@ class Front(NamedTuple):
     """
 
     kind: str
-    front: np.ndarray
-    back: np.ndarray
-    axes: np.ndarray
-    origin: np.ndarray
+    front: ndarray
+    back: ndarray
+    axes: ndarray
+    origin: ndarray
 
     @property
-    def on_axis(self) -> np.ndarray:
+    def on_axis(self) -> ndarray:
         return self.front == self.back
 
-    def file_nodes(self) -> np.ndarray:
+    def file_nodes(self) -> ndarray:
         """Returns the 2-D mesh's node (N,) of each node of the case, in front and behind."""
         nodes = np.zeros(max(self.front.max(), self.back.max()) + 1, np.int64)
         nodes[self.front] = nodes[self.back] = np.arange(len(self.front))
         return nodes
 
-    def ids(self, nodes: np.ndarray) -> np.ndarray:
+    def ids(self, nodes: ndarray) -> ndarray:
         at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
         return at[self.front[at] == nodes]
 
-    def fitted(self, points: np.ndarray) -> "Front":
+    def fitted(self, points: ndarray) -> "Front":
         if self.kind == "empty":
             return self
         axes, origin = _frame((self.front, np.unique(self.back)), points)
         return self._replace(axes=axes, origin=origin)
 
-    def in_plane(self, points: np.ndarray) -> np.ndarray:
+    def in_plane(self, points: ndarray) -> ndarray:
         plane = (points[self.front] - self.origin) @ self.axes[0].T
         plane[self.on_axis, 1] = 0
         return plane
 
-    def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    def in_space(self, old: ndarray, plane: ndarray) -> ndarray:
         """Places both planes of `old` at `plane`; coordinates that have not moved stay."""
         moved = plane - self.in_plane(old)
         limit = ROUNDING * np.ptp(old, axis=0).max()
@@ -82,13 +83,13 @@ class Front(NamedTuple):
             new[nodes] = np.where(has_moved, old[nodes] - here @ axes + there @ axes, old[nodes])
         return new
 
-    def added(self, values: np.ndarray) -> np.ndarray:
+    def added(self, values: ndarray) -> ndarray:
         """Adds values (N, 3) of both planes to (n, 2): the transpose of `in_space`."""
         behind = np.where(self.on_axis[:, None], 0, values[self.back])
         return values[self.front] @ self.axes[0].T + behind @ self.axes[1].T
 
 
-def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> Front:
+def sector(faces: Faces, points: ndarray, patches: Sequence[ndarray]) -> Front:
     planes = [np.unique(nodes) for nodes in patches]
     if len(np.union1d(*planes)) < len(points):
         raise ValueError(
@@ -104,10 +105,10 @@ def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> F
 def _paired(
     kind: str,
     faces: Faces,
-    points: np.ndarray,
-    planes: Sequence[np.ndarray],
-    axes: np.ndarray,
-    origin: np.ndarray,
+    points: ndarray,
+    planes: Sequence[ndarray],
+    axes: ndarray,
+    origin: ndarray,
 ) -> Front:
     """Finds the node behind that an edge joins to each node in front; one in both is its own."""
     front, back = planes
@@ -138,7 +139,7 @@ def _paired(
     return Front(kind, front, partner, axes, origin)
 
 
-def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _frame(patches: Sequence[ndarray], points: ndarray) -> tuple[ndarray, ndarray]:
     """Finds the axis of two planes: unit vectors (2, 2, 3) along and away from it, and a point."""
     size = np.ptp(points, axis=0).max()
     middles = np.stack([points[nodes].mean(axis=0) for nodes in patches])
@@ -167,7 +168,7 @@ def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarra
     return np.stack([np.tile(axis, (2, 1)), away], axis=1), origin
 
 
-def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
+def layer(faces: Faces, points: ndarray, empty: ndarray) -> Front:
     """Finds the two planes of a case with patches of type empty, whose faces are `empty`."""
     low = points.min(axis=0)
     high = points.max(axis=0)
@@ -195,8 +196,8 @@ def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
 
 
 def plane_cells(
-    faces: Faces, points: np.ndarray, chosen: np.ndarray, plane: Front
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Polyhedra | None]:
+    faces: Faces, points: ndarray, chosen: ndarray, plane: Front
+) -> tuple[dict[str, ndarray], dict[str, ndarray], Polyhedra | None]:
     """Makes triangles and quads of the front in cell order; larger faces become triangles.
 
     `chosen` are the faces of both planes. Also returns the ids of their cells by type, and the
@@ -233,7 +234,7 @@ def plane_cells(
     return cells, gathered((kind, cell) for kind, _, cell in parts), whole
 
 
-def _edges(faces: Faces, chosen: np.ndarray, is_front: np.ndarray, plane: Front) -> Faces:
+def _edges(faces: Faces, chosen: ndarray, is_front: ndarray, plane: Front) -> Faces:
     """Makes the front's edges, one a face across the layer, with its cell on the left."""
     across = np.delete(np.arange(len(faces.owner)), chosen)
     corners = faces.corners(across, 4)
@@ -261,7 +262,7 @@ def cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
     return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.neighbour == b.name]
 
 
-def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> None:
+def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
     """Raises `ValueError` where cyclic patches matched with `old` points, but not with `new`."""
     every = cyclic_pairs(patches(load(topology, "boundary")))
     pairs = [(a, b) for a, b in every if a.size == b.size > 0]
@@ -287,8 +288,8 @@ def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> No
 
 
 def _faces(
-    points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: FoamPatch
-) -> tuple[np.ndarray, np.ndarray]:
+    points: ndarray, labels: ndarray, starts: ndarray, patch: FoamPatch
+) -> tuple[ndarray, ndarray]:
     """Computes middles (k, 3) and sizes (k,), roots of areas, of a patch's faces."""
     begins = np.asarray(starts[patch.start : patch.start + patch.size + 1], dtype=np.int64)
     corners = points[labels[begins[0] : begins[-1]]]
@@ -299,7 +300,7 @@ def _faces(
     return middles, np.sqrt(np.linalg.norm(areas, axis=1))
 
 
-def _misses(first: tuple, second: tuple, turned: bool) -> np.ndarray:
+def _misses(first: tuple, second: tuple, turned: bool) -> ndarray:
     """Measures how far (k,) faces miss partners, by size, after the best transform."""
     (middles, sizes), (partners, others) = first, second
     arms = middles - middles.mean(axis=0)
