@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.lagrange import inner_places, lagrange_types
 from jaxmorph._host.cells.orders import CGNS_ORDER, NodeOrder, reordered
-from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers
+from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import MeshLike
@@ -17,16 +17,10 @@ from ._tree import Coordinates, of_tree, opened, points_of, text_of, write_point
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
-_TYPES = {
-    "TRI": "triangle",
-    "QUA": "quad",
-    "TET": "tetra",
-    "PYR": "pyramid",
-    "WED": "wedge",
-    "HEX": "hexahedron",
-}
-_TYPES |= dict.fromkeys(("BAR", "BEA", "TRU", "EDG", "ROD"), "line")
-_TYPES |= dict.fromkeys(("SPH", "CIR", "POI", "NOD"), "vertex")
+_TYPES = pairs_of(
+    "TRI triangle QUA quad TET tetra PYR pyramid WED wedge HEX hexahedron "
+    "BAR line BEA line TRU line EDG line ROD line SPH vertex CIR vertex POI vertex NOD vertex"
+)
 _SHELLS = {1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
 """Shapes of cells by first letters of Exodus's types; of shells by their number of nodes."""
 

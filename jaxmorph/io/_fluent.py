@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import SIDE_TYPES
+from jaxmorph._host.cells.topology import SIDE_TYPES, codes, inverted
 from jaxmorph._host.ragged import Ragged, heads_of, spread
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
@@ -27,17 +27,13 @@ from ._text import Section, decoded
 NAME = "Fluent"
 INTERIOR = 2
 PARENT = 31
-KINDS = {
-    **{INTERIOR: "interior", 3: "wall", 4: "pressure-inlet", 5: "pressure-outlet", 7: "symmetry"},
-    **{
-        8: "periodic-shadow",
-        9: "pressure-far-field",
-        10: "velocity-inlet",
-        12: "periodic",
-        14: "fan",
-    },
-    **{20: "mass-flow-inlet", 24: "interface", PARENT: "parent", 36: "outflow", 37: "axis"},
-}
+KINDS = inverted(
+    codes(
+        "interior 2 wall 3 pressure-inlet 4 pressure-outlet 5 symmetry 7 periodic-shadow 8 "
+        "pressure-far-field 9 velocity-inlet 10 periodic 12 fan 14 mass-flow-inlet 20 "
+        "interface 24 parent 31 outflow 36 axis 37"
+    )
+)
 """Kinds of zones of faces by Fluent's numbers."""
 
 _BEGIN = re.compile(rb"\(\s*(\d+)\b")

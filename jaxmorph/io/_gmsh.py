@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
-from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._host.cells.topology import DIMENSION, codes, inverted
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
@@ -26,47 +26,15 @@ NAME = "gmsh"
 NODES = ("Nodes", "ParametricNodes", "NOD")
 ELEMENTS = ("Elements", "ELM")
 """Sections of nodes and of elements; the last name of each is from version 1."""
-TYPES = {
-    1: "line",
-    2: "triangle",
-    3: "quad",
-    4: "tetra",
-    5: "hexahedron",
-    6: "wedge",
-    7: "pyramid",
-    15: "vertex",
-}
-TYPES |= {
-    **{
-        8: "line3",
-        9: "triangle6",
-        10: "quad9",
-        11: "tetra10",
-        12: "hexahedron27",
-        13: "wedge18",
-        14: "pyramid14",
-    },
-    **{
-        16: "quad8",
-        17: "hexahedron20",
-        18: "wedge15",
-        19: "pyramid13",
-        26: "line4",
-        21: "triangle10",
-        36: "quad16",
-    },
-    **{
-        29: "tetra20",
-        90: "wedge40",
-        92: "hexahedron64",
-        118: "pyramid30",
-        27: "line5",
-        23: "triangle15",
-    },
-    **{37: "quad25", 30: "tetra35", 91: "wedge75", 93: "hexahedron125", 119: "pyramid55"},
-}
+NUMBERS = codes(
+    "line 1 triangle 2 quad 3 tetra 4 hexahedron 5 wedge 6 pyramid 7 vertex 15 "
+    "line3 8 triangle6 9 quad9 10 tetra10 11 hexahedron27 12 wedge18 13 pyramid14 14 "
+    "quad8 16 hexahedron20 17 wedge15 18 pyramid13 19 "
+    "line4 26 triangle10 21 quad16 36 tetra20 29 wedge40 90 hexahedron64 92 pyramid30 118 "
+    "line5 27 triangle15 23 quad25 37 tetra35 30 wedge75 91 hexahedron125 93 pyramid55 119"
+)
+TYPES = inverted(NUMBERS)
 """Types of cells by gmsh's numbers."""
-NUMBERS = {kind: number for number, kind in TYPES.items()}
 ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import numbers
+from jaxmorph._host.cells.topology import CORNERS, numbers, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import MeshLike
@@ -15,14 +15,10 @@ from ._tree import Coordinates, of_tree, only, opened, points_of, text_of, write
 
 NAME = "MED"
 WHAT = "a MED file"
-TYPES = {
-    "PO1": ("vertex", "0"),
-    "SE2": ("line", "01"),
-    "TR3": ("triangle", "012"),
-    "QU4": ("quad", "0123"),
-}
-TYPES |= {"TE4": ("tetra", "0213"), "PY5": ("pyramid", "03214"), "PE6": ("wedge", "021354")}
-TYPES |= {"HE8": ("hexahedron", "03214765")}
+TYPES = pairs_of(
+    "PO1 vertex SE2 line TR3 triangle QU4 quad TE4 tetra PY5 pyramid PE6 wedge HE8 hexahedron"
+)
+PLACES = pairs_of("tetra 0213 pyramid 03214 wedge 021354 hexahedron 03214765")
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
@@ -40,9 +36,10 @@ def read(path: Path) -> Parts:
                 raise ValueError(
                     f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)})."
                 )
-            ours, places = TYPES[kind]
-            (order,) = numbers(places)
-            corners = group["NOD"][()].reshape(len(order), -1).T[:, order].astype(np.int64) - 1
+            ours = TYPES[kind]
+            corners = group["NOD"][()].reshape(CORNERS.get(ours, 1), -1).T.astype(np.int64) - 1
+            if ours in PLACES:
+                corners = corners[:, *numbers(PLACES[ours])]
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
         of_nodes = _families(step["NOE"], len(points))

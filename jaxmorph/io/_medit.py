@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import CORNERS
+from jaxmorph._host.cells.topology import CORNERS, codes, inverted, pairs_of
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
@@ -18,28 +18,16 @@ from ._places import PlacedPoints, Stream
 from ._text import Section, blanked
 
 NAME = "Medit"
-MEDIT_CELLS = {
-    "Edges": "line",
-    "Triangles": "triangle",
-    "Quadrilaterals": "quad",
-    "Tetrahedra": "tetra",
-    "Pyramids": "pyramid",
-    "Prisms": "wedge",
-    "Hexahedra": "hexahedron",
-    "Hexaedra": "hexahedron",
-}
-MEDIT_KEYWORDS = {
-    3: "Dimension",
-    4: "Vertices",
-    5: "Edges",
-    6: "Triangles",
-    7: "Quadrilaterals",
-    8: "Tetrahedra",
-    9: "Prisms",
-    10: "Hexahedra",
-    49: "Pyramids",
-    54: "End",
-}
+MEDIT_CELLS = pairs_of(
+    "Edges line Triangles triangle Quadrilaterals quad Tetrahedra tetra Pyramids pyramid "
+    "Prisms wedge Hexahedra hexahedron Hexaedra hexahedron"
+)
+MEDIT_KEYWORDS = inverted(
+    codes(
+        "Dimension 3 Vertices 4 Edges 5 Triangles 6 Quadrilaterals 7 Tetrahedra 8 Prisms 9 "
+        "Hexahedra 10 Pyramids 49 End 54"
+    )
+)
 """Keywords by their numbers in binary files; others are told by number."""
 CURVED_KEYWORDS = {f"Keyword{code}" for code in (24, 25, 27, 30, 33, 86, 87)}
 """Cells of order 2 in binary files; in a text their keywords end in P2, Q2, P3 ..."""

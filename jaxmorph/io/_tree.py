@@ -349,19 +349,8 @@ class Reader:
 
 
 CDF = b"CDF"
-_TYPES = {
-    1: "i1",
-    2: "S1",
-    3: ">i2",
-    4: ">i4",
-    5: ">f4",
-    6: ">f8",
-    7: "u1",
-    8: ">u2",
-    9: ">u4",
-    10: ">i8",
-    11: ">u8",
-}
+_TYPES = ("", "i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8")
+"""Types of numbers by CDF's codes, from 1 on."""
 _DIMENSIONS = 10
 _VARIABLES = 11
 _ATTRIBUTES = 12

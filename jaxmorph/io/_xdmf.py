@@ -11,23 +11,26 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
-from jaxmorph._host.cells.topology import DIMENSION, NODES
+from jaxmorph._host.cells.topology import DIMENSION, NODES, codes, inverted, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, by_number, check_width, regions_note, sized
 
 from ._format import FilePoints, MeshLike, Source, faults_of, of_grid, own_source
 from ._text import Pieces, blanked, lines, parse, replaced
 
 NAME = "XDMF"
-SHAPES = {"polyvertex": "vertex", "polyline": "line", "edge": "line", "interval": "line"}
-SHAPES |= {"tri": "triangle", "quadrilateral": "quad", "tet": "tetra", "tetrahedron": "tetra"}
-SHAPES |= {"hex": "hexahedron"} | {
-    shape: shape for shape in ("triangle", "quad", "pyramid", "wedge", "hexahedron")
-}
+SHAPES = pairs_of(
+    "polyvertex vertex polyline line edge line interval line tri triangle triangle triangle "
+    "quadrilateral quad quad quad tet tetra tetrahedron tetra pyramid pyramid wedge wedge "
+    "hex hexahedron hexahedron hexahedron"
+)
 """Shapes of cells by XDMF's words, which an underscore and the number of nodes may follow."""
-CODES = dict(enumerate(("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron"), start=4))
-CODES |= {1: "vertex", 2: "line", 34: "line3", 35: "quad9", 36: "triangle6", 37: "quad8"}
-CODES |= {38: "tetra10", 39: "pyramid13", 40: "wedge15", 41: "wedge18", 48: "hexahedron20"}
-CODES |= {50: "hexahedron27"}
+CODES = inverted(
+    codes(
+        "vertex 1 line 2 triangle 4 quad 5 tetra 6 pyramid 7 wedge 8 hexahedron 9 "
+        "line3 34 quad9 35 triangle6 36 quad8 37 tetra10 38 pyramid13 39 wedge15 40 wedge18 41 "
+        "hexahedron20 48 hexahedron27 50"
+    )
+)
 """Types of cells by their numbers in a topology of mixed cells."""
 CENTERS = ("Node", "Cell", "Grid", "Face", "Edge", "Other")
 COUNTED = (1, 2)

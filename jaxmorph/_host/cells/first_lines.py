@@ -15,7 +15,7 @@ class WallSides(NamedTuple):
     """Sides of cells of one type on the wall."""
 
     ids: ndarray  # (f, s) nodes of each side
-    rows: ndarray  # (f, s) their rows among the wall nodes; a node without a line has the row after them
+    rows: ndarray  # (f, s) their rows among the wall nodes; without a line the row after them
     sign: ndarray  # (f,) 1 or -1, of triangles the half, so that area vectors point into the mesh
     slopes: ndarray  # (s, s, d - 1) derivatives of the shape functions at the nodes of a side
 

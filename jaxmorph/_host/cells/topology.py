@@ -8,99 +8,59 @@ from numpy import ndarray
 Pair = tuple[ndarray, ndarray]
 ByType = Mapping[str, ndarray]  # cells or faces (k, nodes) by their type
 
-CORNERS = {
-    "line": 2,
-    "triangle": 3,
-    "quad": 4,
-    "tetra": 4,
-    "pyramid": 5,
-    "wedge": 6,
-    "hexahedron": 8,
-}
+
+def pairs_of(words: str) -> dict[str, str]:
+    """Reads names in turn: "tri triangle tet tetra" is {"tri": "triangle", "tet": "tetra"}."""
+    names = words.split()
+    return dict(zip(names[::2], names[1::2], strict=True))
+
+
+def codes(words: str) -> dict[str, int]:
+    """Reads names and numbers in turn: "line 3 triangle 5" is {"line": 3, "triangle": 5}."""
+    return {name: int(number) for name, number in pairs_of(words).items()}
+
+
+def inverted(table: Mapping[Any, Any]) -> dict[Any, Any]:
+    return {value: key for key, value in table.items()}
+
+
+CORNERS = codes("line 2 triangle 3 quad 4 tetra 4 pyramid 5 wedge 6 hexahedron 8")
 """Number of corners by type; names are meshio's."""
 
-HIGH_ORDER = (
-    *(
-        "line3",
-        "line4",
-        "line5",
-        "triangle6",
-        "triangle10",
-        "triangle15",
-        "quad8",
-        "quad9",
-        "quad16",
-        "quad25",
-    ),
-    *("tetra10", "tetra20", "tetra35", "pyramid13", "pyramid14", "pyramid30", "pyramid55"),
-    *(
-        "wedge15",
-        "wedge18",
-        "wedge40",
-        "wedge75",
-        "hexahedron20",
-        "hexahedron27",
-        "hexahedron64",
-        "hexahedron125",
-    ),
+_HIGH = codes(
+    "line3 3 line4 4 line5 5 triangle6 6 triangle10 10 triangle15 15 "
+    "quad8 8 quad9 9 quad16 16 quad25 25 tetra10 10 tetra20 20 tetra35 35 "
+    "pyramid13 13 pyramid14 14 pyramid30 30 pyramid55 55 "
+    "wedge15 15 wedge18 18 wedge40 40 wedge75 75 "
+    "hexahedron20 20 hexahedron27 27 hexahedron64 64 hexahedron125 125"
 )
+HIGH_ORDER = tuple(_HIGH)
 """Cell types of order 2 to 4, by meshio's names: the linear type, and the number of nodes."""
 
 SHAPES = {kind: kind for kind in CORNERS} | {kind: kind.rstrip("0123456789") for kind in HIGH_ORDER}
 """The type of the linear cell with the corners of each type."""
 
-NODES = CORNERS | {
-    kind: int(kind.removeprefix(SHAPES[kind])) for kind in HIGH_ORDER
-}  # number of nodes
+NODES = CORNERS | _HIGH
+"""Number of nodes by type."""
 
-VTK = {
-    "line": 3,
-    "triangle": 5,
-    "quad": 9,
-    "tetra": 10,
-    "hexahedron": 12,
-    "wedge": 13,
-    "pyramid": 14,
-}
+VTK = codes("line 3 triangle 5 quad 9 tetra 10 hexahedron 12 wedge 13 pyramid 14")
 """Numbers of the types in VTK and SU2."""
 
-VTK_QUADRATIC = {
-    **{
-        "line3": 21,
-        "line4": 35,
-        "triangle6": 22,
-        "quad8": 23,
-        "quad9": 28,
-        "tetra10": 24,
-        "pyramid13": 27,
-    },
-    **{"wedge15": 26, "wedge18": 32, "hexahedron20": 25, "hexahedron27": 29},
-}
+VTK_QUADRATIC = codes(
+    "line3 21 line4 35 triangle6 22 quad8 23 quad9 28 tetra10 24 pyramid13 27 "
+    "wedge15 26 wedge18 32 hexahedron20 25 hexahedron27 29"
+)
 """VTK's number of each type of order 2, and of lines of order 3. VTK lacks larger pyramids."""
 
-VTK_LAGRANGE = {"line": 68, "triangle": 69, "quad": 70, "tetra": 71, "hexahedron": 72, "wedge": 73}
+VTK_LAGRANGE = codes("line 68 triangle 69 quad 70 tetra 71 hexahedron 72 wedge 73")
 """VTK's number of cells of any order, which their number of nodes tells."""
 
-DIMENSION = {
-    "line": 1,
-    "triangle": 2,
-    "quad": 2,
-    "tetra": 3,
-    "pyramid": 3,
-    "wedge": 3,
-    "hexahedron": 3,
-}
+DIMENSION = codes("line 1 triangle 2 quad 2 tetra 3 pyramid 3 wedge 3 hexahedron 3")
 DIMENSION |= {kind: DIMENSION[SHAPES[kind]] for kind in HIGH_ORDER}
 
 KNOWN = f"known are {', '.join(CORNERS)}, and of order 2 to 4 {', '.join(HIGH_ORDER)}"
 
-_ALIASES = {
-    "tri": "triangle",
-    "tet": "tetra",
-    "tetrahedron": "tetra",
-    "prism": "wedge",
-    "hex": "hexahedron",
-}
+_ALIASES = pairs_of("tri triangle tet tetra tetrahedron tetra prism wedge hex hexahedron")
 
 
 def canonical_type(name: str) -> str:

@@ -56,51 +56,16 @@ def _faces(corners: Ragged, sides: ndarray) -> Faces:
     return Faces(rows.values, rows.starts, owner, neighbour)
 
 
-TYPES = {
-    2: "vertex",
-    3: "line",
-    5: "triangle",
-    7: "quad",
-    10: "tetra",
-    12: "pyramid",
-    14: "wedge",
-    17: "hexahedron",
-}
-TYPES |= {
-    **{
-        4: "line3",
-        6: "triangle6",
-        8: "quad8",
-        9: "quad9",
-        11: "tetra10",
-        13: "pyramid14",
-        15: "wedge15",
-    },
-    **{
-        18: "hexahedron20",
-        19: "hexahedron27",
-        21: "pyramid13",
-        24: "line4",
-        26: "triangle10",
-        28: "quad16",
-    },
-    **{
-        30: "tetra20",
-        33: "pyramid30",
-        36: "wedge40",
-        39: "hexahedron64",
-        40: "line5",
-        42: "triangle15",
-    },
-    **{
-        16: "wedge18",
-        44: "quad25",
-        47: "tetra35",
-        50: "pyramid55",
-        53: "wedge75",
-        56: "hexahedron125",
-    },
-}
+TYPES = topology.inverted(
+    topology.codes(
+        "vertex 2 line 3 triangle 5 quad 7 tetra 10 pyramid 12 wedge 14 hexahedron 17 "
+        "line3 4 triangle6 6 quad8 8 quad9 9 tetra10 11 pyramid14 13 wedge15 15 wedge18 16 "
+        "hexahedron20 18 hexahedron27 19 pyramid13 21 "
+        "line4 24 triangle10 26 quad16 28 tetra20 30 pyramid30 33 wedge40 36 hexahedron64 39 "
+        "line5 40 triangle15 42 quad25 44 tetra35 47 pyramid55 50 wedge75 53 hexahedron125 56"
+    )
+)
+"""Types of cells by CGNS's numbers."""
 NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
 MIXED = 20
 NGON = 22
