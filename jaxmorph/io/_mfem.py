@@ -1,22 +1,22 @@
-"""MFEM's .mesh, versions 1.0 to 1.3, straight or of order 1 to 4 (mfem.org/mesh-formats)."""
+"""MFEM's .mesh, versions 1.0 to 1.3, of order 1 and 2 (mfem.org/mesh-formats)."""
 
-import dataclasses
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
-from numpy.polynomial import legendre
 
-from jaxmorph._host.cells.lagrange import inner_places, lagrange_types, node_keys, of_order, values
+from jaxmorph._host.cells.lagrange import inner_places, lagrange_types, node_keys, of_order
 from jaxmorph._host.cells.orders import NodeOrder, reordered
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, numbers
+from jaxmorph._host.rows import first_of_equals
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
 from ._format import Arrays, Source
-from ._text import Pieces, Section, blanked, replaced
+from ._places import CoordinatePart, PlacedPoints
+from ._text import Section, blanked
 
 ORDER = NodeOrder(
     EDGES | {"tetra": numbers("01 02 03 12 13 23")},
@@ -24,8 +24,6 @@ ORDER = NodeOrder(
     inner_places,
 )
 """The order in which MFEM numbers edges and faces; a face has its first cell's corners."""
-SIMPLEX = {"triangle": 2, "wedge": 2, "tetra": 3}
-"""Reference coordinates whose sum is 1 at most."""
 
 
 class AttributedCells(NamedTuple):
@@ -37,27 +35,29 @@ class AttributedCells(NamedTuple):
     attributes: ndarray
 
 
-def numbered(
+def number_nodes(
     cells: list[AttributedCells], sides: list[AttributedCells], order: int, count: int
 ) -> tuple[list[ndarray], int]:
     """Numbers the nodes as H1 does: vertices, edges, faces, inside of cells, in the file's order.
 
-    `order` is the order of the cells, `count` the number of vertices. Returns the nodes of the
-    cells and of the sides, and the number of all nodes.
+    `order` is 1 or 2, `count` the number of vertices. Returns the nodes of the cells and of the
+    sides, and the number of all nodes.
     """
     elements = [*cells, *sides]
-    keys = [node_keys(each.corners, of_order(each.kind, order)) for each in elements]
-    same = np.unique(
-        np.concatenate([key.reshape(-1, 16) for key in keys]), axis=0, return_inverse=True
-    )[1].ravel()
-    parts = np.split(same, np.cumsum([key[..., 0].size for key in keys])[:-1])
-    new = [part.reshape(key.shape[:2]) for part, key in zip(parts, keys, strict=True)]
-    levels = zip(
-        *(_levels(each, order, ids) for each, ids in zip(cells, new, strict=False)), strict=True
-    )
-    listed = np.concatenate([_in_file_order(cells, level) for level in levels])
+    if order == 1:
+        return [each.corners for each in elements], count
+    keys = [node_keys(each.corners, of_order(each.kind, 2)).reshape(-1, 16) for each in elements]
+    _, place = first_of_equals(np.concatenate(keys))
+    ends = np.cumsum([len(key) for key in keys])[:-1]
+    new = [
+        part.reshape(len(each.corners), -1)
+        for each, part in zip(elements, np.split(place, ends), strict=True)
+    ]
+    # MFEM lists new nodes cell by cell: those of all edges, then of faces, then inside of cells
+    levels = [_levels(each, ids) for each, ids in zip(cells, new, strict=False)]
+    listed = np.concatenate([_in_file_order(cells, level) for level in zip(*levels, strict=True)])
     first = np.sort(np.unique(listed, return_index=True)[1])
-    number = np.full(same.max(initial=-1) + 1, -1)
+    number = np.full(place.max() + 1, -1)
     number[listed[first]] = count + np.arange(len(first))
     nodes = [
         np.concatenate([each.corners, number[ids]], axis=1)
@@ -66,55 +66,22 @@ def numbered(
     return nodes, count + len(first)
 
 
-def _levels(cells: AttributedCells, order: int, new: ndarray) -> list[ndarray]:
-    """Lists new nodes as MFEM does: on edges, from the lower vertex on, on faces, inside."""
-    corners, (first, second) = cells.corners, np.array(ORDER.edges[cells.kind]).T
-    kind = of_order(cells.kind, order).name
-    count = len(inner_places(cells.kind, order))
-    new = reordered(kind, np.concatenate([corners, new], axis=1), None, ORDER)[
-        :, corners.shape[1] :
-    ]
-    edges, faces, inside = np.split(new, [len(first) * (order - 1), new.shape[1] - count], axis=1)
-    edges = edges.reshape(len(new), len(first), order - 1)
-    turned = corners[:, first] > corners[:, second]
-    return [
-        np.where(turned[..., None], edges[..., ::-1], edges).reshape(len(new), -1),
-        faces,
-        inside,
-    ]
+def _levels(cells: AttributedCells, new: ndarray) -> list[ndarray]:
+    """Lists new nodes of order 2 in MFEM's order: on edges, on faces, inside."""
+    size = cells.corners.shape[1]
+    every = np.concatenate([cells.corners, new], axis=1)
+    listed = reordered(of_order(cells.kind, 2).name, every, None, ORDER)[:, size:]
+    inside = len(inner_places(cells.kind, 2))
+    edges = len(ORDER.edges[cells.kind])
+    return np.split(listed, [edges, listed.shape[1] - inside], axis=1)
 
 
 def _in_file_order(cells: list[AttributedCells], tables: Iterable[ndarray]) -> ndarray:
     """Joins the rows (k, m) of several types, as these take turns in the file."""
-    joined = [
-        (np.repeat(each.rows, table.shape[1]), table.ravel())
-        for each, table in zip(cells, tables, strict=True)
-    ]
-    rows, ids = map(np.concatenate, zip(*joined, strict=True))
-    return ids[np.argsort(rows, kind="stable")]
-
-
-def at_places(cells: Arrays, points: ndarray, *, are_lobatto: bool) -> ndarray:
-    """Takes nodes at equal steps to MFEM's Gauss-Lobatto places (from order 3 on), or back."""
-    moved = points.copy()
-    for kind, ids in cells.items():
-        matrix = np.linalg.inv(to_lobatto(kind)) if are_lobatto else to_lobatto(kind)
-        moved[ids] = np.einsum("mn,knd->kmd", matrix, points[ids])
-    return moved
-
-
-def to_lobatto(kind: str) -> ndarray:
-    cell = lagrange_types()[kind]
-    p = cell.order
-    at = cell.lattice
-    simplex = SIMPLEX.get(cell.shape, 0)
-    inner = legendre.legroots(legendre.legder(np.eye(p + 1)[p]))
-    line = np.concatenate([[0], (np.sort(inner) + 1) / 2, [1]])
-    places = line[at]
-    if simplex:
-        rest = line[p - at[:, :simplex].sum(axis=1)]
-        places[:, :simplex] /= (places[:, :simplex].sum(axis=1) + rest)[:, None]
-    return values(kind, places)
+    tables = list(tables)
+    rows = [np.repeat(each.rows, table.shape[1]) for each, table in zip(cells, tables, strict=True)]
+    ids = np.concatenate([table.ravel() for table in tables])
+    return ids[np.argsort(np.concatenate(rows), kind="stable")]
 
 
 NAME = "MFEM"
@@ -144,8 +111,8 @@ class Space(NamedTuple):
     is_torn: bool = False
     skipped: int = 0
 
-    def values(self, node: ndarray, total: int) -> tuple[ndarray, ndarray]:
-        """Reads the coordinates of each `node` (m,), and of the first place of all nodes."""
+    def content(self, text: bytes, node: ndarray, total: int) -> PlacedPoints:
+        """Reads the coordinates, of which each is one of the mesh's `total` nodes: `node` (m,)."""
         numbers = self.section.rows(np.float64).values[self.skipped :]
         first = np.unique(node, return_index=True)[1]
         if self.d not in (2, 3) or len(numbers) != len(node) * self.d or len(first) < total:
@@ -159,48 +126,10 @@ class Space(NamedTuple):
             raise self.section.error(
                 f"nodes of cells that meet are {distance:.3g} apart; periodic meshes are not read."
             )
-        return rows, rows[first]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class MFEMContent:
-    """A file's text, and what makes its coordinates of the mesh's points.
-
-    - `values`: the coordinates (m, d) of the file; `node` (m,): the mesh's node of each.
-    - `points`: the mesh's points as read; `cells`: curved cells from order 3 on, else none.
-    """
-
-    singles: ClassVar = ()
-
-    text: bytes
-    space: Space
-    values: ndarray
-    node: ndarray
-    points: ndarray
-    cells: Arrays
-
-    def in_file(self, points: ndarray) -> ndarray:
-        """Computes the file's coordinates (m, d); unchanged where points have not changed."""
-        new, old = (
-            at_places(self.cells, places, are_lobatto=False) for places in (points, self.points)
-        )
-        rows = self.values.copy()
-        d = points.shape[1]
-        rows[:, :d] = np.where(
-            (new != old.astype(new.dtype))[self.node], new[self.node], rows[:, :d]
-        )
-        return rows
-
-    def in_mesh(self, values: ndarray) -> ndarray:
-        lobatto = values[np.unique(self.node, return_index=True)[1], : self.points.shape[1]]
-        return at_places(self.cells, lobatto, are_lobatto=True)
-
-    def moved(self, points: ndarray) -> Pieces:
-        rows = self.in_file(points)
-        section = self.space.section
-        words = (rows.T if self.space.by_nodes else rows).ravel()
-        at = np.arange(len(words)) + self.space.skipped
-        return replaced(self.text, slice(section.start, section.stop), words, at=at, plain=_plain)
+        section = self.section
+        at = np.arange(len(numbers)) + self.skipped
+        part = CoordinatePart(section.start, section.stop, at=at, by_columns=self.by_nodes)
+        return PlacedPoints(rows, text, [part], _plain, node=node)
 
 
 def read(path: Path) -> Parts:
@@ -213,11 +142,20 @@ def read(path: Path) -> Parts:
         raise parts["elements"].error("cells of 2-D alone, or of 3-D alone, expected.")
     if space.order > 1 and "pyramid" in [each.kind for each in cells]:
         raise space.section.error("pyramids of order 2 and more are not read.")
-    ids, total = numbered(cells, sides, space.order, space.vertices)
+    ids, total = number_nodes(cells, sides, space.order, space.vertices)
     nodes = {
         of_order(each.kind, space.order).name: rows for each, rows in zip(cells, ids, strict=False)
     }
-    content = _content(text, space, cells, nodes, total)
+    node = np.arange(total)
+    if space.is_torn:  # cell by cell, the first coordinate fastest
+        tables = [
+            rows[:, np.lexsort(lagrange_types()[kind].lattice.T)] for kind, rows in nodes.items()
+        ]
+        node = _in_file_order(cells, tables)
+    content = space.content(text, node, total)
+    points = content.points[np.unique(node, return_index=True)[1]]
+    if points.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(points[:, 2]):
+        points = points[:, :2]
     patches = _patches(sides, ids[len(cells) :])
     source = Source(
         path,
@@ -225,29 +163,10 @@ def read(path: Path) -> Parts:
         content,
         cell_ids=np.concatenate([each.rows for each in cells]),
         groups=_groups(parts.get("boundary_attribute_sets"), patches),
-        held=content if content.cells else None,
         notes=tuple(_notes(cells, parts)),
     )
     # a caller may change the mesh's points in place, and the file's must stay
-    return checked_parts(content.points.copy(), nodes, patches, source)
-
-
-def _content(
-    text: bytes, space: Space, cells: list[AttributedCells], nodes: Arrays, total: int
-) -> MFEMContent:
-    node = np.arange(total)
-    curved = nodes if space.order > 2 else {}
-    if space.is_torn:  # cell by cell, the first coordinate fastest
-        tables = [
-            ids[:, np.lexsort(lagrange_types()[kind].lattice.T)] for kind, ids in nodes.items()
-        ]
-        node = _in_file_order(cells, tables)
-    values, lobatto = space.values(node, total)
-    if lobatto.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(lobatto[:, 2]):
-        lobatto = lobatto[:, :2]
-    return MFEMContent(
-        text, space, values, node, at_places(curved, lobatto, are_lobatto=True), curved
-    )
+    return checked_parts(points.copy(), nodes, patches, source)
 
 
 def _plain(text: bytes) -> bytes:
@@ -308,9 +227,11 @@ def _space_of(parts: dict[str, Section]) -> Space:
     name = {b"Linear": "H1_P1", b"Quadratic": "H1_P2"}.get(
         head[1], head[1].decode(errors="replace")
     )
-    known = re.fullmatch(r"(H1|L2_T1)_(?:[23]D_)?P([1-4])", name)
+    known = re.fullmatch(r"(H1|L2_T1)_(?:[23]D_)?P([12])", name)
     if known is None:
-        raise section.error(f"nodes of {name[:40]} are not read; H1 and L2_T1 of order 1 to 4 are.")
+        raise section.error(
+            f"nodes of {name[:40]} are not read; H1 and L2_T1 of order 1 and 2 are."
+        )
     numbers = section._replace(start=section.start + head.end())
     return Space(numbers, count, int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
 

@@ -30,7 +30,7 @@ class CoordinatePart(NamedTuple):
 
     Without a `dtype` this is a text, and `at` are the places of coordinates among its words, None
     for all words. Else `at` are the bytes at which points begin, counted from `start`, None for
-    points without anything between them.
+    points without anything between them. `by_columns` all x of a text come before all y.
     """
 
     start: int
@@ -38,6 +38,7 @@ class CoordinatePart(NamedTuple):
     rows: slice = slice(None)
     at: ndarray | None = None
     dtype: np.dtype | None = None
+    by_columns: bool = False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class PlacedPoints(FilePoints):
         points = self.in_file(points)
         done = 0
         for part in sorted(self.parts, key=lambda part: part.start):
-            values = points[part.rows]
+            values = points[part.rows].T if part.by_columns else points[part.rows]
             if part.dtype is None:
                 yield from replaced(
                     self.raw[done : part.stop],

@@ -265,8 +265,8 @@ def write(
 
     A mesh that was read and `moved` keeps everything but its coordinates in its own format, byte
     for byte but in VTK and XDMF files, in which all is kept. Coordinates read back bit for bit,
-    except for rounding to single precision (`as_written`), and round-off in MFEM's files of order 3
-    and 4. Other meshes, and other formats, get points, cells and patches. SU2 and gmsh express a
+    except for rounding to single precision (`as_written`). Other meshes, and other formats, get
+    points, cells and patches. SU2 and gmsh express a
     patch by the boundary faces between its nodes. Other formats take back only meshes that came
     from them. A file that ends in .gz is packed.
 
