@@ -14,7 +14,7 @@ from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
 from jaxmorph._mesh.exchange import Parts
 
-from ._format import Source, of_grid
+from ._format import of_grid
 from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, blanked, decoded, parse
 
@@ -247,8 +247,7 @@ def read(path: Path) -> Parts:
     if left:
         more = f" and {len(left) - SHOWN_KEYWORDS} more" if len(left) > SHOWN_KEYWORDS else ""
         notes += (f"{', '.join(left[:SHOWN_KEYWORDS])}{more} are not read, and stay in the file.",)
-    source = Source(path, NAME, content, labels=labels, notes=notes, **content.known)
-    return of_grid(path, grid, source)
+    return of_grid(path, NAME, content, grid, notes=notes, labels=labels)
 
 
 def _plain(text: bytes) -> bytes:

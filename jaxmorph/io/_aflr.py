@@ -9,7 +9,7 @@ import numpy as np
 from jaxmorph._host.cells.topology import CORNERS
 from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import EVERYTHING, MeshLike, Source, check_form, of_grid
+from ._format import EVERYTHING, MeshLike, check_form, of_grid
 from ._places import Stream
 from ._text import Section
 
@@ -58,8 +58,7 @@ def read(path: Path) -> Parts:
         for k, rows in zip((*UGRID_FACES, *UGRID_CELLS), [*faces, *cells], strict=True)
     ]
     grid = Grid(content.points, blocks, {}, {"ugrid:ref": numbers})
-    notes = tuple(_rest(stream, sizes[2]))
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
+    return of_grid(path, NAME, content, grid, notes=_rest(stream, sizes[2]))
 
 
 def _rest(stream: Stream, tets: int) -> Iterator[str]:

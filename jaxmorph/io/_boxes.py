@@ -137,7 +137,7 @@ def write_lattice(file: PathLike, points: Any) -> None:
 
     **Raises:** `ValueError` for another shape or another ending, `ImportError` without vtk.
     """
-    path = check_lattice_output(file)
+    path = output_path(file, *LATTICES)
     points = finite_array("points", points, (None, None, 2), (None, None, None, 3))
     d = points.shape[-1]
     full = np.zeros((*points.shape[:-1], *(1,) * (3 - d), 3))
@@ -147,14 +147,6 @@ def write_lattice(file: PathLike, points: Any) -> None:
     grid.SetPoints(vtk.points_of(full.reshape(-1, 3, order="F")))
     with complete(path) as partial:
         partial.write_bytes(text_of(grid, Encoding(mode="appended")))
-
-
-@checked
-def check_lattice_output(file: PathLike) -> Path:
-    """Raises `ValueError` or `ImportError` where `write_lattice` cannot write; returns the path."""
-    path = output_path(file, *LATTICES)
-    vtk.vtk("vtkIOXML")
-    return path
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

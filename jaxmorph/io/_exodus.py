@@ -12,8 +12,8 @@ from jaxmorph._host.cells.orders import CGNS_ORDER, NodeOrder, reordered
 from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
-from ._format import MeshLike
-from ._tree import Coordinates, of_tree, opened, points_of, text_of, write_points
+from ._format import of_grid
+from ._tree import Coordinates, TreePoints, labels_in, opened, text_of
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
@@ -68,33 +68,30 @@ def read(path: Path) -> Parts:
     An unnamed set is called by its kind and number; so is a duplicate name, but the first.
     """
     with opened(path, what=WHAT) as file:
-        coordinates = list(_coordinates(file))
-        d = file["num_dim"].shape[0]
-        points = points_of(coordinates, file["num_nodes"].shape[0], d)
+        content = TreePoints.of(path, file, _coordinates, WHAT)
+        n, d = content.points.shape
+        _check_count(file, "num_dim", d)
+        _check_count(file, "num_nodes", n)
         blocks = list(_blocks(path, file, d))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
-        grid = Grid(points, [(block.kind, block.corners) for block in blocks], {}, {})
+        grid = Grid(content.points, [(block.kind, block.corners) for block in blocks], {}, {})
         patches = [
             Patch(block.name, block.own, block.corners) for *_, block in grid.of_blocks(blocks)
         ]
         patches += [patch for what, number in _SETS for patch in _sets(file, what, number, blocks)]
         notes = _notes(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
-        labels = file["node_num_map"][()] if "node_num_map" in file else None
-        return of_tree(path, NAME, coordinates, grid, patches, notes, labels)
-
-
-def write(path: Path, mesh: MeshLike) -> None:
-    write_points(path, mesh, NAME, _coordinates, WHAT)
+        labels = labels_in(file, "node_num_map", n)
+        return of_grid(path, NAME, content, grid, patches, notes, labels=labels)
 
 
 def _coordinates(file: Mapping[str, Any]) -> Iterator[Coordinates]:
     if "coord" in file:
-        yield Coordinates(file["coord"], slice(None), slice(None))
+        d, n = file["coord"].shape
+        yield Coordinates(file["coord"], slice(0, n), slice(0, d))
         return
     names = [name for name in ("coordx", "coordy", "coordz") if name in file]
-    _check_count(file, "num_dim", len(names))
     for axis, name in enumerate(names):
-        yield Coordinates(file[name], slice(None), slice(axis, axis + 1))
+        yield Coordinates(file[name], slice(0, file[name].size), slice(axis, axis + 1))
 
 
 def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:

@@ -10,8 +10,8 @@ from jaxmorph._host.ragged import Ragged
 from jaxmorph._mesh.exchange import Parts
 
 from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
-from ._format import FilePoints, MeshLike, Source, stamp_of
-from ._tree import Coordinates, only, opened, points_of, singles_of, text_of, write_points
+from ._format import Source
+from ._tree import Coordinates, TreePoints, only, opened, text_of
 
 NAME = "Fluent HDF5"
 WHAT = "a Fluent case in HDF5"
@@ -24,23 +24,18 @@ def read(path: Path) -> Parts:
             kind = "a mesh of HOPR, which is not read" if "ElemInfo" in file else missing
             raise ValueError(f"{path}: this is {kind}.")
         mesh = only(file["meshes"], "meshes")[1]
-        coordinates = list(_coordinates(file))
-        points = points_of(coordinates, coordinates[-1].rows.stop, coordinates[0].array.shape[1])
-        content = FilePoints(points, stamp=stamp_of(path), singles=singles_of(coordinates))
+        content = TreePoints.of(path, file, _coordinates, WHAT)
         found = _table(mesh), list(_zones(mesh["faces"]))
         count = int(mesh.attrs["cellCount"].flat[0])
         regions = _names(mesh["cells"]["zoneTopology"])
     return mesh_of(Source(path, NAME, content), *found, count, regions)
 
 
-def write(path: Path, mesh: MeshLike) -> None:
-    write_points(path, mesh, NAME, _coordinates, WHAT)
-
-
 def _coordinates(file: Any) -> Iterator[Coordinates]:
     first = 0
     for array in _sections(only(file["meshes"], "meshes")[1]["nodes"]["coords"]):
-        yield Coordinates(array, slice(first, first + len(array)), slice(None), by_rows=True)
+        n, d = array.shape
+        yield Coordinates(array, slice(first, first + n), slice(0, d), by_rows=True)
         first += len(array)
 
 

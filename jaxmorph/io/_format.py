@@ -128,10 +128,12 @@ class Format(NamedTuple):
     The module, and with it an extra, is imported at first use. It defines
 
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
-    - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
+    - `new(mesh)`: yields the bytes of a new file, for a mesh from elsewhere. For one that came from
+      the format, `write(path, points)` of its source's content makes the file;
+    - `write(path, mesh)`, in place of both: one that `holds_arrays` takes `point_data` and
       `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
-      not at all. Without it, `moved(points)` of a source's content yields the bytes of a copy;
-    - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
+      not at all;
+    - `check(path, mesh)`: raises `ValueError` for a mesh that cannot be written, whatever its
       points. Without it the format takes back only meshes that came from it.
     """
 
@@ -170,7 +172,7 @@ def content_of(mesh: MeshLike, format_name: str) -> Any:
 def own_source(mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
-    Raises `ValueError` for other meshes, and for a file that has changed since, by its `stamp`.
+    Raises `ValueError` for other meshes, and for a file of copies that has changed since.
     """
     source = source_of(mesh, format_name)
     if source is None:
@@ -182,8 +184,7 @@ def own_source(mesh: MeshLike, format_name: str) -> Source:
             f"only a mesh that was read from {article} {format_name} file can be written to one; "
             f"write .vtu or {other}."
         )
-    stamp = getattr(source.content, "stamp", None)
-    if stamp is not None and stamp_of(source.path) != stamp:
+    if not getattr(source.content, "is_current", True):
         raise ValueError(
             f"{source.path} has changed since the mesh was read from it; read it again."
         )
@@ -211,16 +212,21 @@ def faults_of(path: Path) -> Iterator[None]:
         ) from error
 
 
-def of_grid(path: Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
+def of_grid(
+    path: Path,
+    name: str,
+    content: "FilePoints",
+    grid: Grid,
+    patches: Iterable[Patch] = (),
+    notes: Iterable[str] = (),
+    **known: Any,
+) -> Parts:
+    """Makes a mesh of a grid whose points are those of a file; `known` are fields of its source."""
+    source = Source(path, name, content, **content.known, **known)
     with faults_of(path):
         points, cells, found, origin = parts(grid, patches)
-        notes = (*source.notes, *origin.notes)
+        notes = (*notes, *origin.notes)
         return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
-
-
-def stamp_of(path: Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_size, status.st_mtime_ns
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -228,13 +234,11 @@ class FilePoints:
     """The points (N, k) of a file, of which a 2-D mesh has no z.
 
     - `node` (N,): the mesh's node for each of them; None where the mesh has the nodes of the file.
-    - `stamp`: marks by which a changed file is found, for a format of copies.
     - `singles`: rows and columns of `points` that the file has in single precision.
     """
 
     points: ndarray
     node: ndarray | None = dataclasses.field(default=None, kw_only=True)
-    stamp: tuple[int, int] | None = dataclasses.field(default=None, kw_only=True)
     singles: Sequence[tuple[slice, Any]] = dataclasses.field(default=(), kw_only=True)
 
     @property
@@ -256,6 +260,14 @@ class FilePoints:
     def in_mesh(self, values: ndarray) -> ndarray:
         """Returns the mesh's points from the file's, without z where all z are equal."""
         return values[self._first, : 2 if self.is_flat else 3]
+
+    def moved(self, points: ndarray) -> Iterator[bytes | bytearray | memoryview]:
+        """Yields the bytes of the file with other points of the mesh."""
+        raise NotImplementedError
+
+    def write(self, path: Path, points: ndarray) -> None:
+        with path.open("wb") as file:
+            file.writelines(self.moved(points))
 
     @property
     def known(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from jaxmorph._host.cells.topology import DIMENSION, codes, inverted
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from ._format import MeshLike, Source, content_of, faults_of, of_grid, patch_faces
+from ._format import MeshLike, content_of, faults_of, of_grid, patch_faces
 from ._places import Labels, Stream
 from ._text import Section, blanked, decoded
 
@@ -144,8 +144,8 @@ def read(path: pathlib.Path) -> Parts:
     unread = [name for name in found.others if name != "$Periodic" or not periodic]
     if unread:
         notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
-    known = content.known | {"labels": labels.numbers, "periodic": periodic}
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **known), patches)
+    known = {"labels": labels.numbers, "periodic": periodic}
+    return of_grid(path, NAME, content, grid, patches, notes, **known)
 
 
 def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, ndarray]]:
@@ -479,15 +479,8 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2."""
-    content = content_of(mesh, NAME)
-    with path.open("wb") as file:
-        file.writelines(_new(mesh) if content is None else content.moved(np.asarray(mesh.points)))
-
-
-def _new(mesh: MeshLike) -> Iterator[bytes]:
-    """Yields a new file. A patch is a group of faces, which have its tag as group and as entity."""
+def new(mesh: MeshLike) -> Iterator[bytes]:
+    """Yields a binary file of version 2.2. A patch is a group of faces of a tag and an entity."""
     points = np.asarray(mesh.points, float)
     markers = patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]

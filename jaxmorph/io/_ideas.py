@@ -17,7 +17,7 @@ from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import numbers
 from jaxmorph._mesh.exchange import Parts, gathered
 
-from ._format import Source, of_grid
+from ._format import of_grid
 from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, decoded, parse
 
@@ -79,8 +79,7 @@ def read(path: Path) -> Parts:
         notes += (f"datasets {', '.join(left)} are not read, and stay in the file.",)
     if others := sum(int((~np.isin(ids[:, 0], (7, 8))).sum()) for _, ids in groups):
         notes += (f"{others} members of groups are no nodes or elements, and are not read.",)
-    source = Source(path, NAME, content, labels=nodes[:, 0], notes=notes, **content.known)
-    return of_grid(path, grid, source)
+    return of_grid(path, NAME, content, grid, notes=notes, labels=nodes[:, 0])
 
 
 def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:

@@ -10,7 +10,6 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
 from .._host.package.rounding import Tree
-from ._format import FilePoints
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
 TOLERANCE = 1e-3
@@ -94,8 +93,8 @@ def join(
     patches: Mapping[str, Sequence[ndarray]],
     faces: list[ndarray],
     names: Sequence[str] = (),
-) -> tuple[Parts, FilePoints]:
-    """Joins zones to one mesh in the file's node order, 2-D if z is constant.
+) -> tuple[Parts, ndarray]:
+    """Joins zones to one mesh in the file's node order, 2-D if z is constant; with its nodes (N,).
 
     `points` are all nodes of a file, zone after zone, with cells and patches of their ids. Where no
     other zone meets the outer `faces`, they become patches by their `names`. Without names these
@@ -111,11 +110,12 @@ def join(
         )
     faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
     node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
-    joined = FilePoints(points, node=node)
+    first = np.unique(node, return_index=True)[1]
+    d = 2 if np.ptp(points[:, 2:]) == 0 else 3
     whole = gathered((kind, node[corners]) for kind, corners in cells)
     own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
     found = gathered([*own, *_rest([node[corners] for corners in faces], names, patches)])
-    return checked_parts(np.ascontiguousarray(joined.in_mesh(points)), whole, found), joined
+    return checked_parts(np.ascontiguousarray(points[first, :d]), whole, found), node
 
 
 def _rest(

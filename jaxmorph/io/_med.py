@@ -10,8 +10,8 @@ from numpy import ndarray
 from jaxmorph._host.cells.topology import CORNERS, numbers, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import MeshLike
-from ._tree import Coordinates, of_tree, only, opened, points_of, text_of, write_points
+from ._format import of_grid
+from ._tree import Coordinates, TreePoints, labels_in, only, opened, text_of
 
 NAME = "MED"
 WHAT = "a MED file"
@@ -26,9 +26,8 @@ def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
-        coordinates = list(_coordinates(file))
-        n = int(coordinates[0].array.attrs["NBR"])
-        points = points_of(coordinates, n, coordinates[0].array.size // n)
+        content = TreePoints.of(path, file, _coordinates, WHAT)
+        n = len(content.points)
         blocks = []
         families = []
         for kind, group in step["MAI"].items():
@@ -42,7 +41,7 @@ def read(path: Path) -> Parts:
                 corners = corners[:, *numbers(PLACES[ours])]
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
-        of_nodes = _families(step["NOE"], len(points))
+        of_nodes = _families(step["NOE"], n)
         cells = {
             group: [np.flatnonzero(np.isin(family, ids)) for family in families]
             for group, ids in _groups(file, name, "ELEME").items()
@@ -52,18 +51,21 @@ def read(path: Path) -> Parts:
             for group, ids in _groups(file, name, "NOEUD").items()
         }
         grid = Grid(
-            points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes")
+            content.points,
+            blocks,
+            {},
+            {},
+            cell_sets=cells,
+            point_sets=nodes,
+            own=("elements", "nodes"),
         )
-        labels = step["NOE"]["NUM"][()] if "NUM" in step["NOE"] else None
-        return of_tree(path, NAME, coordinates, grid, labels=labels)
-
-
-def write(path: Path, mesh: MeshLike) -> None:
-    write_points(path, mesh, NAME, _coordinates, WHAT)
+        return of_grid(path, NAME, content, grid, labels=labels_in(step["NOE"], "NUM", n))
 
 
 def _coordinates(file: Any) -> Iterator[Coordinates]:
-    yield Coordinates(_step(file)[1]["NOE"]["COO"], slice(None), slice(None))
+    array = _step(file)[1]["NOE"]["COO"]
+    n = int(array.attrs["NBR"])
+    yield Coordinates(array, slice(0, n), slice(0, array.size // n))
 
 
 def _families(group: Any, count: int) -> ndarray:

@@ -12,7 +12,7 @@ from jaxmorph._host.cells.topology import CORNERS, codes, inverted, pairs_of
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import EVERYTHING, MeshLike, Source, check_form, of_grid
+from ._format import EVERYTHING, MeshLike, check_form, of_grid
 from ._gmsh import ORDERS
 from ._places import PlacedPoints, Stream
 from ._text import Section, blanked
@@ -88,7 +88,7 @@ def read(path: Path) -> Parts:
     others = [name for name in file.sections if name not in READ_KEYWORDS]
     notes = (f"sections {', '.join(others)} are not read, and stay in the file.",) if others else ()
     grid = Grid(content.points, blocks, {"medit:ref": of_nodes}, arrays)
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
+    return of_grid(path, NAME, content, grid, notes=notes)
 
 
 def check(path: Path, mesh: MeshLike) -> None:

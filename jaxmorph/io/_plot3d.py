@@ -108,8 +108,8 @@ def read(path: Path) -> Parts:
     blank = sum(int((block == 0).sum()) for block in layout.blanks(numbers))
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
     notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
-    mesh, joined = join(points, *_zones(path, layout.shapes))
-    content = Plot3DContent(points, data, layout, node=joined.node, singles=singles)
+    mesh, node = join(points, *_zones(path, layout.shapes))
+    content = Plot3DContent(points, data, layout, node=node, singles=singles)
     return mesh._replace(source=Source(path, NAME, content, notes=notes, **content.known))
 
 

@@ -61,6 +61,8 @@ FOREIGN = {
 }
 """What files are that begin so, and that no format reads."""
 HEAD = 4096
+"""Bytes by which a file is known."""
+QUALITIES = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
 
 
 def format_of(path: Path) -> Format:
@@ -225,7 +227,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
-        if getattr(mesh.source.content, "stamp", None) is not None:
+        if hasattr(mesh.source.content, "is_current"):
             raise ValueError(
                 f"{path}: files of {mesh.source.format} are copied when they are written: unpack "
                 "it first."
@@ -299,11 +301,11 @@ def write(
     with appear(path) as target, files.packed(target, path.stem) as file:
         if hasattr(codec, "write"):
             codec.write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
+        elif (source := source_of(mesh, chosen.name)) is not None:
+            source.content.write(file, np.asarray(mesh.points))
         else:
             with file.open("wb") as stream:
-                stream.writelines(
-                    own_source(mesh, chosen.name).content.moved(np.asarray(mesh.points))
-                )
+                stream.writelines(codec.new(mesh))
 
 
 @checked
@@ -423,14 +425,6 @@ def symmetry(mesh: Mesh) -> tuple[str, ...]:
 
 
 @checked
-def cell_arrays(report: QualityReport) -> dict[str, ndarray]:
-    """Lists each cell's quality by name, as files hold it: a number a cell, as in `mesh.cells`."""
-    names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
-    arrays = {name: np.asarray(getattr(report, name)) for name in names}
-    return arrays | {"is_inverted": np.asarray(report.is_inverted).astype(np.uint8)}
-
-
-@checked
 def write_moved(path: PathLike, mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
     """Writes a moved mesh, with displacement and cell quality where the format holds arrays.
 
@@ -453,7 +447,9 @@ def write_moved(path: PathLike, mesh: Mesh, moved: Mesh, report: QualityReport) 
             f"`moved` has points of shape {after.shape}, `mesh` {before.shape}. It must be "
             "`mesh`, moved."
         )
-    write(path, moved, point_data={"displacement": after - before}, cell_data=cell_arrays(report))
+    cell_data = {name: np.asarray(getattr(report, name)) for name in QUALITIES}
+    cell_data["is_inverted"] = np.asarray(report.is_inverted).astype(np.uint8)
+    write(path, moved, point_data={"displacement": after - before}, cell_data=cell_data)
 
 
 @checked

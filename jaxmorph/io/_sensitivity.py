@@ -86,7 +86,7 @@ def write_sensitivity(
     **Raises:** `ValueError` for another ending, bad ids, and values of another shape or that are
     not finite.
     """
-    path = check_sensitivity_output(path)
+    path = output_path(path, *SENSITIVITIES)
     ids = rows_of("ids", ids, 2**62)
     values = finite_array("values", values, (len(ids), 2), (len(ids), 3)).astype(float)
     if path.suffix.lower() == ".npz":
@@ -102,12 +102,6 @@ def write_sensitivity(
         content = "\n".join([header, *rows, ""]).encode()
     with complete(path) as partial:
         partial.write_bytes(content)
-
-
-@checked
-def check_sensitivity_output(path: PathLike) -> Path:
-    """Raises `ValueError` for a file that `write_sensitivity` cannot write; returns its path."""
-    return output_path(path, *SENSITIVITIES)
 
 
 _INTERNAL = re.compile(rb"internalField\s+(nonuniform\s+List<vector>|uniform)")
@@ -159,7 +153,7 @@ def write_gradient(path: PathLike, parameters: PyTree, gradient: PyTree) -> None
 
     **Raises:** `ValueError` for another ending, and for a gradient of another structure.
     """
-    path = check_gradient_output(path)
+    path = output_path(path, *GRADIENTS)
     variables = jm.shapes.names(parameters)
     given = jm.shapes.names(gradient)
     if given != variables:
@@ -188,9 +182,3 @@ def write_gradient(path: PathLike, parameters: PyTree, gradient: PyTree) -> None
         json.dump(table, stream, indent=1)
     with complete(path) as partial:
         partial.write_text(stream.getvalue(), encoding="utf-8")
-
-
-@checked
-def check_gradient_output(path: PathLike) -> Path:
-    """Raises `ValueError` for a file that `write_gradient` cannot write; returns its path."""
-    return output_path(path, *GRADIENTS)

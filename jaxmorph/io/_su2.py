@@ -149,19 +149,6 @@ def check(path: Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: Path, mesh: MeshLike) -> None:
-    """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
-    source = source_of(mesh, NAME)
-    points = np.asarray(mesh.points)
-    if source is not None and points.shape != source.content.points.shape:
-        raise ValueError(
-            f"the mesh has points of shape {points.shape}; {source.path} has "
-            f"{source.content.points.shape}."
-        )
-    with path.open("wb") as file:
-        file.writelines(_new_text(mesh) if source is None else source.content.moved(points))
-
-
 def _keywords(path: Path, text: bytes) -> Iterator[Keyword]:
     lines = []
     at = text.find(b"=")
@@ -249,7 +236,7 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
         raise keyword.section.error(f"{keyword.name}= {stated}, but {count} rows of {what} follow.")
 
 
-def _new_text(mesh: MeshLike) -> Pieces:
+def new(mesh: MeshLike) -> Pieces:
     points = np.asarray(mesh.points)
     markers = patch_faces(mesh)
     n, d = points.shape

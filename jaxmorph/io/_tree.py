@@ -9,18 +9,17 @@ header of dimensions, attributes and variables with their places, and big-endian
 """
 
 import contextlib
+import dataclasses
 import math
 import re
 import shutil
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy import ndarray
-
-from jaxmorph._mesh.exchange import Grid, Parts, Patch
 
 try:
     import h5py
@@ -28,7 +27,7 @@ try:
 except ImportError as error:
     raise ImportError("CGNS, MED and Exodus files need h5py: pip install 'jaxmorph[io]'") from error
 
-from ._format import FilePoints, MeshLike, Source, of_grid, own_source, stamp_of
+from ._format import FilePoints
 from ._text import decoded
 
 WHAT = "a CGNS file in HDF5 or ADF"
@@ -93,6 +92,16 @@ def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
     return next(iter(groups.items()))
 
 
+def labels_in(group: Any, name: str, n: int) -> ndarray | None:
+    """Reads the file's own numbers of its n nodes; None where it has none."""
+    if name not in group:
+        return None
+    labels = group[name][()]
+    if labels.shape != (n,):
+        raise ValueError(f"{labels.size} numbers of nodes for {n} of them")
+    return labels
+
+
 class Coordinates(NamedTuple):
     """An array of a file's points at `rows` and `columns`: (n, d) if `by_rows`, else by columns."""
 
@@ -102,59 +111,62 @@ class Coordinates(NamedTuple):
     by_rows: bool = False
 
 
-def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> ndarray:
-    points = np.full((n, d), np.nan)
-    for array, rows, columns, by_rows in coordinates:
-        width = d if columns == slice(None) else 1
-        points[rows, columns] = array[()] if by_rows else array[()].reshape(width, -1).T
-    return points
+Find = Callable[[Any], Iterable[Coordinates]]
+"""Finds the coordinates in the root of a file's tree."""
 
 
-def singles_of(coordinates: Iterable[Coordinates]) -> list[tuple[slice, slice]]:
-    return [(each.rows, each.columns) for each in coordinates if each.array.dtype.itemsize < 8]
+@dataclasses.dataclass(frozen=True, eq=False)
+class TreePoints(FilePoints):
+    """The points of a file that is written as a copy, into which the new ones are put.
 
-
-def of_tree(
-    path: Path,
-    name: str,
-    coordinates: Iterable[Coordinates],
-    grid: Grid,
-    patches: Iterable[Patch] = (),
-    notes: Iterable[str] = (),
-    labels: ndarray | None = None,
-) -> Parts:
-    content = FilePoints(grid.points, stamp=stamp_of(path), singles=singles_of(coordinates))
-    if labels is not None and labels.shape != (len(grid.points),):
-        raise ValueError(f"{labels.size} numbers of nodes for {len(grid.points)} of them")
-    source = Source(path, name, content, labels=labels, notes=tuple(notes), **content.known)
-    return of_grid(path, grid, source, patches)
-
-
-def write_points(
-    path: Path,
-    mesh: MeshLike,
-    format_name: str,
-    coordinates: Callable[[Any], Iterable[Coordinates]],
-    what: str = WHAT,
-) -> None:
-    """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
-
-    `coordinates` finds them in the root of the copy's tree. NumPy rounds them, since HDF5 rounds
-    ties otherwise. A file with data in another one is refused before it is copied.
+    - `path`, `find`, `what`: the file, what finds coordinates in it, and its name in messages.
+    - `stamp`: size and time of the file, by which a changed one is found.
     """
-    source = own_source(mesh, format_name)
-    with opened(source.path, what=what):
-        pass
-    shutil.copyfile(source.path, path)
-    points = source.content.in_file(np.asarray(mesh.points))
-    old = source.content.points
-    if np.array_equal(points, old):
-        return
-    with opened(path, writes=True, what=what) as file:
-        for array, rows, columns, by_rows in coordinates(file):
-            new = points[rows, columns]
-            if not np.array_equal(new, old[rows, columns]):
-                array[...] = (new if by_rows else new.T).reshape(array.shape).astype(array.dtype)
+
+    path: Path
+    find: Find
+    what: str
+    stamp: tuple[int, int]
+
+    @classmethod
+    def of(cls, path: Path, tree: Any, find: Find, what: str = WHAT) -> "TreePoints":
+        coordinates = list(find(tree))
+        n = max(each.rows.stop for each in coordinates)
+        d = max(each.columns.stop for each in coordinates)
+        points = np.full((n, d), np.nan)
+        for array, rows, columns, by_rows in coordinates:
+            width = columns.stop - columns.start
+            points[rows, columns] = array[()] if by_rows else array[()].reshape(width, -1).T
+        singles = [each[1:3] for each in coordinates if each.array.dtype.itemsize < 8]
+        return cls(points, path, find, what, _stamp(path), singles=singles)
+
+    @property
+    def is_current(self) -> bool:
+        return _stamp(self.path) == self.stamp
+
+    def write(self, path: Path, points: ndarray) -> None:
+        """Copies the file, and puts the mesh's points into the copy.
+
+        NumPy rounds them, since HDF5 rounds ties otherwise. A file with data in another one is
+        refused before it is copied.
+        """
+        with opened(self.path, what=self.what):
+            pass
+        shutil.copyfile(self.path, path)
+        points = self.in_file(points)
+        if np.array_equal(points, self.points):
+            return
+        with opened(path, writes=True, what=self.what) as tree:
+            for array, rows, columns, by_rows in self.find(tree):
+                new = points[rows, columns]
+                if not np.array_equal(new, self.points[rows, columns]):
+                    shape = array.shape
+                    array[...] = (new if by_rows else new.T).reshape(shape).astype(array.dtype)
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
 
 
 BLOCK = 4096

@@ -14,7 +14,7 @@ from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import DIMENSION, NODES, codes, inverted, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, by_number, check_width, regions_note, sized
 
-from ._format import FilePoints, MeshLike, Source, faults_of, of_grid, own_source
+from ._format import FilePoints, MeshLike, faults_of, of_grid, own_source
 from ._text import Pieces, blanked, lines, parse, replaced
 
 NAME = "XDMF"
@@ -173,6 +173,9 @@ class XDMFContent(FilePoints):
     item: ElementTree.Element
     arrays: tuple[str, ...] = ()
 
+    def moved(self, points: ndarray) -> Pieces:
+        return self.document.moved(self.item, self.in_file(points))
+
 
 def read(path: Path, tags: Path | None = None) -> Parts:
     """Reads points, cells and patches: numbers of facets in another grid of the file, or in `tags`.
@@ -197,8 +200,7 @@ def read(path: Path, tags: Path | None = None) -> Parts:
     content = XDMFContent(
         points, document=document, item=document.geometry(grids[first]), arrays=tuple(names)
     )
-    source = Source(path, NAME, content, notes=tuple(notes), **content.known)
-    parts = of_grid(path, grid, source, patches)
+    parts = of_grid(path, NAME, content, grid, patches, notes)
     if list(parts.patches) == ["boundary"] and not patches:
         source = dataclasses.replace(parts.source, notes=(*parts.source.notes, *_beside(path)))
         parts = parts._replace(source=source)
@@ -215,15 +217,6 @@ def check(path: Path, mesh: MeshLike) -> None:
         raise ValueError("the grids of the file have points of their own; write .vtu or .msh.")
     if len(document.places) != sum(not len(each) for each in document.root.iter("DataItem")):
         raise ValueError("arrays in parts of XML are not written; write .vtu or .msh.")
-
-
-def write(path: Path, mesh: MeshLike) -> None:
-    """Writes one file: the XML that was read, with all arrays in it, and the mesh's points."""
-    content = own_source(mesh, NAME).content
-    with path.open("wb") as file:
-        file.writelines(
-            content.document.moved(content.item, content.in_file(np.asarray(mesh.points)))
-        )
 
 
 def _document(path: Path) -> XDMFDocument:

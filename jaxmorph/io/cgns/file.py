@@ -2,6 +2,7 @@
 
 import collections
 import dataclasses
+import functools
 import itertools
 import pathlib
 from collections.abc import Iterator
@@ -16,9 +17,9 @@ from jaxmorph._mesh.exchange import Parts, gathered, regions_note
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import MeshLike, Source, faults_of, stamp_of
+from .._format import Source, faults_of
 from .._joined import join
-from .._tree import Coordinates, opened, points_of, singles_of, write_points
+from .._tree import Coordinates, TreePoints, opened
 from .conditions import Connection, connections, left_interfaces, name_patches, patches, said
 from .zone import DIMENSION, TYPES, Zone, children, data, first, word
 
@@ -35,12 +36,8 @@ def read(path: pathlib.Path) -> Parts:
     """
     with opened(path) as file:
         zones, dimension = open_zones(path, file)
-        coordinates = [each for zone in zones for each in zone.coordinates()]
-        points = points_of(
-            coordinates, zones[-1].rows.stop, max(each.columns.stop for each in coordinates)
-        )
-        singles = singles_of(coordinates)
-        _read_cells(zones, dimension, points)
+        content = TreePoints.of(path, file, functools.partial(_coordinates, path))
+        _read_cells(zones, dimension, content.points)
         notes = [*_others(file, zones, dimension), *name_patches(zones)]
         of_patch, faces, regions = _patches(zones)
         found = list(connections(zones))
@@ -48,23 +45,17 @@ def read(path: pathlib.Path) -> Parts:
         pairs = _pairs(found, of_patch)
         known = said(file, zones, of_patch)
     with faults_of(path):
-        mesh, joined = join(
-            points, [block[:2] for zone in zones for block in zone.content.blocks], of_patch, faces
-        )
-        content = dataclasses.replace(joined, stamp=stamp_of(path), singles=singles)
+        blocks = [block[:2] for zone in zones for block in zone.content.blocks]
+        mesh, node = join(content.points, blocks, of_patch, faces)
+        content = dataclasses.replace(content, node=node)
         known |= {"notes": tuple(notes), **content.known}
-        known |= {"periodic": tuple(_periodic(*pair, joined.is_flat) for pair in pairs)}
-        return mesh._replace(
-            source=Source(path, NAME, content, *_whole(zones, joined.node), **known)
-        )
+        known |= {"periodic": tuple(_periodic(*pair, content.is_flat) for pair in pairs)}
+        return mesh._replace(source=Source(path, NAME, content, *_whole(zones, node), **known))
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    def coordinates(file: Any) -> Iterator[Coordinates]:
-        for zone in open_zones(path, file)[0]:
-            yield from zone.coordinates()
-
-    write_points(path, mesh, NAME, coordinates)
+def _coordinates(path: pathlib.Path, file: Any) -> Iterator[Coordinates]:
+    for zone in open_zones(path, file)[0]:
+        yield from zone.coordinates()
 
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
