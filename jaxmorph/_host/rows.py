@@ -1,7 +1,7 @@
 """Ids in a list, and their rows in it: made once from the list, then asked."""
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -79,3 +79,8 @@ def first_of_equals(values: ndarray) -> Pair:
     """
     _, first, place = np.unique(values, axis=0, return_index=True, return_inverse=True)
     return first, place.ravel()
+
+
+def join_ids(lists: Iterable[Any]) -> ndarray:
+    """Joins lists of ids, of any shape, to one list (k,), which is empty without any."""
+    return np.concatenate([np.zeros(0, np.int64), *map(np.ravel, lists)])

@@ -1,6 +1,7 @@
 """Input decks of Abaqus and CalculiX, .inp, of one flat part: nodes, elements, sets, surfaces."""
 
 import dataclasses
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,11 +13,12 @@ from numpy import ndarray
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
+from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts
 
 from ._format import of_grid
 from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
-from ._text import Section, blanked, decoded, parse
+from ._text import Section, blanked, decoded, parse, sections_between
 
 NAME = "Abaqus"
 ELEMENT_NAMES = {
@@ -34,17 +36,7 @@ ABAQUS_SIDES = {
     "hexahedron": numbers("0123 4567 0154 1265 2376 0374"),
 }
 """Corners of the faces S1, S2, ... of each shape; cells in 2-D have those of `FACES`."""
-CHANGING_KEYWORDS = (
-    "SYSTEM",
-    "INCLUDE",
-    "NGEN",
-    "NFILL",
-    "NCOPY",
-    "NMAP",
-    "ELGEN",
-    "ELCOPY",
-    "PARAMETER",
-)
+CHANGING_KEYWORDS = "SYSTEM INCLUDE NGEN NFILL NCOPY NMAP ELGEN ELCOPY PARAMETER"
 """Keywords that make or move nodes and elements."""
 QUIET_KEYWORDS = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
 LEVEL_NAMES = ("PART", "INSTANCE", "ASSEMBLY")
@@ -95,7 +87,7 @@ class _Deck:
         readers = {"NODE": self._nodes, "ELEMENT": self._elements, "SURFACE": self._surface}
         readers |= {"NSET": self._set, "ELSET": self._set}
         wrong = ""
-        if name in CHANGING_KEYWORDS or (name in readers and "INPUT" in card.options):
+        if name in CHANGING_KEYWORDS.split() or (name in readers and "INPUT" in card.options):
             wrong = f"*{name} changes the mesh, and is not read: write all of it in one file."
         elif name in LEVEL_NAMES and name in self.seen:
             wrong = f"a second *{name}: decks of one part and instance are read."
@@ -128,11 +120,10 @@ class _Deck:
         rows.refuse(table[:, 0] != np.floor(table[:, 0]), "a whole number of a node expected.")
         d = min(width - 1, 3)
         first = sum(map(len, self.labels))
-        at = (width * np.arange(len(table))[:, None] + np.arange(1, d + 1)).ravel()
-        here = slice(first, first + len(table))
-        self.parts.append(CoordinatePart(section.start, section.stop, here, at))
+        columns = slice(1, d + 1)
+        self.parts.append(CoordinatePart.in_columns(section, table.shape, columns, first))
         self.labels.append(table[:, 0].astype(np.int64))
-        self.points.append(table[:, 1 : d + 1])
+        self.points.append(table[:, columns])
         self._add("NSET", card.options.get("NSET"), self.labels[-1])
 
     def _elements(self, card: Card) -> None:
@@ -160,14 +151,14 @@ class _Deck:
         values = parse(card.section.content, np.int64)
         if "GENERATE" in card.options:
             labels = self.labels if what == "NSET" else [block.labels for block in self.cells]
-            known = np.concatenate([np.zeros(0, np.int64), *labels])
+            known = join_ids(labels)
             found = []
             for first, last, *step in (map(int, row) for row in card.rows()):
                 inside = known[(first <= known) & (known <= last)]
                 found.append(inside[(inside - first) % max([1, *step]) == 0])
         elif what == "NSET" and "ELSET" in card.options:
-            elements = self._labels(card, "ELSET", card.options["ELSET"])
-            found = [block.corners[np.isin(block.labels, elements)] for block in self.cells]
+            elements = Rows(self._labels(card, "ELSET", card.options["ELSET"]))
+            found = [block.corners[elements.mask(block.labels)] for block in self.cells]
         elif len(values) == len(card.section.content.split()):
             found = [values]
         else:
@@ -194,10 +185,11 @@ class _Deck:
 
     def _of_faces(self, elements: ndarray, face: str) -> ndarray | None:
         """Finds the nodes of faces S1, S2, ..., or of whole shells; None for others."""
+        rows = Rows(elements)
         top = max(DIMENSION[block.kind] for block in self.cells)
         found = []
         for block in self.cells:
-            corners = block.corners[np.isin(block.labels, elements)]
+            corners = block.corners[rows.mask(block.labels)]
             sides = ABAQUS_SIDES.get(SHAPES[block.kind], FACES[SHAPES[block.kind]])
             if re.fullmatch("[SE][1-6]", face) and int(face[1]) <= len(sides):
                 corners = corners[:, lagrange_types()[block.kind].side(sides[int(face[1]) - 1])]
@@ -211,9 +203,8 @@ class _Deck:
     def _add(self, what: str, name: str | None, *labels: ndarray) -> None:
         if name:
             shown = f"{name}_assembly" if (what, name.upper()) in self.part else name
-            shown, old = self.sets.get((what, shown.upper()), (shown, np.zeros(0, np.int64)))
-            new = np.concatenate([old, *map(np.ravel, labels)])
-            self.sets[what, shown.upper()] = shown, new
+            shown, *old = self.sets.get((what, shown.upper()), (shown,))
+            self.sets[what, shown.upper()] = shown, join_ids([*old, *labels])
 
     def _labels(self, card: Card, what: str, word: str) -> ndarray:
         """Finds the members of a set, or takes a label; an instance's name may stand before."""
@@ -254,22 +245,21 @@ def _plain(text: bytes) -> bytes:
     return _uncommented(text).replace(b",", b" ")
 
 
-def _uncommented(text: bytes) -> bytes:
-    return blanked(text, rb"(?m)^[ \t]*\*\*[^\r\n]*") if b"**" in text else text
+_uncommented = functools.partial(blanked, rb"(?m)^[ \t]*\*\*[^\r\n]*")
 
 
 def _cards(path: Path, raw: bytes) -> Iterator[Card]:
     text = _uncommented(raw)
     plain = text.replace(b",", b" ")
-    heads = list(_CARD.finditer(text))
-    stops = [*(head.start() for head in heads[1:]), len(text)]
-    if text[: heads[0].start() if heads else None].strip():
+    cards = list(sections_between(path, text, _CARD))
+    if text[: cards[0][0].start() if cards else None].strip():
         raise ValueError("line 1: * expected: no input deck of Abaqus (AVS's .inp is not read).")
-    for head, stop in zip(heads, stops, strict=True):
+    for head, section in cards:
         name, *words = decoded(head[1]).split(",")
         pairs = [word.partition("=") for word in words]
         options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
-        section = Section(path, plain, min(head.end() + 1, stop), stop)
+        start = min(section.start + 1, section.stop)
+        section = section._replace(text=plain, start=start)
         yield Card(" ".join(name.upper().split()), options, section, text)
 
 

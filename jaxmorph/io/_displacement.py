@@ -290,8 +290,7 @@ def read_table(
     rows.refuse(
         is_wrong, lambda k: f"found {table[k].tolist()}, not a node id and {d} finite numbers."
     )
-    copies = np.setdiff1d(np.arange(len(ids)), np.unique(ids, return_index=True)[1])
-    rows.refuse(copies, lambda k: f"node {ids[k]:.0f} comes a second time.")
+    rows.refuse(Rows(ids).repeated, lambda k: f"node {ids[k]:.0f} comes a second time.")
     return ids.astype(np.int64), np.ascontiguousarray(table[:, 1:])
 
 
@@ -308,9 +307,9 @@ def read_named(
     ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))) if ids is None else ids)
     if ids.dtype.kind not in "iu" or ids.ndim != 1:
         raise ValueError(f"ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
-    copies = len(ids) - len(np.unique(ids))
-    if copies:
-        raise ValueError(f"{copies} of its {len(ids)} node ids come a second time.")
+    copies = Rows(ids).repeated
+    if len(copies):
+        raise ValueError(f"{len(copies)} of its {len(ids)} node ids come a second time.")
     return ids, values, found[0]
 
 

@@ -10,6 +10,8 @@ from numpy import ndarray
 from jaxmorph._host.cells.lagrange import inner_places, lagrange_types
 from jaxmorph._host.cells.orders import CGNS_ORDER, NodeOrder, reordered
 from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers, pairs_of
+from jaxmorph._host.ragged import Ragged
+from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import of_grid
@@ -147,7 +149,7 @@ def _sets(
     file: Mapping[str, Any], what: tuple[str, str, str], number: str, blocks: list[_Block]
 ) -> Iterator[Patch]:
     for at, name, own, members in _named(file, what, number):
-        rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
+        rows = join_ids([] if members is None else [members[()]]).astype(np.int64) - 1
         if what[0] == "ss" and len(rows):
             rows = _nodes(blocks, rows, file[f"side_ss{at}"][()].astype(np.int64) - 1)
         yield Patch(name, own, rows)
@@ -176,13 +178,15 @@ def _named(
 
 
 def _nodes(blocks: list[_Block], cells: ndarray, sides: ndarray) -> ndarray:
-    starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
+    sizes = [len(block.corners) for block in blocks]
+    elements = Ragged.of(np.arange(sum(sizes)), sizes)
+    starts = elements.starts
     if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
         raise ValueError(
             f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}"
         )
     found = []
-    of_block = np.searchsorted(starts, cells, side="right") - 1
+    of_block = elements.row[cells]
     for at, side in np.unique(np.column_stack([of_block, sides]), axis=0).tolist():
         block = blocks[at]
         if not 0 <= side < len(block.sides):

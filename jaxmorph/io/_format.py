@@ -17,6 +17,7 @@ from jaxmorph._host.cells.pieces import boundary_sides
 from jaxmorph._host.cells.topology import CORNERS, EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.text import MESHES
+from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
@@ -287,12 +288,8 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
     """
     n = mesh.points.shape[0]
     found = {}
-    nodes_of_all = np.unique(
-        np.concatenate([np.zeros(0, np.int64), *map(np.asarray, mesh.patches.values())])
-    )
-    left = boundary_sides(
-        {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all
-    )
+    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+    left = boundary_sides(cells, n, np.unique(join_ids(mesh.patches.values())))
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: len(item[1])):
         inside = np.zeros(n, bool)
         inside[nodes] = True

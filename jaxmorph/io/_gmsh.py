@@ -16,6 +16,7 @@ from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION, codes, inverted
 from jaxmorph._host.cells.topology import NODES as CORNERS
+from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
 from ._format import MeshLike, content_of, faults_of, of_grid, patch_faces
@@ -140,18 +141,18 @@ def read(path: pathlib.Path) -> Parts:
     grid, patches, notes = grid_of(content.points, blocks, found.names)
     top = max(DIMENSION.get(kind, 0) for kind, _ in grid.blocks)
     sides = [pairs for level, pairs in found.links if level == top - 1]
-    periodic = tuple(_periodic(sides, labels.numbers, patches))
+    periodic = tuple(_periodic(sides, labels.rows.ids, patches))
     unread = [name for name in found.others if name != "$Periodic" or not periodic]
     if unread:
         notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
-    known = {"labels": labels.numbers, "periodic": periodic}
+    known = {"labels": labels.rows.ids, "periodic": periodic}
     return of_grid(path, NAME, content, grid, patches, notes, **known)
 
 
 def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, ndarray]]:
     """Yields the dimension of each periodic pair of entities, and tags (k, 2): node, its origin."""
     if form.version <= 4:  # of the transform there are words
-        text = blanked(section.content, rb"(?m)^[ \t]*Affine[^\n]*")
+        text = blanked(rb"(?m)^[ \t]*Affine[^\n]*", section.content)
         section = section._replace(text=text, start=0, stop=len(text))
     # before version 4 the section is text in a binary file, too
     form = form._replace(is_text=form.is_text or form.version < 4)
@@ -171,7 +172,7 @@ def _periodic(sides: list[ndarray], tags: ndarray, patches: list[Patch]) -> Iter
     pairs = {}
     for side in sides:
         found = [
-            next((patch.name for patch in own if np.isin(nodes, tags[patch.nodes]).all()), None)
+            next((patch.name for patch in own if Rows(tags[patch.nodes]).mask(nodes).all()), None)
             for nodes in side.T
         ]
         if None not in found and found[0] != found[1]:
@@ -304,9 +305,8 @@ def nodes(stream: Stream, is_parametric: bool) -> Nodes:
         count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
         blocks = [_of_entity(stream) for _ in range(count)]
     stream.end()
-    tags, places = (
-        np.concatenate([np.zeros(0, np.int64), *column]) for column in zip(*blocks, strict=True)
-    )
+    tags = join_ids(tags for tags, _ in blocks)
+    places = join_ids(places for _, places in blocks)
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
     return tags, places
@@ -453,16 +453,16 @@ def _of_tags(kind: str, corners: ndarray, table: ndarray) -> ElementBlock:
     if len(tags) < 2:
         return ElementBlock(kind, corners, groups)
     # An element's key is its entity and corners. Equal keys are one element, kept where it comes
-    # first; `new` is the row of each old element among the kept ones.
+    # first; `new_rows` is the row of each old element among the kept ones.
     keys = np.column_stack([table[:, 1], corners, physical])
-    first, which = np.unique(keys[:, :-1], axis=0, return_index=True, return_inverse=True)[1:]
+    first, which = first_of_equals(keys[:, :-1])
     if len(first) == len(keys) or len(np.unique(keys, axis=0)) < len(keys):
         return ElementBlock(
             kind, corners, groups
         )  # what stands twice in one group is told as a fault
     order = np.sort(first)
-    new = np.searchsorted(order, first)[which.ravel()]
-    return ElementBlock(kind, corners[order], {tag: new[rows] for tag, rows in groups.items()})
+    new_rows = Rows(order).of(first)[which]
+    return ElementBlock(kind, corners[order], {tag: new_rows[at] for tag, at in groups.items()})
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:

@@ -108,9 +108,7 @@ def _nodes(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]
         if len(k) % 2:
             raise section.error("a node without coordinates.", len(k) - 1)
         table = rows.values.reshape(-1, 7)
-        at = (7 * np.arange(len(table))[:, None] + np.arange(4, 7)).ravel()
-        here = slice(first, first + len(table))
-        parts.append(CoordinatePart(section.start, section.stop, here, at))
+        parts.append(CoordinatePart.in_columns(section, table.shape, slice(4, 7), first))
         tables.append(table)
         first += len(table)
     table = np.concatenate(tables)

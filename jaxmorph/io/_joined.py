@@ -111,7 +111,7 @@ def join(
     faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
     node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
     first = np.unique(node, return_index=True)[1]
-    d = 2 if np.ptp(points[:, 2:]) == 0 else 3
+    d = 3 if points.shape[1] == 3 and np.ptp(points[:, 2]) else 2
     whole = gathered((kind, node[corners]) for kind, corners in cells)
     own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
     found = gathered([*own, *_rest([node[corners] for corners in faces], names, patches)])

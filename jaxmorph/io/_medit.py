@@ -1,5 +1,6 @@
 """Medit's .mesh and .meshb, which gmsh, MMG and INRIA's programs write: text or binary (GMF)."""
 
+import functools
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,7 +16,7 @@ from jaxmorph._mesh.exchange import Grid, Parts
 from ._format import EVERYTHING, MeshLike, check_form, of_grid
 from ._gmsh import ORDERS
 from ._places import PlacedPoints, Stream
-from ._text import Section, blanked
+from ._text import Section, blanked, sections_between
 
 NAME = "Medit"
 MEDIT_CELLS = pairs_of(
@@ -95,21 +96,12 @@ def check(path: Path, mesh: MeshLike) -> None:
     check_form(path, mesh, NAME, ending)
 
 
-def _plain(text: bytes) -> bytes:
-    return blanked(text, rb"#[^\r\n]*") if b"#" in text else text
+_plain = functools.partial(blanked, rb"#[^\r\n]*")
 
 
 def _of_text(path: Path, raw: bytes) -> MeditFile:
-    text = _plain(raw)
-    words = list(re.finditer(rb"(?<!\S)[A-Za-z]\w*", text))
-    ends = [*(word.start() for word in words[1:]), len(text)]
-    return _once(
-        raw,
-        (
-            (word[0].decode(errors="replace"), Section(path, text, word.end(), end))
-            for word, end in zip(words, ends, strict=True)
-        ),
-    )
+    found = sections_between(path, _plain(raw), rb"(?<!\S)[A-Za-z]\w*")
+    return _once(raw, ((word[0].decode(errors="replace"), section) for word, section in found))
 
 
 def _of_binary(path: Path, raw: bytes, order: str) -> MeditFile:

@@ -1,5 +1,6 @@
 """MFEM's .mesh, versions 1.0 to 1.3, of order 1 and 2 (mfem.org/mesh-formats)."""
 
+import functools
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -16,7 +17,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
 from ._format import Arrays, Source
 from ._places import CoordinatePart, PlacedPoints
-from ._text import Section, blanked
+from ._text import Section, blanked, sections_between
 
 ORDER = NodeOrder(
     EDGES | {"tetra": numbers("01 02 03 12 13 23")},
@@ -169,20 +170,16 @@ def read(path: Path) -> Parts:
     return checked_parts(points.copy(), nodes, patches, source)
 
 
-def _plain(text: bytes) -> bytes:
-    return blanked(text, rb"(?m)^[ \t]*#[^\r\n]*")
+_plain = functools.partial(blanked, rb"(?m)^[ \t]*#[^\r\n]*")
 
 
 def _sections(path: Path, text: bytes) -> dict[str, Section]:
     head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
         raise ValueError(f"MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
-    plain = _plain(text)
-    words = list(re.finditer(rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$", plain))
-    ends = [*(word.start() for word in words[1:]), len(plain)]
+    words = rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$"
     parts = {
-        word[1].decode(): Section(path, plain, word.end(), end)
-        for word, end in zip(words, ends, strict=False)
+        word[1].decode(): section for word, section in sections_between(path, _plain(text), words)
     }
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
     missing += ["line mfem_mesh_end"] * (

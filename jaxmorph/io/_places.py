@@ -9,6 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, NODES
+from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.exchange import ByName, Grid
 
 from ._format import FilePoints
@@ -39,6 +40,14 @@ class CoordinatePart(NamedTuple):
     at: ndarray | None = None
     dtype: np.dtype | None = None
     by_columns: bool = False
+
+    @classmethod
+    def in_columns(
+        cls, section: Section, shape: tuple[int, ...], columns: slice, first: int = 0
+    ) -> "CoordinatePart":
+        """Coordinates in some columns of a text's table, of the points from `first` on."""
+        at = np.arange(np.prod(shape)).reshape(shape)[:, columns].ravel()
+        return cls(section.start, section.stop, slice(first, first + shape[0]), at)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,39 +103,21 @@ class Labels:
     """
 
     def __init__(self, numbers: ndarray, what: str):
-        self.numbers = numbers
         self.what = what
-        self._least = int(numbers.min())
-        self._most = int(numbers.max())
-        self._order = np.argsort(numbers, kind="stable")
-        in_order = numbers[self._order]
-        again = in_order[1:][in_order[1:] == in_order[:-1]]
+        self.rows = Rows(numbers)
+        again = np.sort(numbers[self.rows.repeated])
         if len(again):
             raise ValueError(
                 f"{len(again)} numbers of {what} come a second time, first {again[0]}."
             )
-        # rows by number in a table, by a search where numbers are sparse
-        is_dense = self._most - self._least <= 10 * len(numbers)
-        self._table = np.zeros(self._most - self._least + 1 if is_dense else 0, np.int64)
-        if is_dense:
-            self._table[numbers - self._least] = np.arange(len(numbers))
-
-    def rows(self, ids: ndarray) -> ndarray:
-        """Finds the row of each number; -1 for one that is none."""
-        near = np.clip(ids, self._least, self._most)
-        if len(self._table):
-            found = self._table[near - self._least]
-        else:
-            found = self._order[np.searchsorted(self.numbers, near, sorter=self._order)]
-        return np.where(self.numbers[found] == ids, found, -1)
 
     def find(self, ids: ndarray, whose: str) -> ndarray:
         """Finds the row of each number; raises `ValueError` for one of `whose` that is none."""
-        found = self.rows(ids)
+        found = self.rows.of(ids)
         wrong = ids[found < 0]
         if len(wrong):
             raise ValueError(
-                f"{whose} names {wrong[0]}, which is none of the {len(self.numbers)} {self.what}."
+                f"{whose} names {wrong[0]}, which is none of the {len(self.rows.ids)} {self.what}."
             )
         return found
 
@@ -266,7 +257,7 @@ def labelled_grid(
         "nodes": Labels(labels, "nodes"),
     }
     rows = {
-        what: {name: known[what].rows(ids) for name, ids in sets[what].items()} for what in known
+        what: {name: known[what].rows.of(ids) for name, ids in sets[what].items()} for what in known
     }
     lost = {(what, name): (ids < 0).sum() for what in known for name, ids in rows[what].items()}
     starts = np.cumsum([0, *(len(block.labels) for block in cells)])

@@ -227,7 +227,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
-        if hasattr(mesh.source.content, "is_current"):
+        if hasattr(type(mesh.source.content), "is_current"):
             raise ValueError(
                 f"{path}: files of {mesh.source.format} are copied when they are written: unpack "
                 "it first."

@@ -2,6 +2,7 @@
 
 import collections
 import dataclasses
+import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,12 +21,13 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from ._format import Arrays, MeshLike, Source, faults_of, patch_faces, source_of
 from ._places import CoordinatePart, PlacedPoints
 from ._registry import check_nodes, check_output
-from ._text import PathLike, Pieces, Section, blank_comments, decoded
+from ._text import PathLike, Pieces, Section, blanked, decoded
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
 SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
 """Corners of SU2's types of elements, VTK's numbers; 1 is a SEND_RECEIVE marker's node."""
+blank_comments = functools.partial(blanked, rb"%[^\r\n]*")
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
 """Variants of keywords."""
 ROWS = 1 << 16
@@ -101,7 +103,6 @@ def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
     table = _points(rows, d)
-    section = rows.section
     points = np.ascontiguousarray(table[:, :d])
     elements = _only(keywords, "NELEM")
     tables = gathered(_tables(elements, elements.section, len(points), "elements"))
@@ -110,8 +111,7 @@ def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
             "NELEM= holds elements of type 1 (a single node); these are no cells."
         )
     cells = {TYPES[number]: corners for number, corners in tables.items()}
-    at = (table.shape[1] * np.arange(len(points))[:, None] + np.arange(d)).ravel()
-    part = CoordinatePart(section.start, section.stop, at=at)
+    part = CoordinatePart.in_columns(rows.section, table.shape, slice(d))
     content = PlacedPoints(points.copy(), text, [part], blank_comments)
     patches = _markers(keywords, len(points))
     if not patches:

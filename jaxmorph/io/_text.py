@@ -200,12 +200,17 @@ class NumberRows(NamedTuple):
             yield kind, rows, table
 
 
-def blank_comments(text: bytes) -> bytes:
-    return blanked(text, rb"%[^\r\n]*") if b"%" in text else text
-
-
-def blanked(text: bytes, pattern: bytes) -> bytes:
+def blanked(pattern: bytes, text: bytes) -> bytes:
+    """Puts blanks in the place of what matches, byte for byte: comments."""
     return re.sub(pattern, lambda found: b" " * len(found[0]), text)
+
+
+def sections_between(path: Path, text: bytes, pattern: bytes) -> Iterator[tuple[Any, Section]]:
+    """Yields each match of a pattern, and the section up to the next one, or to the end."""
+    heads = list(re.finditer(pattern, text))
+    stops = [*(head.start() for head in heads[1:]), len(text)]
+    for head, stop in zip(heads, stops, strict=False):
+        yield head, Section(path, text, min(head.end(), stop), stop)
 
 
 def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:

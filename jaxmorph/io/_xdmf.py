@@ -12,6 +12,8 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import DIMENSION, NODES, codes, inverted, pairs_of
+from jaxmorph._host.ragged import heads_of
+from jaxmorph._host.rows import first_of_equals
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, by_number, check_width, regions_note, sized
 
 from ._format import FilePoints, MeshLike, faults_of, of_grid, own_source
@@ -164,7 +166,7 @@ class XDMFDocument:
 
     @property
     def places(self) -> list[re.Match[bytes]]:
-        return list(ITEM.finditer(blanked(self.raw, rb"(?s)<!--.*?-->")))
+        return list(ITEM.finditer(blanked(rb"(?s)<!--.*?-->", self.raw)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -275,17 +277,15 @@ def _mixed(stream: ndarray) -> Iterator[XDMFBlock]:
     """Yields the cells of each type: a number of the type, perhaps that of its nodes, the nodes."""
     heads = {code: 1 + (code in COUNTED) for code in CODES}
     steps = {code: heads[code] + NODES.get(kind, 1) for code, kind in CODES.items()}
-    numbers = np.ascontiguousarray(stream).data
-    starts = []
-    at = 0
-    while at < len(numbers):
-        if numbers[at] not in steps:
-            raise ValueError(f"cells of the number {numbers[at]} are not read.")
-        starts.append(at)
-        at += steps[numbers[at]]
-    if at != len(numbers):
+
+    def step(code: int) -> int:
+        if code not in steps:
+            raise ValueError(f"cells of the number {code} are not read.")
+        return steps[code]
+
+    first = heads_of(stream, step)
+    if len(first) and first[-1] + steps[stream[first[-1]]] != len(stream):
         raise ValueError("the last of the mixed cells is cut short.")
-    first = np.array(starts, np.int64)
     codes = stream[first]
     for code in dict.fromkeys(codes.tolist()):
         rows = np.flatnonzero(codes == code)
@@ -344,8 +344,7 @@ def _nodes(found: ndarray, points: ndarray) -> ndarray:
     both = np.zeros((n + len(found), 3))
     both[:n, : points.shape[1]] = points
     both[n:, : found.shape[1]] = found
-    _, first, place = np.unique(both, axis=0, return_index=True, return_inverse=True)
-    place = place.ravel()
+    first, place = first_of_equals(both)
     node = first[place[n:]]
     is_one = (node < n) & (np.bincount(place[:n], minlength=len(first))[place[n:]] == 1)
     return np.where(is_one, node, -1)

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from jaxmorph._host.rows import join_ids
+
 from .._joined import block_ids
 from .zone import Condition, Zone, children, data, first, word
 
@@ -214,7 +216,7 @@ def _normal(low: ndarray, high: ndarray, shape: tuple[int, ...], place: str) -> 
 
 
 def _of_elements(zone: Zone, name: str, start: ndarray, stop: ndarray) -> ndarray | None:
-    nodes = [np.zeros(0, np.int64)]
+    nodes = []
     count = 0
     solid = 0
     for begin, section in zone.content.elements.items():
@@ -232,7 +234,7 @@ def _of_elements(zone: Zone, name: str, start: ndarray, stop: ndarray) -> ndarra
         raise zone.error(
             f"boundary condition {name}: {missing} of its {count + missing} elements are not there"
         )
-    return None if solid == count else np.concatenate(nodes)
+    return None if solid == count else join_ids(nodes)
 
 
 def said(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:

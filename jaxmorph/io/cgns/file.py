@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts, gathered, regions_note
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
@@ -126,10 +127,9 @@ def _others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
 
 
 def _left(zones: list[Zone], found: list[Connection], patches: Members) -> Iterator[str]:
-    inside = np.zeros(zones[-1].rows.stop, bool)
-    inside[np.concatenate([np.zeros(0, np.int64), *itertools.chain(*patches.values())])] = True
+    inside = Rows(join_ids(itertools.chain(*patches.values())))
     sections = itertools.chain(*(zone.outer_sections() for zone in zones))
-    outside = [each.section for each in sections if not inside[each.vertices.values].all()]
+    outside = [each.section for each in sections if not inside.mask(each.vertices.values).all()]
     if outside and any(zone.conditions for zone in zones):
         names = ", ".join(dict.fromkeys(outside))
         yield f"no boundary condition has all faces of the sections {names}: they are in unnamed."

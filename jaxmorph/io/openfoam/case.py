@@ -17,6 +17,7 @@ from numpy import ndarray
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.package.errors import warn
 from jaxmorph._host.package.files import complete, is_same
+from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
@@ -76,7 +77,7 @@ class CaseContent:
                 "Run reconstructParMesh -constant in the case, which writes it, or decomposePar "
                 "again."
             ) from None
-        if len(ids) != len(self.points) or ids.min(initial=0) < 0 or len(np.unique(ids)) < len(ids):
+        if len(ids) != len(self.points) or ids.min(initial=0) < 0 or len(Rows(ids).repeated):
             raise ValueError(
                 f"{self.topology / 'pointProcAddressing'}: {len(ids)} numbers for "
                 f"{len(self.points)} points; each point has "
@@ -123,7 +124,7 @@ def read(path: pathlib.Path) -> Parts:
     with faults_of(path):
         mesh, ids, whole, plane = (_in_plane if planes else _in_space)(faces, points, nodes, planes)
     to_others = [patch.faces for patch in boundary if patch.is_between]
-    between = faces.padded(np.concatenate([np.zeros(0, np.int64), *to_others]))
+    between = faces.padded(join_ids(to_others))
     # a caller may change the mesh's points in place, and the file's values must stay
     kept = points.copy() if plane is None else points
     content = CaseContent(file, kept, folder, plane, np.unique(between[between >= 0]))

@@ -11,6 +11,8 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.package.files import unpacked
+from jaxmorph._host.ragged import Ragged
+from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.faces import Faces, open_cells
 
 from .._text import chunks, parse
@@ -24,9 +26,6 @@ UNIFORM = 2 * 10**8
 """Bytes of an unpacked list of equal elements, besides ten times its file's size."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
 KINDS = {"label": np.int64, "scalar": np.float64}
-
-Rows = tuple[ndarray, ndarray]
-"""The labels of all faces, and where each face begins (one more at the end)."""
 
 
 class List(NamedTuple):
@@ -122,31 +121,31 @@ class FoamFile(NamedTuple):
             )
         return np.frombuffer(self.data, dtype, stored, items.start), end + 1
 
-    def faces(self) -> Rows:
+    def faces(self) -> Ragged:
         if not self.is_binary:
             return self._text_faces()
         if "Compact" not in self.header.get("class", ""):
             return self._separate_faces()
         starts, end = self.binary(self.list_at(self.end), "label")
         labels, _ = self.binary(self.list_at(end), "label")
-        starts = starts.astype(np.int64)
-        if not len(starts) or starts[0] or starts[-1] != len(labels) or (np.diff(starts) < 3).any():
+        rows = Ragged(_narrow(labels), starts.astype(np.int64))
+        if starts[[0, -1][: len(starts)]].tolist() != [0, len(labels)] or (rows.sizes < 3).any():
             raise self.error(f"the offsets of the faces do not fit their {len(labels)} labels")
-        return _narrow(labels), starts
+        return rows
 
-    def _separate_faces(self) -> Rows:
+    def _separate_faces(self) -> Ragged:
         """Reads a binary list of lists of older versions: faces with their counts, in turn."""
         items = self.list_at(self.end)
         at = items.start
-        parts = [np.zeros(0, self.dtype("label"))]
+        parts = []
         for face in range(items.size):
             labels, at = self.binary(self.list_at(at), "label")
             if len(labels) < 3:
                 raise self.error(f"face {face} has {len(labels)} labels; it needs 3 at least")
             parts.append(labels)
-        return _narrow(np.concatenate(parts)), np.cumsum(list(map(len, parts)))
+        return Ragged.of(_narrow(join_ids(parts)), list(map(len, parts)))
 
-    def _text_faces(self) -> Rows:
+    def _text_faces(self) -> Ragged:
         # Opening parentheses become the number -1: behind the count of a face, before its labels.
         items = self.list_at(self.end)
         values = self._parsed(items, self.end_of_text(items.start), np.int64, b" -1 ")
@@ -158,9 +157,7 @@ class FoamFile(NamedTuple):
                 f"{items.size} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other "
                 "numbers of labels"
             )
-        return np.delete(values, np.concatenate([begins - 1, begins])), np.append(
-            0, np.cumsum(sizes)
-        )
+        return Ragged.of(np.delete(values, np.concatenate([begins - 1, begins])), sizes)
 
 
 def _narrow(values: ndarray) -> ndarray:
@@ -307,15 +304,15 @@ def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
 
 def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
     """Reads `faces`, `owner` and `neighbour`. Raises `ValueError` where they close no cells."""
-    labels, starts = load(folder, "faces").faces()
+    rows = load(folder, "faces").faces()
     owner, neighbour = (
         load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour")
     )
-    if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
-        counts = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
+    if len(owner) != len(rows) or len(neighbour) > len(owner) or not len(owner):
+        counts = f"{len(rows)} faces, {len(owner)} owners and {len(neighbour)} neighbours"
         raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {counts}.")
-    _check_labels(folder, labels, n, owner, neighbour)
-    faces = Faces(labels, starts, owner, neighbour[neighbour >= 0])
+    _check_labels(folder, rows.values, n, owner, neighbour)
+    faces = Faces(rows.values, rows.starts, owner, neighbour[neighbour >= 0])
     counts = np.bincount(np.concatenate([owner, faces.neighbour]))
     if counts.min() < 4:
         raise ValueError(

@@ -17,6 +17,7 @@ from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.package.arguments import checked, shown
 from jaxmorph._host.package.files import complete, named, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
+from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, content_of
@@ -141,8 +142,7 @@ class Decomposed:
         ids = global_nodes(mesh)
         outer = outer_faces(mesh)
         corners = {} if outer is None else outer.corners
-        outside = [np.asarray(rows).ravel() for rows in (*corners.values(), *mesh.patches.values())]
-        rows = np.unique(np.concatenate([np.zeros(0, np.int64), *outside]))
+        rows = np.unique(join_ids((*corners.values(), *mesh.patches.values())))
         rows = rows[np.argsort(ids[rows])]
         return Side(
             ids[rows],
@@ -175,7 +175,8 @@ class Decomposed:
                 f"{shown(sides)}."
             )
         nodes, points = self._common_points(sides)
-        faces, members = (_gathered(sides, name, nodes) for name in ("faces", "patches"))
+        faces = _join(sides, "faces", nodes)
+        members = _join(sides, "patches", nodes)
         cells = {kind: corners for kind, corners in faces.items() if len(corners)}
         known = _said(sides, members)
         return Mesh(
@@ -183,12 +184,11 @@ class Decomposed:
         )
 
     def _common_points(self, sides: Sequence[Side]) -> tuple[ndarray, ndarray]:
-        everywhere, places = (
-            np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points")
-        )
-        nodes, first, back = np.unique(everywhere, return_index=True, return_inverse=True)
+        everywhere = np.concatenate([side.nodes for side in sides])
+        places = np.concatenate([side.points for side in sides])
+        first, back = first_of_equals(everywhere)
         points = places[first]
-        distance = np.abs(places - points[back.ravel()]).max(axis=1)
+        distance = np.abs(places - points[back]).max(axis=1)
         wrong = np.flatnonzero(distance > 1e-9 * np.ptp(points, axis=0).max())
         if len(wrong):
             raise ValueError(
@@ -197,7 +197,7 @@ class Decomposed:
                 f"{everywhere[wrong[0]]} of the whole mesh, by {distance[wrong[0]]:.3g}: they are "
                 f"not parts of one mesh. {REMEDY}."
             )
-        return nodes, points
+        return everywhere[first], points
 
     @checked
     def check_output(self, path: str | os.PathLike[str]) -> None:
@@ -253,12 +253,10 @@ class Decomposed:
             together(ranks, end)
 
 
-def _gathered(sides: Sequence[Side], name: str, nodes: ndarray) -> dict[str, ndarray]:
+def _join(sides: Sequence[Side], name: str, nodes: ndarray) -> dict[str, ndarray]:
     """Joins the ids that all sides have by type or patch, and renumbers them by their place."""
-    return gathered(
-        (key, np.searchsorted(nodes, ids))
-        for side in sides
-        for key, ids in getattr(side, name).items()
+    return Rows(nodes).renumbered(
+        gathered(item for side in sides for item in getattr(side, name).items())
     )
 
 

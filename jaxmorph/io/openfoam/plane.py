@@ -9,6 +9,8 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.package.errors import place_of
+from jaxmorph._host.ragged import Ragged
+from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.exchange import gathered
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, triangles
@@ -50,8 +52,7 @@ class Front(NamedTuple):
         return nodes
 
     def ids(self, nodes: ndarray) -> ndarray:
-        at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
-        return at[self.front[at] == nodes]
+        return Rows(self.front).take(nodes)
 
     def fitted(self, points: ndarray) -> "Front":
         if self.kind == "empty":
@@ -228,9 +229,7 @@ def plane_cells(
         pieces, piece_of = triangles(faces, cut, points)
         parts.append(("triangle", pieces, faces.owner[cut][piece_of]))
         whole = Polyhedra(_edges(faces, chosen, is_front, plane), faces.owner[cut])
-    cells = gathered(
-        (kind, np.searchsorted(plane.front, rows)) for kind, rows, _ in parts if len(rows)
-    )
+    cells = gathered((kind, Rows(plane.front).of(rows)) for kind, rows, _ in parts if len(rows))
     return cells, gathered((kind, cell) for kind, _, cell in parts), whole
 
 
@@ -247,7 +246,7 @@ def _edges(faces: Faces, chosen: ndarray, is_front: ndarray, plane: Front) -> Fa
         raise ValueError(
             f"patches of type {plane.kind}, but there are faces that do not join the two planes."
         )
-    labels = np.searchsorted(plane.front, ends).ravel()
+    labels = Rows(plane.front).of(ends).ravel()
     starts = 2 * np.arange(len(across) + 1)
     return Faces(labels, starts, faces.owner[across], faces.all_neighbours()[across])
 
@@ -268,10 +267,10 @@ def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
     pairs = [(a, b) for a, b in every if a.size == b.size > 0]
     if not pairs or np.array_equal(old, new):
         return
-    labels, starts = load(topology, "faces").faces()
+    faces = load(topology, "faces").faces()
     for first, second in pairs:
         before, after = (
-            [_faces(points, labels, starts, patch) for patch in (first, second)]
+            [_faces(points, faces.take(patch.faces)) for patch in (first, second)]
             for points in (old, new)
         )
         turns = bool((_misses(*before, turned=False) > MATCH).any())
@@ -287,16 +286,13 @@ def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
             )
 
 
-def _faces(
-    points: ndarray, labels: ndarray, starts: ndarray, patch: FoamPatch
-) -> tuple[ndarray, ndarray]:
-    """Computes middles (k, 3) and sizes (k,), roots of areas, of a patch's faces."""
-    begins = np.asarray(starts[patch.start : patch.start + patch.size + 1], dtype=np.int64)
-    corners = points[labels[begins[0] : begins[-1]]]
-    begins, sizes = begins - begins[0], np.diff(begins)
-    middles = np.add.reduceat(corners, begins[:-1]) / sizes[:, None]
-    arms = corners - np.repeat(middles, sizes, axis=0)
-    areas = np.add.reduceat(np.cross(arms, following(arms, begins)), begins[:-1]) / 2
+def _faces(points: ndarray, faces: Ragged) -> tuple[ndarray, ndarray]:
+    """Computes middles (k, 3) and sizes (k,), roots of areas, of faces."""
+    corners = points[faces.values]
+    begins = faces.starts[:-1]
+    middles = np.add.reduceat(corners, begins) / faces.sizes[:, None]
+    arms = corners - middles[faces.row]
+    areas = np.add.reduceat(np.cross(arms, following(arms, faces.starts)), begins) / 2
     return middles, np.sqrt(np.linalg.norm(areas, axis=1))
 
 
