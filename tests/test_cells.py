@@ -254,7 +254,7 @@ def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
     scaled = (sparse.diags(1 / root) @ matrix @ sparse.diags(1 / root)).tocsr()
     right = np.random.default_rng(0).normal(size=len(root))
     monkeypatch.setattr(linear, "LIMIT", 25)
-    x = linear.iterated(scaled, right, solves.hierarchy(scaled, root), 1 / root)
+    x = linear.iterate_to_accuracy(scaled, right, solves.hierarchy(scaled, root), 1 / root)
     np.testing.assert_allclose(scaled @ x, right, rtol=0, atol=1e-7)
 
 
@@ -266,7 +266,7 @@ def test_a_dense_system_is_solved_without_multigrid(monkeypatch):
     matrix = np.maximum(1 - apart, 0) ** 4 * (4 * apart + 1)  # Wendland's C2 on a sphere
     right = np.sin(3 * points[:, 0])
     monkeypatch.setattr(linear, "LIMIT", 120)  # 240 without a cycle
-    x = linear.iterated(matrix, right, None, np.ones(1000))
+    x = linear.iterate_to_accuracy(matrix, right, None, np.ones(1000))
     np.testing.assert_allclose(matrix @ x, right, rtol=0, atol=1e-8)
 
 
@@ -433,7 +433,7 @@ def test_kept_factors_belong_to_one_system(other, monkeypatch):
     }
     given = {"pairs": pairs, "masses": masses, "free": free}
     values, diagonal, right = -rng.uniform(0.1, 1, n - 1), np.full(n, 12.0), rng.normal(size=(n, 2))
-    inverse = linear._inverse
+    inverse = linear._make_inverse
     monkeypatch.setattr(
         linear, "_inverse", lambda *system: factored.append(system) or inverse(*system)
     )
@@ -455,7 +455,7 @@ def test_kept_factors_belong_to_one_system(other, monkeypatch):
 
 def test_one_solve_moves_and_one_pulls_back(monkeypatch):
     """With the factors of `prepare`: nothing is factored after it."""
-    solved, inverse, factored, calls = linear.solve, linear._inverse, [], []
+    solved, inverse, factored, calls = linear.solve, linear._make_inverse, [], []
     plan = planned_slab(2, jm.LinearElasticity())
     monkeypatch.setattr(linear, "solve", lambda *a, **k: calls.append(1) or solved(*a, **k))
     monkeypatch.setattr(linear, "_inverse", lambda *system: factored.append(1) or inverse(*system))

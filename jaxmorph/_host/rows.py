@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from .cells.topology import Pair
 
-SMALL = 1 << 22
+SMALL_TABLE = 1 << 22
 SPARSE = 10
 """A table of all numbers up to the largest id is made if it has so many rows, or so many an id."""
 
@@ -65,7 +65,7 @@ class Rows:
     @functools.cached_property
     def _table(self) -> ndarray | None:
         size = self._most - self._least + 1
-        if size > max(SMALL, SPARSE * len(self.ids)):
+        if size > max(SMALL_TABLE, SPARSE * len(self.ids)):
             return None
         table = np.zeros(size, np.int64)
         # written backwards: of equal ids the first row stays

@@ -132,7 +132,7 @@ class _Deck:
             self.left[f"elements {name}"] = None
             return
         rows = card.section.rows(np.int64)
-        kind, size = _kind_of(card.section, name)
+        kind, size = _element_kind(card.section, name)
         width = int(rows.counts[:1].sum()) if DIMENSION[kind] == 1 else 1 + size
         # rows of a long element go on in the next line: each element ends where a line ends
         ends = np.arange(width, len(rows.values) + width, max(width, 1))
@@ -225,7 +225,7 @@ def read(path: Path) -> Parts:
         deck.take(card)
     if len({points.shape[1] for points in deck.points}) != 1:
         raise ValueError("nodes of 2 or of 3 coordinates (*NODE) expected.")
-    content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _plain)
+    content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _without_commas)
     words = {"NSET": "nodes", "ELSET": "elements"}
     sets = {"nodes": {}, "elements": {}}
     for (what, _), (name, labels) in deck.sets.items():
@@ -241,7 +241,7 @@ def read(path: Path) -> Parts:
     return of_grid(path, NAME, content, grid, notes=notes, labels=labels)
 
 
-def _plain(text: bytes) -> bytes:
+def _without_commas(text: bytes) -> bytes:
     return _uncommented(text).replace(b",", b" ")
 
 
@@ -263,7 +263,7 @@ def _cards(path: Path, raw: bytes) -> Iterator[Card]:
         yield Card(" ".join(name.upper().split()), options, section, text)
 
 
-def _kind_of(section: Section, name: str) -> tuple[str, int]:
+def _element_kind(section: Section, name: str) -> tuple[str, int]:
     """Finds the type of cells of an element's name, and how many nodes it has."""
     for level, pattern in ELEMENT_NAMES.items():
         if match := re.fullmatch(pattern, name):

@@ -58,10 +58,10 @@ def read(path: Path) -> Parts:
         for k, rows in zip((*UGRID_FACES, *UGRID_CELLS), [*faces, *cells], strict=True)
     ]
     grid = Grid(content.points, blocks, {}, {"ugrid:ref": numbers})
-    return of_grid(path, NAME, content, grid, notes=_rest(stream, sizes[2]))
+    return of_grid(path, NAME, content, grid, notes=_note_rest(stream, sizes[2]))
 
 
-def _rest(stream: Stream, tets: int) -> Iterator[str]:
+def _note_rest(stream: Stream, tets: int) -> Iterator[str]:
     """Yields a note on what may follow the cells: the number of tetrahedra in layers, and more."""
     if stream.at < stream.stop:
         if not 0 <= stream.one("n") <= tets:

@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s")
+LEGACY_HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s")
 
-MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
+MESHIO_TYPES = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
 
 
-def main(file: str, where: str, most: str) -> None:
+def read_apart(file: str, where: str, most: str) -> None:
     from vtkmodules import vtkCommonCore
 
     path = Path(file)
@@ -37,7 +37,7 @@ def main(file: str, where: str, most: str) -> None:
             raw = path.read_bytes()
             check_counts(raw, data)
             check_numbers(raw, data)
-        write(folder / f"{len(names)}.xml", data)
+        write_data(folder / f"{len(names)}.xml", data)
         names.append(name)
     text = said.GetOutput()
     text = (
@@ -65,7 +65,7 @@ def vtk_reader(path: Path, folder: Path) -> Any:
         reader.SetFileName(str(path))
         return reader
     raw = path.read_bytes()
-    if not HEAD.match(raw):
+    if not LEGACY_HEAD.match(raw):
         raise SystemExit(
             "not a .vtk file; `# vtk DataFile Version` and three lines more are expected first"
         )
@@ -110,7 +110,7 @@ def check_numbers(raw: bytes, data: Any) -> None:
 
 
 def own_type(found: re.Match[bytes]) -> bytes:
-    name = MESHIO[found[2]]
+    name = MESHIO_TYPES[found[2]]
     return b"unsigned_" + name.removeprefix(b"signed_") if found[1] else name
 
 
@@ -128,7 +128,7 @@ def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
         blocks.GoToNextItem()
 
 
-def write(path: Path, data: Any) -> None:
+def write_data(path: Path, data: Any) -> None:
     from vtkmodules import vtkIOXML
 
     if not data.IsA("vtkDataSet"):
@@ -144,4 +144,4 @@ def write(path: Path, data: Any) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    read_apart(*sys.argv[1:])

@@ -27,7 +27,7 @@ from ._text import Section, decoded
 NAME = "Fluent"
 INTERIOR = 2
 PARENT = 31
-KINDS = inverted(
+ZONE_KINDS = inverted(
     codes(
         "interior 2 wall 3 pressure-inlet 4 pressure-outlet 5 symmetry 7 periodic-shadow 8 "
         "pressure-far-field 9 velocity-inlet 10 periodic 12 fan 14 mass-flow-inlet 20 "
@@ -38,8 +38,8 @@ KINDS = inverted(
 
 _BEGIN = re.compile(rb"\(\s*(\d+)\b")
 _MARK = re.compile(rb'[()]|"(?:[^"\\]|\\.)*"')
-_HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
-_ZONE = re.compile(rb"\s*\(\s*(\d+)\s+(\S+)\s+([^\s()]+)")
+_SECTION_HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
+_ZONE_HEAD = re.compile(rb"\s*\(\s*(\d+)\s+(\S+)\s+([^\s()]+)")
 
 
 class FaceZone(NamedTuple):
@@ -90,11 +90,11 @@ class _FluentText:
         width = {2: 4, 3: 8}.get(number // 1000, 0)
         if number == 2:
             self.dimension = int(section.content)
-        elif kind in (45, 39) and (zone := _ZONE.match(section.text, section.start)):
+        elif kind in (45, 39) and (zone := _ZONE_HEAD.match(section.text, section.start)):
             self.names[int(zone[1])] = decoded(zone[3]), zone[2].decode(errors="replace")
         elif kind in (58, 59):
             raise section.error("a mesh that was adapted, with parents of cells, is not read.")
-        elif kind in (10, 12, 13) and (head := _HEAD.match(section.text, section.start)):
+        elif kind in (10, 12, 13) and (head := _SECTION_HEAD.match(section.text, section.start)):
             stop = section.stop if width else section.text.rfind(b")", head.end(), section.stop)
             body = section._replace(start=head.end(), stop=max(stop, head.end()))
             self._mesh(kind, [int(word, 16) for word in head[1].split()], body, width)
@@ -112,7 +112,7 @@ class _FluentText:
                 if width
                 else [int(word, 16) for word in body.content.split()]
             )
-            table = _table(np.asarray(words, np.int64), head[4] if len(head) > 4 else 0)
+            table = _cut_table(np.asarray(words, np.int64), head[4] if len(head) > 4 else 0)
             if len(table.cells) != head[2] - head[1] + 1:
                 raise body.error(f"{len(table.cells)} faces, {head[2] - head[1] + 1} expected")
             self.faces.append((head, table))
@@ -157,8 +157,10 @@ class _FluentText:
     def zones(self) -> Iterator[FaceZone]:
         first = 0
         for (number, _, _, kind, *_), table in self.faces:
-            name, word = self.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
-            word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
+            name, word = self.names.get(
+                number, (f"zone_{number}", ZONE_KINDS.get(kind, f"kind_{kind}"))
+            )
+            word = ZONE_KINDS[kind] if kind in (INTERIOR, PARENT) else word
             yield FaceZone(number, name, word, np.arange(first, first + len(table.cells)))
             first += len(table.cells)
 
@@ -167,7 +169,7 @@ def read(path: Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
     text = path.read_bytes()
     found = _FluentText()
-    for number, section in _sections(path, text):
+    for number, section in _find_sections(path, text):
         try:
             found.take(number, section)
         except (ValueError, IndexError, OverflowError) as error:
@@ -176,10 +178,10 @@ def read(path: Path) -> Parts:
             raise section.error(f"a damaged section {number} ({error}).") from error
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     source = Source(path, NAME, found.content(text))
-    return mesh_of(source, found.table(), list(found.zones()), found.counts.get(12), regions)
+    return mesh_of_faces(source, found.table(), list(found.zones()), found.counts.get(12), regions)
 
 
-def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
+def _find_sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
     at = 0
     while begin := _BEGIN.search(text, at):
         number = int(begin[1])
@@ -205,7 +207,7 @@ def _closing(text: bytes, at: int) -> int:
     return -1
 
 
-def _table(words: ndarray, kind: int) -> FaceTable:
+def _cut_table(words: ndarray, kind: int) -> FaceTable:
     if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
         first = heads_of(words, _width) + 1
         sizes = words[first - 1]
@@ -228,46 +230,48 @@ def _width(count: int) -> int:
     return count + 3
 
 
-def mesh_of(
+def mesh_of_faces(
     source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]
 ) -> Parts:
     """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
     points = source.content.points
-    _check(table, zones, len(points), count)
-    faces = _outward(table, points)
-    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else _plane_cells(faces)
+    _check_faces(table, zones, len(points), count)
+    faces = _orient_faces(table, points)
+    blocks, whole = (
+        cells_of_faces(faces, points) if points.shape[1] == 3 else _polygons_of_edges(faces)
+    )
     blocks = sorted(blocks, key=lambda block: block[0])  # as JAX sorts types
-    patches, notes = distinct(_patches(faces, zones))
-    kinds = {zone.name: zone.kind for zone in zones if zone.kind != KINDS[INTERIOR]}
+    patches, notes = distinct(_zone_patches(faces, zones))
+    kinds = {zone.name: zone.kind for zone in zones if zone.kind != ZONE_KINDS[INTERIOR]}
     source = dataclasses.replace(
         source,
         polyhedra=whole if len(whole.cut) else None,
         cell_ids=np.concatenate([ids for *_, ids in blocks]),
         kinds=kinds,
         symmetry=tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
-        notes=(*notes, *_notes(kinds, regions)),
+        notes=(*notes, *_note_unpaired(kinds, regions)),
         **source.content.known,
     )
     cells = gathered(block[:2] for block in blocks)
     return checked_parts(points.copy(), cells, patches, source)
 
 
-def _patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
+def _zone_patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
     for number, name, kind, rows in zones:
-        if kind != KINDS[INTERIOR]:
+        if kind != ZONE_KINDS[INTERIOR]:
             own = Ragged(faces.labels, faces.starts).take(rows)
             yield Patch(name, f"zone_{number}", own.values)
 
 
-def _notes(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
+def _note_unpaired(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
     periodic = [name for name, kind in kinds.items() if kind.startswith("periodic")]
     if periodic:
         yield f"the periodic zones {', '.join(periodic)} are patches, and are not paired."
     yield from regions_note(regions if len(regions) > 1 else ())
 
 
-def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
-    if KINDS[PARENT] in [zone.kind for zone in zones]:
+def _check_faces(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
+    if ZONE_KINDS[PARENT] in [zone.kind for zone in zones]:
         raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
     labels = table.nodes.values
     cells = table.cells
@@ -285,7 +289,7 @@ def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -
         raise ValueError(f"{found} of {most} cells have faces: a damaged file.")
 
 
-def _outward(table: FaceTable, points: ndarray) -> Faces:
+def _orient_faces(table: FaceTable, points: ndarray) -> Faces:
     """Makes faces that point out of their owner, the first cell unless there is none.
 
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.
@@ -312,7 +316,7 @@ def _outward(table: FaceTable, points: ndarray) -> Faces:
     return dataclasses.replace(faces, labels=turned.values)
 
 
-def _plane_cells(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
+def _polygons_of_edges(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
     """Makes triangles and quads of edges that have their cell on the left."""
     ordered, begins = faces.of_cells()
     ends = faces.corners(ordered, 2)

@@ -21,13 +21,13 @@ from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-SHARE = 0.1
+LOST_SHARE = 0.1
 """Share of the motion, or of an edge, that rounding may take without a warning."""
 
 EVERYTHING = ((slice(None), slice(None)),)
 """The `singles` of a file in single precision."""
 
-Arrays = Mapping[str, ndarray]
+ArraysByName = Mapping[str, ndarray]
 
 
 def warn_of_loss(path: Path, cells: Mapping[str, Any], held: Any, points: ndarray) -> ndarray:
@@ -43,7 +43,7 @@ def warn_of_loss(path: Path, cells: Mapping[str, Any], held: Any, points: ndarra
     most = motion.max(initial=0.0)
     losses = []
     # far from the origin nodes that hardly move are rounded more, and that changes nothing there
-    if (off[motion >= most / 2] > SHARE * most).any():
+    if (off[motion >= most / 2] > LOST_SHARE * most).any():
         losses.append(f"more than a tenth of the motion, which is {most:.3g}")
     start, end = _changed_edges(cells, base, points.astype(float), stored)
     if len(start):
@@ -72,7 +72,7 @@ def _changed_edges(
             ends = np.sort(np.asarray(ids)[:, edge], axis=1)
             old, new, in_file = (np.diff(x[ends], axis=1)[:, 0] for x in (base, points, stored))
             change, length = (np.linalg.norm(x, axis=1) for x in (in_file - new, new))
-            found.append(ends[(change > SHARE * length) & old.any(axis=1)])
+            found.append(ends[(change > LOST_SHARE * length) & old.any(axis=1)])
     return np.unique(np.concatenate(found), axis=0).T
 
 

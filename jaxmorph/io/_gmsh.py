@@ -24,32 +24,32 @@ from ._places import Labels, Stream
 from ._text import Section, blanked, decoded
 
 NAME = "gmsh"
-NODES = ("Nodes", "ParametricNodes", "NOD")
-ELEMENTS = ("Elements", "ELM")
+NODE_SECTIONS = ("Nodes", "ParametricNodes", "NOD")
+ELEMENT_SECTIONS = ("Elements", "ELM")
 """Sections of nodes and of elements; the last name of each is from version 1."""
-NUMBERS = codes(
+GMSH_NUMBERS = codes(
     "line 1 triangle 2 quad 3 tetra 4 hexahedron 5 wedge 6 pyramid 7 vertex 15 "
     "line3 8 triangle6 9 quad9 10 tetra10 11 hexahedron27 12 wedge18 13 pyramid14 14 "
     "quad8 16 hexahedron20 17 wedge15 18 pyramid13 19 "
     "line4 26 triangle10 21 quad16 36 tetra20 29 wedge40 90 hexahedron64 92 pyramid30 118 "
     "line5 27 triangle15 23 quad25 37 tetra35 30 wedge75 91 hexahedron125 93 pyramid55 119"
 )
-TYPES = inverted(NUMBERS)
+GMSH_TYPES = inverted(GMSH_NUMBERS)
 """Types of cells by gmsh's numbers."""
-ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
+BYTE_ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 
 _NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"(?:\s[^"]*)?|(\S+))\s*')
-_VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
+_VERSION_LINE = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
 _COMMENTS = re.compile(
     rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE
 )
 
-Names = dict[tuple[int | None, int], str]
+GroupNames = dict[tuple[int | None, int], str]
 """Names of physical groups by dimension and tag; None: of any dimension."""
-Groups = dict[tuple[int, int], list[int]]
+EntityGroups = dict[tuple[int, int], list[int]]
 """Tags of the physical groups of an entity, by its dimension and tag."""
-Nodes = tuple[ndarray, ndarray]
+TaggedNodes = tuple[ndarray, ndarray]
 """Tags of nodes, and the place of each one's x."""
 
 
@@ -90,18 +90,18 @@ class _Found:
             self.names = physical_names(section, self.form)
         elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
             self.groups |= entities(self.form.stream(section, np.float64), name != "Entities")
-        elif name in NODES:
+        elif name in NODE_SECTIONS:
             if self.content is not None:
                 raise ValueError(
                     "a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh "
                     "is 0"
                 )
             stream = self.form.stream(section, np.float64)
-            tags, places = nodes(stream, name == "ParametricNodes")
+            tags, places = read_nodes(stream, name == "ParametricNodes")
             self.content = stream.content(places)
             self.labels = Labels(tags, "nodes") if len(tags) else None
-        elif name in ELEMENTS:
-            self.blocks = elements(self.form.stream(section, np.int64), self.groups)
+        elif name in ELEMENT_SECTIONS:
+            self.blocks = read_elements(self.form.stream(section, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
             if name == "Periodic":
                 with contextlib.suppress(ValueError):
@@ -118,7 +118,7 @@ def read(path: pathlib.Path) -> Parts:
     data = path.read_bytes()
     start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
     found = _Found(_format(path, data, start))
-    for name, section in sections(path, data, start):
+    for name, section in cut_sections(path, data, start):
         try:
             found.take(name, section)
         except (ValueError, IndexError, OverflowError) as error:
@@ -141,7 +141,7 @@ def read(path: pathlib.Path) -> Parts:
     grid, patches, notes = grid_of(content.points, blocks, found.names)
     top = max(DIMENSION.get(kind, 0) for kind, _ in grid.blocks)
     sides = [pairs for level, pairs in found.links if level == top - 1]
-    periodic = tuple(_periodic(sides, labels.rows.ids, patches))
+    periodic = tuple(_pair_patches(sides, labels.rows.ids, patches))
     unread = [name for name in found.others if name != "$Periodic" or not periodic]
     if unread:
         notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
@@ -165,7 +165,7 @@ def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, ndarray]]:
     stream.end()
 
 
-def _periodic(sides: list[ndarray], tags: ndarray, patches: list[Patch]) -> Iterator[Periodic]:
+def _pair_patches(sides: list[ndarray], tags: ndarray, patches: list[Patch]) -> Iterator[Periodic]:
     """Yields pairs of patches: for each pair of entities the smallest patches that hold them."""
     names = collections.Counter(patch.name for patch in patches)
     own = sorted((p for p in patches if names[p.name] == 1), key=lambda patch: len(patch.nodes))
@@ -181,17 +181,17 @@ def _periodic(sides: list[ndarray], tags: ndarray, patches: list[Patch]) -> Iter
 
 
 def grid_of(
-    points: ndarray, blocks: list[ElementBlock], names: Names
+    points: ndarray, blocks: list[ElementBlock], names: GroupNames
 ) -> tuple[Grid, list[Patch], tuple[str, ...]]:
     """Makes a grid, patches of the groups of lower dimension, and a note on the others."""
-    groups = list(_groups(blocks, names))
+    groups = list(_gather_groups(blocks, names))
     cells = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in blocks]
     top = max(DIMENSION.get(kind, 0) for kind, _ in cells)
     notes = tuple(regions_note(patch.name for level, patch in groups if level == top))
     return Grid(points, cells, {}, {}), [patch for level, patch in groups if level < top], notes
 
 
-def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Patch]]:
+def _gather_groups(blocks: list[ElementBlock], names: GroupNames) -> Iterator[tuple[int, Patch]]:
     """Yields dimension and nodes of each group, of the highest dimension first."""
     own = (
         ((DIMENSION.get(block.kind, 0), tag), block, rows)
@@ -221,7 +221,7 @@ def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
             f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not "
             f"{first!r}.{mark}"
         )
-    found = _VERSION.match(words)
+    found = _VERSION_LINE.match(words)
     if found is None:
         said = words.decode(errors="replace").strip()[:40]
         raise ValueError(
@@ -229,7 +229,7 @@ def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
             "8."
         )
     version, binary, size = (float(word) for word in found.groups())
-    order = ORDERS.get(rest[:4]) if binary else "<"
+    order = BYTE_ORDERS.get(rest[:4]) if binary else "<"
     if order is None:
         raise ValueError(
             f"{path}: a binary .msh file without the number 1 that tells its byte order."
@@ -244,7 +244,7 @@ def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     )
 
 
-def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
+def cut_sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
     while (at := data.find(b"$", at)) >= 0:
         start = data.find(b"\n", at) + 1
         name = data[at + 1 : start].strip()
@@ -257,13 +257,13 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
         at = stop + 4 + len(name)
 
 
-def physical_names(section: Section, form: MeshFormat) -> Names:
+def physical_names(section: Section, form: MeshFormat) -> GroupNames:
     count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
     if count.strip() != b"%d" % len(rows):
         raise section.error(
             f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected."
         )
-    names: Names = {}
+    names: GroupNames = {}
     for k, row in enumerate(rows, start=1):
         match = _NAME.fullmatch(row)
         if match is None or (form.has_levels and match[1] is None):
@@ -272,9 +272,9 @@ def physical_names(section: Section, form: MeshFormat) -> Names:
     return names
 
 
-def entities(stream: Stream, is_partitioned: bool) -> Groups:
+def entities(stream: Stream, is_partitioned: bool) -> EntityGroups:
     """Reads the physical groups of entities, or of the pieces into which a partition cuts them."""
-    groups: Groups = {}
+    groups: EntityGroups = {}
     if is_partitioned:
         stream.one("n")
         stream.skip(2 * stream.one("n"), "i")  # ghost entities
@@ -292,7 +292,7 @@ def entities(stream: Stream, is_partitioned: bool) -> Groups:
     return groups
 
 
-def nodes(stream: Stream, is_parametric: bool) -> Nodes:
+def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
     """Reads the nodes of `$Nodes`, of version 2's `$ParametricNodes`, or of version 1's `$NOD`."""
     if stream.version < 4:
         total = stream.announced()
@@ -318,7 +318,7 @@ def _entity(stream: Stream) -> tuple[int, int, int]:
     return (first, second, third) if stream.version > 4 else (second, first, third)
 
 
-def _of_entity(stream: Stream) -> Nodes:
+def _of_entity(stream: Stream) -> TaggedNodes:
     """Reads one entity's nodes; as many parameters as its dimension may follow each."""
     dimension, _, is_parametric = _entity(stream)
     count = stream.one("n")
@@ -332,7 +332,7 @@ def _of_entity(stream: Stream) -> Nodes:
     return tags, stream.skip(count, f"ddd{parameters}") + width * np.arange(count)
 
 
-def _records(stream: Stream, count: int, parameters: str = "") -> Nodes:
+def _records(stream: Stream, count: int, parameters: str = "") -> TaggedNodes:
     """Reads nodes of which each has its tag before its coordinates."""
     kinds = f"iddd{parameters}"
     start = stream.at
@@ -341,7 +341,7 @@ def _records(stream: Stream, count: int, parameters: str = "") -> Nodes:
     ) * np.arange(count)
 
 
-def _with_parameters(stream: Stream) -> Nodes:
+def _with_parameters(stream: Stream) -> TaggedNodes:
     """Reads a node: tag, coordinates, entity (dimension, tag), parameters (curve 1, surface 2)."""
     node = _records(stream, 1)
     dimension = int(stream.take("i", 2)[0])
@@ -351,15 +351,15 @@ def _with_parameters(stream: Stream) -> Nodes:
     return node
 
 
-def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
+def read_elements(stream: Stream, groups: EntityGroups) -> list[ElementBlock]:
     if stream.version < 4:
-        tables = gathered(_lines(stream) if stream.rows else _old_blocks(stream))
+        tables = gathered(_element_lines(stream) if stream.rows else _old_blocks(stream))
         return [_of_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
     count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
     blocks = []
     for _ in range(count):
         dimension, tag, number = _entity(stream)
-        size, (kind, corners) = stream.one("n"), _kind(number)
+        size, (kind, corners) = stream.one("n"), _kind_of_number(number)
         if DIMENSION.get(kind, 0) != dimension:
             raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
         rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(
@@ -376,18 +376,18 @@ def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
     return blocks
 
 
-def _kind(number: int) -> tuple[str, int]:
+def _kind_of_number(number: int) -> tuple[str, int]:
     """Finds the type of a number, and how many nodes it has."""
-    if number not in TYPES:
+    if number not in GMSH_TYPES:
         raise ValueError(
             f"elements of type {number}; elements of order 1 to 4 are read, from order 3 on with "
             "all inner nodes: "
             "Mesh.SecondOrderIncomplete=0 makes them"
         )
-    return TYPES[number], CORNERS.get(TYPES[number], 1)
+    return GMSH_TYPES[number], CORNERS.get(GMSH_TYPES[number], 1)
 
 
-def _lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
+def _element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c): of version 2 in text, and of version 1.
 
     Lines are number, type, tags and nodes. In version 2 the number of tags comes before them, in
@@ -411,7 +411,7 @@ def _lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
     types = values[first + 1]
     for number in dict.fromkeys(types.tolist()):
-        kind, corners = _kind(number)
+        kind, corners = _kind_of_number(number)
         chosen = np.flatnonzero(types == number)
         start = first[chosen, None]
         tags = values[first[chosen, None] + 2]
@@ -432,7 +432,7 @@ def _old_blocks(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         number, count, tags = stream.take("i", 3).tolist()
         if count < 0 or tags < 0:
             raise ValueError(f"{count} elements with {tags} tags")
-        kind, corners = _kind(number)
+        kind, corners = _kind_of_number(number)
         rows = stream.take("i", count * (1 + tags + corners)).reshape(count, 1 + tags + corners)
         numbers.append(rows[:, 0])
         padded = np.pad(rows[:, 1 : 1 + tags], ((0, 0), (0, 2)))
@@ -501,6 +501,6 @@ def new(mesh: MeshLike) -> Iterator[bytes]:
         table = np.full((len(corners), 3 + corners.shape[1]), tag, "<i4")
         table[:, 0] = first + np.arange(len(corners))
         table[:, 3:] = 1 + reordered(kind, corners, None, GMSH)
-        yield np.array([NUMBERS[kind], len(corners), 2], "<i4").tobytes() + table.tobytes()
+        yield np.array([GMSH_NUMBERS[kind], len(corners), 2], "<i4").tobytes() + table.tobytes()
         first += len(corners)
     yield b"\n$EndElements\n"

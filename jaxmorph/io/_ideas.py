@@ -42,7 +42,7 @@ ELEMENT_RANGES = ((11, 39, 1), (41, 109, 2), (111, 118, 3))
 IDEAS_COLUMNS = 25
 """Columns of a coordinate, 1P3D25.16."""
 
-_END = re.compile(rb"^[ \t]{0,4}-1[ \t]*\r?$", re.MULTILINE)
+_DATASET_END = re.compile(rb"^[ \t]{0,4}-1[ \t]*\r?$", re.MULTILINE)
 
 _NUMBER = re.compile(rb"\s*(\d{1,6})(?:b[^\n]*)?[ \t\r]*\n")
 
@@ -53,15 +53,15 @@ def read(path: Path) -> Parts:
     Without groups the numbers of properties name patches, `patch_3`.
     """
     text = path.read_bytes()
-    sections = list(_sections(path, text))
+    sections = list(_read_datasets(path, text))
     old = [f"{OLD_DATASETS[n]} of dataset {n}" for n, _ in sections if n in OLD_DATASETS]
     if old:
         raise ValueError(f"{', '.join(old)} are not read; those of 2411, 2412 and 2420 are.")
-    content, nodes = _nodes(text, [section for n, section in sections if n in (2411, 781)])
+    content, nodes = _node_tables(text, [section for n, section in sections if n in (2411, 781)])
     _check_systems(nodes[:, 1], [section for n, section in sections if n == 2420])
-    elements = [each for n, section in sections if n == 2412 for each in _elements(section)]
+    elements = [each for n, section in sections if n == 2412 for each in _element_blocks(section)]
     groups = [
-        each for n, section in sections if n in GROUP_DATASETS for each in _groups(section, n)
+        each for n, section in sections if n in GROUP_DATASETS for each in _read_groups(section, n)
     ]
     sets = {
         what: gathered((name, ids[ids[:, 0] == code, 1]) for name, ids in groups)
@@ -82,9 +82,9 @@ def read(path: Path) -> Parts:
     return of_grid(path, NAME, content, grid, notes=notes, labels=nodes[:, 0])
 
 
-def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
+def _read_datasets(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
     """Yields number and rows of each dataset; nothing but blanks may stand between two of them."""
-    ends = list(_END.finditer(text))
+    ends = list(_DATASET_END.finditer(text))
     between = [text[a.end() : b.start()] for a, b in zip(ends[1::2], ends[2::2], strict=False)]
     between += [text[: ends[0].start()], text[ends[-1].end() :]] if ends else [text]
     if len(ends) % 2 or b"".join(between).strip():
@@ -96,7 +96,7 @@ def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
         yield int(number[1]), Section(path, text, number.end(), end.start())
 
 
-def _nodes(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]:
+def _node_tables(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]:
     """Reads points, and labels and systems of coordinates (n, 2)."""
     parts = []
     tables = [np.zeros((0, 7))]
@@ -148,7 +148,7 @@ def _check_systems(used: ndarray, sections: list[Section]) -> None:
         )
 
 
-def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
+def _element_blocks(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
     """Yields the elements of each type, and their numbers of properties.
 
     An element is a row of label, type, property, material, colour and its number of nodes. Of a
@@ -190,7 +190,7 @@ def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
         yield LabelledCells(kind, table[:, 0], corners), table[:, 2]
 
 
-def _groups(section: Section, dataset: int) -> Iterator[tuple[str, ndarray]]:
+def _read_groups(section: Section, dataset: int) -> Iterator[tuple[str, ndarray]]:
     """Yields name, and kinds (7: node, 8: element) and labels (k, 2) of members of each group."""
     lines = section.content.rstrip().split(b"\n")
     width = GROUP_DATASETS[dataset]

@@ -11,14 +11,14 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
 from .._host.package.rounding import Tree
 
-SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
-TOLERANCE = 1e-3
+BLOCK_SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
+NODE_TOLERANCE = 1e-3
 """Distance between duplicates of a node, as a share of the shortest edge at them."""
 COPIES = 12
 """Duplicates of a node that are looked for."""
 
 
-def block_ids(shape: tuple[int, ...], first: int) -> ndarray:
+def number_block(shape: tuple[int, ...], first: int) -> ndarray:
     """Numbers a block's nodes by i, j[, k] from `first`, i fastest, without axes of one node."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
@@ -78,7 +78,7 @@ def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     count = min(COPIES, len(nodes))
     neighbours = Tree(points[nodes]).query(points[nodes], k=count)
     distance, nearest = (np.asarray(values).reshape(len(nodes), count) for values in neighbours)
-    limit = TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
+    limit = NODE_TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
     row, column = np.nonzero(distance <= limit)
     parts = parts_of(row, nearest[row, column], len(nodes))
     _, first = np.unique(parts, return_index=True)
@@ -87,7 +87,7 @@ def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     return same
 
 
-def join(
+def join_zones(
     points: ndarray,
     cells: Iterable[tuple[str, ndarray]],
     patches: Mapping[str, Sequence[ndarray]],
@@ -114,11 +114,11 @@ def join(
     d = 3 if points.shape[1] == 3 and np.ptp(points[:, 2]) else 2
     whole = gathered((kind, node[corners]) for kind, corners in cells)
     own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
-    found = gathered([*own, *_rest([node[corners] for corners in faces], names, patches)])
+    found = gathered([*own, *_name_rest([node[corners] for corners in faces], names, patches)])
     return checked_parts(np.ascontiguousarray(points[first, :d]), whole, found), node
 
 
-def _rest(
+def _name_rest(
     faces: list[ndarray], names: Sequence[str], patches: Mapping[str, Any]
 ) -> Iterator[tuple[str, ndarray]]:
     """Yields names and nodes of faces that no other zone meets."""
@@ -126,13 +126,13 @@ def _rest(
     while rest in patches:
         rest += "_faces"
     for name, corners, mask in zip(
-        names or [rest] * len(faces), faces, _single(faces), strict=True
+        names or [rest] * len(faces), faces, _mark_single(faces), strict=True
     ):
         if mask.any():
             yield name, corners[mask].ravel()
 
 
-def _single(faces: list[ndarray]) -> list[ndarray]:
+def _mark_single(faces: list[ndarray]) -> list[ndarray]:
     """Finds faces that come once and are not shrunk to a line or point: a mask for each array."""
     width = max((corners.shape[1] for corners in faces), default=0)
     columns = [sorted_columns(columns_of(corners), width) for corners in faces]

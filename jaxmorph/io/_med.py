@@ -11,44 +11,45 @@ from jaxmorph._host.cells.topology import CORNERS, numbers, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import of_grid
-from ._tree import Coordinates, TreePoints, labels_in, only, opened, text_of
+from ._tree import Coordinates, TreePoints, labels_in, opened, read_text, take_only
 
 NAME = "MED"
-WHAT = "a MED file"
-TYPES = pairs_of(
+MED_FILE = "a MED file"
+MED_TYPES = pairs_of(
     "PO1 vertex SE2 line TR3 triangle QU4 quad TE4 tetra PY5 pyramid PE6 wedge HE8 hexahedron"
 )
-PLACES = pairs_of("tetra 0213 pyramid 03214 wedge 021354 hexahedron 03214765")
+MED_PLACES = pairs_of("tetra 0213 pyramid 03214 wedge 021354 hexahedron 03214765")
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
-    with opened(path, what=WHAT) as file:
+    with opened(path, what=MED_FILE) as file:
         name, step = _step(file)
-        content = TreePoints.of(path, file, _coordinates, WHAT)
+        content = TreePoints.of(path, file, _coordinate_array, MED_FILE)
         n = len(content.points)
         blocks = []
         families = []
         for kind, group in step["MAI"].items():
-            if kind not in TYPES:
+            if kind not in MED_TYPES:
                 raise ValueError(
-                    f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)})."
+                    f"{path}: elements of type {kind}; linear ones are read "
+                    f"({', '.join(MED_TYPES)})."
                 )
-            ours = TYPES[kind]
+            ours = MED_TYPES[kind]
             corners = group["NOD"][()].reshape(CORNERS.get(ours, 1), -1).T.astype(np.int64) - 1
-            if ours in PLACES:
-                corners = corners[:, *numbers(PLACES[ours])]
+            if ours in MED_PLACES:
+                corners = corners[:, *numbers(MED_PLACES[ours])]
             blocks.append((ours, corners))
             families.append(_families(group, len(corners)))
         of_nodes = _families(step["NOE"], n)
         cells = {
             group: [np.flatnonzero(np.isin(family, ids)) for family in families]
-            for group, ids in _groups(file, name, "ELEME").items()
+            for group, ids in _families_of_groups(file, name, "ELEME").items()
         }
         nodes = {
             group: np.flatnonzero(np.isin(of_nodes, ids))
-            for group, ids in _groups(file, name, "NOEUD").items()
+            for group, ids in _families_of_groups(file, name, "NOEUD").items()
         }
         grid = Grid(
             content.points,
@@ -62,7 +63,7 @@ def read(path: Path) -> Parts:
         return of_grid(path, NAME, content, grid, labels=labels_in(step["NOE"], "NUM", n))
 
 
-def _coordinates(file: Any) -> Iterator[Coordinates]:
+def _coordinate_array(file: Any) -> Iterator[Coordinates]:
     array = _step(file)[1]["NOE"]["COO"]
     n = int(array.attrs["NBR"])
     yield Coordinates(array, slice(0, n), slice(0, array.size // n))
@@ -76,16 +77,16 @@ def _families(group: Any, count: int) -> ndarray:
 
 
 def _step(file: Any) -> tuple[str, Any]:
-    name, mesh = only(file["ENS_MAA"], "meshes")
-    return name, mesh if "NOE" in mesh else only(mesh, "steps of time")[1]
+    name, mesh = take_only(file["ENS_MAA"], "meshes")
+    return name, mesh if "NOE" in mesh else take_only(mesh, "steps of time")[1]
 
 
-def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
+def _families_of_groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
     families = file["FAS"][name] if "FAS" in file and name in file["FAS"] else {}
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
-            groups.setdefault(text_of(np.asarray(characters, np.uint8)), []).append(
+            groups.setdefault(read_text(np.asarray(characters, np.uint8)), []).append(
                 int(family.attrs["NUM"])
             )
     return groups

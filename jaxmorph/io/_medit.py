@@ -14,7 +14,7 @@ from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import EVERYTHING, MeshLike, check_form, of_grid
-from ._gmsh import ORDERS
+from ._gmsh import BYTE_ORDERS
 from ._places import PlacedPoints, Stream
 from ._text import Section, blanked, sections_between
 
@@ -53,7 +53,7 @@ class MeditFile(NamedTuple):
         numbers = stream.take("n", count, after="d" * d)
         stream.check_end("Vertices")
         places = start + stream.width("d" * d + "n") * np.arange(count)
-        plain = _plain if self.types is None else bytes
+        plain = _without_comments if self.types is None else bytes
         is_single = self.types is not None and self.types["d"].endswith("4")
         singles = EVERYTHING if is_single else ()
         return stream.content(places, d, raw=self.raw, plain=plain, singles=singles), numbers
@@ -69,7 +69,7 @@ class MeditFile(NamedTuple):
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: references of faces, `medit:ref_3`."""
     raw = path.read_bytes()
-    order = ORDERS.get(raw[:4])
+    order = BYTE_ORDERS.get(raw[:4])
     file = _of_text(path, raw) if order is None else _of_binary(path, raw, order)
     missing = [name for name in ("Dimension", "Vertices", "End") if name not in file.sections]
     if missing:
@@ -96,11 +96,11 @@ def check(path: Path, mesh: MeshLike) -> None:
     check_form(path, mesh, NAME, ending)
 
 
-_plain = functools.partial(blanked, rb"#[^\r\n]*")
+_without_comments = functools.partial(blanked, rb"#[^\r\n]*")
 
 
 def _of_text(path: Path, raw: bytes) -> MeditFile:
-    found = sections_between(path, _plain(raw), rb"(?<!\S)[A-Za-z]\w*")
+    found = sections_between(path, _without_comments(raw), rb"(?<!\S)[A-Za-z]\w*")
     return _once(raw, ((word[0].decode(errors="replace"), section) for word, section in found))
 
 

@@ -15,11 +15,11 @@ from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, numbers
 from jaxmorph._host.rows import first_of_equals
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
-from ._format import Arrays, Source
+from ._format import ArraysByName, Source
 from ._places import CoordinatePart, PlacedPoints
 from ._text import Section, blanked, sections_between
 
-ORDER = NodeOrder(
+MFEM_ORDER = NodeOrder(
     EDGES | {"tetra": numbers("01 02 03 12 13 23")},
     {"tetra": numbers("123 032 013 021"), "hexahedron": numbers("3210 0154 1265 2376 3047 4567")},
     inner_places,
@@ -71,9 +71,9 @@ def _levels(cells: AttributedCells, new: ndarray) -> list[ndarray]:
     """Lists new nodes of order 2 in MFEM's order: on edges, on faces, inside."""
     size = cells.corners.shape[1]
     every = np.concatenate([cells.corners, new], axis=1)
-    listed = reordered(of_order(cells.kind, 2).name, every, None, ORDER)[:, size:]
+    listed = reordered(of_order(cells.kind, 2).name, every, None, MFEM_ORDER)[:, size:]
     inside = len(inner_places(cells.kind, 2))
-    edges = len(ORDER.edges[cells.kind])
+    edges = len(MFEM_ORDER.edges[cells.kind])
     return np.split(listed, [edges, listed.shape[1] - inside], axis=1)
 
 
@@ -88,8 +88,8 @@ def _in_file_order(cells: list[AttributedCells], tables: Iterable[ndarray]) -> n
 NAME = "MFEM"
 GEOMETRIES = ("point", "line", "triangle", "quad", "tetra", "hexahedron", "wedge", "pyramid")
 """Types by MFEM's numbers, whose corners are in VTK's order."""
-SIZES = {number: CORNERS.get(kind, 1) for number, kind in enumerate(GEOMETRIES)}
-SAME = 1e-8
+MFEM_SIZES = {number: CORNERS.get(kind, 1) for number, kind in enumerate(GEOMETRIES)}
+SAME_NODE = 1e-8
 """Distance of duplicates in L2, as a share of the mesh's extent."""
 _SPACE = (
     rb"\s*FiniteElementSpace\s+FiniteElementCollection:\s*(\S+)"
@@ -123,22 +123,22 @@ class Space(NamedTuple):
             )
         rows = numbers.reshape(self.d, -1).T if self.by_nodes else numbers.reshape(-1, self.d)
         distance = np.abs(rows - rows[first][node]).max()
-        if not distance <= SAME * np.ptp(rows, axis=0).max():
+        if not distance <= SAME_NODE * np.ptp(rows, axis=0).max():
             raise self.section.error(
                 f"nodes of cells that meet are {distance:.3g} apart; periodic meshes are not read."
             )
         section = self.section
         at = np.arange(len(numbers)) + self.skipped
         part = CoordinatePart(section.start, section.stop, at=at, by_columns=self.by_nodes)
-        return PlacedPoints(rows, text, [part], _plain, node=node)
+        return PlacedPoints(rows, text, [part], _blank_comments, node=node)
 
 
 def read(path: Path) -> Parts:
     """Reads cells, nodes, and patches: attributes of boundary elements, `boundary_3`, and sets."""
     text = path.read_bytes()
-    parts = _sections(path, text)
+    parts = _name_sections(path, text)
     space = _space_of(parts)
-    cells, sides = (_elements(parts[name], space.vertices) for name in ("elements", "boundary"))
+    cells, sides = (_read_cells(parts[name], space.vertices) for name in ("elements", "boundary"))
     if {DIMENSION[each.kind] for each in cells} not in ({2}, {3}):
         raise parts["elements"].error("cells of 2-D alone, or of 3-D alone, expected.")
     if space.order > 1 and "pyramid" in [each.kind for each in cells]:
@@ -157,29 +157,30 @@ def read(path: Path) -> Parts:
     points = content.points[np.unique(node, return_index=True)[1]]
     if points.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(points[:, 2]):
         points = points[:, :2]
-    patches = _patches(sides, ids[len(cells) :])
+    patches = _patches_by_attribute(sides, ids[len(cells) :])
     source = Source(
         path,
         NAME,
         content,
         cell_ids=np.concatenate([each.rows for each in cells]),
-        groups=_groups(parts.get("boundary_attribute_sets"), patches),
-        notes=tuple(_notes(cells, parts)),
+        groups=_group_patches(parts.get("boundary_attribute_sets"), patches),
+        notes=tuple(_note_regions(cells, parts)),
     )
     # a caller may change the mesh's points in place, and the file's must stay
     return checked_parts(points.copy(), nodes, patches, source)
 
 
-_plain = functools.partial(blanked, rb"(?m)^[ \t]*#[^\r\n]*")
+_blank_comments = functools.partial(blanked, rb"(?m)^[ \t]*#[^\r\n]*")
 
 
-def _sections(path: Path, text: bytes) -> dict[str, Section]:
+def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
     head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
         raise ValueError(f"MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
     words = rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$"
     parts = {
-        word[1].decode(): section for word, section in sections_between(path, _plain(text), words)
+        word[1].decode(): section
+        for word, section in sections_between(path, _blank_comments(text), words)
     }
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
     missing += ["line mfem_mesh_end"] * (
@@ -190,7 +191,7 @@ def _sections(path: Path, text: bytes) -> dict[str, Section]:
     return parts
 
 
-def _elements(section: Section, count: int) -> list[AttributedCells]:
+def _read_cells(section: Section, count: int) -> list[AttributedCells]:
     """Reads rows of attribute, type and corners, type by type; points of a boundary are none."""
     table = section.rows(np.int64)
     if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(table.counts) - 1:
@@ -198,7 +199,7 @@ def _elements(section: Section, count: int) -> list[AttributedCells]:
             "a number of elements expected, and as many rows of attribute, type and corners."
         )
     rows = table._replace(values=table.values[1:], counts=table.counts[1:], row=1)
-    found = sorted(rows.by_kind(1, SIZES, count), key=lambda kind: kind[0])
+    found = sorted(rows.by_kind(1, MFEM_SIZES, count), key=lambda kind: kind[0])
     return [
         AttributedCells(GEOMETRIES[kind], each[:, 2:], at, each[:, 0])
         for kind, at, each in found
@@ -233,7 +234,7 @@ def _space_of(parts: dict[str, Section]) -> Space:
     return Space(numbers, count, int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
 
 
-def _patches(sides: list[AttributedCells], nodes: list[ndarray]) -> Arrays:
+def _patches_by_attribute(sides: list[AttributedCells], nodes: list[ndarray]) -> ArraysByName:
     found = gathered(
         (attribute, ids[each.attributes == attribute].ravel())
         for each, ids in zip(sides, nodes, strict=True)
@@ -242,7 +243,7 @@ def _patches(sides: list[AttributedCells], nodes: list[ndarray]) -> Arrays:
     return {f"boundary_{attribute}": found[attribute] for attribute in sorted(found)}
 
 
-def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:
+def _group_patches(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:
     sets = _named_sets(section)
     names = [name for name, _ in sets]
     again = next((name for name in names if names.count(name) > 1), None)
@@ -259,7 +260,7 @@ def _named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
     return [(name, words.split()[1:]) for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)]
 
 
-def _notes(cells: list[AttributedCells], parts: dict[str, Section]) -> Iterator[str]:
+def _note_regions(cells: list[AttributedCells], parts: dict[str, Section]) -> Iterator[str]:
     attributes = np.unique(np.concatenate([each.attributes for each in cells])).tolist()
     names = [name for name, _ in _named_sets(parts.get("attribute_sets"))]
     if len(attributes) > 1 or names:

@@ -13,7 +13,7 @@ from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.exchange import ByName, Grid
 
 from ._format import FilePoints
-from ._text import Pieces, Section, lines, replaced
+from ._text import Pieces, Section, number_lines, replace_numbers
 
 KIND_BY_NODES = {(0, 1): "vertex", (0, 2): "line"} | {
     (DIMENSION[kind], NODES[kind]): kind
@@ -61,7 +61,7 @@ class PlacedPoints(FilePoints):
     raw: bytes
     parts: Sequence[CoordinatePart]
     plain: Callable[[bytes], bytes] = bytes
-    form: Callable[[ndarray], bytes] = lines
+    form: Callable[[ndarray], bytes] = number_lines
     columns: int = 0
 
     def moved(self, points: ndarray) -> Pieces:
@@ -70,7 +70,7 @@ class PlacedPoints(FilePoints):
         for part in sorted(self.parts, key=lambda part: part.start):
             values = points[part.rows].T if part.by_columns else points[part.rows]
             if part.dtype is None:
-                yield from replaced(
+                yield from replace_numbers(
                     self.raw[done : part.stop],
                     slice(part.start - done, part.stop - done),
                     values.ravel(),

@@ -60,7 +60,7 @@ FOREIGN = {
     ),
 }
 """What files are that begin so, and that no format reads."""
-HEAD = 4096
+FIRST_BYTES = 4096
 """Bytes by which a file is known."""
 QUALITIES = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
 
@@ -76,7 +76,7 @@ def format_of(path: Path) -> Format:
     if not path.is_file():
         return _by_name(path, found)
     with path.open("rb") as file:
-        first = file.read(HEAD).removeprefix(b"\xef\xbb\xbf").lstrip()
+        first = file.read(FIRST_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
     told = [candidate for candidate in FORMATS if candidate.recognises(first)]
     near = [candidate for candidate in found if candidate in told or candidate.begins is None]
     if near:
@@ -287,7 +287,7 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
     wrong length, points that are not finite, and what the format cannot express.
     """
-    chosen = _checked(path, mesh)
+    chosen = _check_path(path, mesh)
     path = Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
@@ -346,10 +346,10 @@ def check_output(path: PathLike, mesh: Mesh) -> bool:
     **Raises:** `ValueError` as `write` does, for what is wrong whatever the points are.
     `ImportError` when the extra is missing.
     """
-    return _checked(path, mesh).holds_arrays
+    return _check_path(path, mesh).holds_arrays
 
 
-def _checked(name: PathLike, mesh: Mesh) -> Format:
+def _check_path(name: PathLike, mesh: Mesh) -> Format:
     source = mesh.source
     chosen = format_to_write(Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
@@ -381,7 +381,7 @@ def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
 
     **Raises:** `ValueError` as `check_output` does.
     """
-    chosen = _checked(path, mesh)
+    chosen = _check_path(path, mesh)
     source = mesh.source
     if not isinstance(source, Source) or source_of(mesh, chosen.name) is not None:
         return ()

@@ -17,11 +17,11 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
-from ._displacement import in_order, labels_of, read_named, read_table
+from ._displacement import labels_of, read_named, read_table, sort_by_id
 from ._format import faults_of, source_of
 from ._text import PathLike
 from .openfoam.case import NAME
-from .openfoam.file import load
+from .openfoam.file import load_file
 
 NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 
@@ -69,7 +69,7 @@ def read_sensitivity(
             ids, values = read_table(path, d, NAMES)
         wanted = np.arange(n) if moving is None or len(ids) >= n else moving
         known = (np.arange(n), f"the mesh, 0 to {n - 1}")
-        return in_order(ids, values, d, wanted, known, labels_of(mesh, wanted))
+        return sort_by_id(ids, values, d, wanted, known, labels_of(mesh, wanted))
 
 
 @checked
@@ -105,7 +105,7 @@ def write_sensitivity(
 
 
 _INTERNAL = re.compile(rb"internalField\s+(nonuniform\s+List<vector>|uniform)")
-_END = re.compile(rb"\)\s*\)\s*;")
+_VECTORS_END = re.compile(rb"\)\s*\)\s*;")
 
 
 def is_foam_file(path: Path) -> bool:
@@ -120,13 +120,13 @@ def read_point_vectors(path: Path, mesh: Mesh) -> Float[ndarray, "n d"]:
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
-    file = load(path.parent, path.name)
+    file = load_file(path.parent, path.name)
     kind = file.header.get("class", "no class")
     entry = _INTERNAL.search(file.data, file.end)
     if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
         found = f"{kind}{' with one value for all points' if kind == 'pointVectorField' else ''}"
         raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
-    stop = None if file.is_binary else _END.search(file.data, entry.end())
+    stop = None if file.is_binary else _VECTORS_END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
     values = file._replace(data=data, end=entry.end()).numbers("scalar", 3)
     content = source.content

@@ -18,7 +18,7 @@ PathLike = str | os.PathLike[str]
 Pieces = Iterator[bytes | bytearray | memoryview]
 """A file, piece by piece."""
 
-ENOUGH = 1 << 14
+LONG_TEXT = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
 
 _FORTRAN = bytes.maketrans(b"Dd", b"ee")
@@ -38,10 +38,10 @@ def parse(text: bytes, dtype: type) -> ndarray:
             return np.zeros(0, dtype)
 
 
-def lines(values: ndarray) -> bytes:
+def number_lines(values: ndarray) -> bytes:
     """Writes one number a line, with the fewest digits that read back as the double it is."""
     values = values.astype(float, copy=False)
-    if 16 * len(values) < ENOUGH:
+    if 16 * len(values) < LONG_TEXT:
         return repr(values.tolist())[1:-1].encode().replace(b", ", b"\n")
     import scipy.io  # 40 modules, which a reader does not need
 
@@ -67,18 +67,19 @@ def spliced(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
     rows = 1 + (starts - begins) // WIDEST
     last = np.cumsum(rows) - 1
     place = np.repeat(begins - WIDEST * (last + 1 - rows), rows) + WIDEST * np.arange(rows.sum())
-    own = _rows(text, place, np.minimum(np.repeat(starts, rows) - place, WIDEST))
+    own = _gather_bytes(text, place, np.minimum(np.repeat(starts, rows) - place, WIDEST))
     breaks = np.append(np.flatnonzero(np.frombuffer(lines, np.uint8) == ord("\n")), len(lines))
     first, size = np.zeros((2, len(place)), np.int64)
     first[last] = np.append(0, breaks[:-1] + 1)
     size[last] = breaks - first[last]
     table, inside = (
-        np.concatenate(pair, axis=1) for pair in zip(own, _rows(lines, first, size), strict=True)
+        np.concatenate(pair, axis=1)
+        for pair in zip(own, _gather_bytes(lines, first, size), strict=True)
     )
     return table[inside].tobytes() + text[ends[-1] :]
 
 
-def _rows(text: bytes, starts: ndarray, sizes: ndarray) -> tuple[ndarray, ndarray]:
+def _gather_bytes(text: bytes, starts: ndarray, sizes: ndarray) -> tuple[ndarray, ndarray]:
     """Gathers bytes from each of `starts`, as wide as the longest; a mask marks own bytes."""
     width = max(int(sizes.max()), 1)
     windows = ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))
@@ -106,7 +107,7 @@ class Section(NamedTuple):
         return ValueError(f"{self.path}, line {self._line(row)}: {message}")
 
     def _line(self, row: int | None) -> int:
-        line = sum(chunk.count(b"\n") for chunk in chunks(self.text, 0, self.start))
+        line = sum(chunk.count(b"\n") for chunk in line_chunks(self.text, 0, self.start))
         if row is None:
             return max(line, 1)
         for number, content in enumerate(self._lines(), start=line + 1):
@@ -116,12 +117,12 @@ class Section(NamedTuple):
         return line
 
     def _lines(self) -> Iterator[bytes]:
-        for chunk in chunks(self.text, self.start, self.stop):
+        for chunk in line_chunks(self.text, self.start, self.stop):
             yield from chunk.removesuffix(b"\n").split(b"\n")
 
     def blocks(self, dtype: type) -> Iterator["NumberRows"]:
         row = 0
-        for chunk in chunks(self.text, self.start, self.stop):
+        for chunk in line_chunks(self.text, self.start, self.stop):
             counts = scan(chunk)[2]
             values = parse(chunk, dtype)
             if len(values) != counts.sum():
@@ -213,7 +214,7 @@ def sections_between(path: Path, text: bytes, pattern: bytes) -> Iterator[tuple[
         yield head, Section(path, text, min(head.end(), stop), stop)
 
 
-def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
+def line_chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
     """Yields the text from `start` to `stop` in pieces of whole lines, about `CHUNK` bytes each."""
     while start < stop:
         end = text.find(b"\n", min(start + CHUNK, stop - 1), stop) + 1 or stop
@@ -234,14 +235,14 @@ def scan(chunk: bytes) -> tuple[ndarray, ndarray, ndarray]:
     return starts, ends, counts[counts > 0]
 
 
-def replaced(
+def replace_numbers(
     text: bytes,
     part: slice,
     values: ndarray,
     *,
     at: ndarray | None = None,
     plain: Callable[[bytes], bytes] = bytes,
-    form: Callable[[ndarray], bytes] = lines,
+    form: Callable[[ndarray], bytes] = number_lines,
     columns: int = 0,
 ) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
@@ -254,7 +255,7 @@ def replaced(
     words = 0
     done = 0
     yield memoryview(text)[: part.start]
-    for chunk in chunks(text, part.start, part.stop):
+    for chunk in line_chunks(text, part.start, part.stop):
         numbers = plain(chunk)
         starts, ends, _ = scan(numbers)
         chosen = np.arange(len(starts))

@@ -30,11 +30,11 @@ except ImportError as error:
 from ._format import FilePoints
 from ._text import decoded
 
-WHAT = "a CGNS file in HDF5 or ADF"
+CGNS_FILE = "a CGNS file in HDF5 or ADF"
 
 
 @contextlib.contextmanager
-def opened(path: Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
+def opened(path: Path, writes: bool = False, what: str = CGNS_FILE) -> Iterator[Any]:
     """Yields the root of a file's tree as h5py has it: groups with `label`, arrays as " data".
 
     `what` names the format in messages. Raises `ValueError` for another format, and for a file that
@@ -42,7 +42,7 @@ def opened(path: Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
     """
     try:
         with path.open("r+b" if writes else "rb") as file:
-            magic = file.read(TAG + len(ADF))
+            magic = file.read(TAG_SIZE + len(ADF))
             if magic.startswith(CDF):
                 yield _Header(file).tree()
             elif magic.endswith(ADF):
@@ -77,7 +77,7 @@ def _refuse_foreign_data(path: Path, file: Any) -> None:
         raise ValueError(f"{path}: {found[-200:]}. {remedy}")
 
 
-def text_of(value: Any) -> str:
+def read_text(value: Any) -> str:
     """Decodes a text in a file: what stands before its first zero, without blanks around."""
     return (
         value
@@ -86,7 +86,7 @@ def text_of(value: Any) -> str:
     )
 
 
-def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
+def take_only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
     if len(groups) != 1:
         raise ValueError(f"{len(groups)} {what} in the file, one is read")
     return next(iter(groups.items()))
@@ -129,7 +129,7 @@ class TreePoints(FilePoints):
     stamp: tuple[int, int]
 
     @classmethod
-    def of(cls, path: Path, tree: Any, find: Find, what: str = WHAT) -> "TreePoints":
+    def of(cls, path: Path, tree: Any, find: Find, what: str = CGNS_FILE) -> "TreePoints":
         coordinates = list(find(tree))
         n = max(each.rows.stop for each in coordinates)
         d = max(each.columns.stop for each in coordinates)
@@ -169,12 +169,12 @@ def _stamp(path: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-BLOCK = 4096
+ADF_BLOCK = 4096
 ENTRY = 44
 POINTER = 12
-TAG = 4
+TAG_SIZE = 4
 ADF = b"ADF Database Version "
-_ORDERS = {b"L": "<", b"B": ">"}
+_ADF_ORDERS = {b"L": "<", b"B": ">"}
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
 _NODE = struct.Struct("4x 32s 32s 8s 8x 12s 32s 2s 96s 4s 12s 4x")
 """A node's name, label, number and table of children, type, number of sizes, sizes, its data."""
@@ -241,7 +241,7 @@ class Reader:
         head = self._read(0, 186)
         self._tagged(head, _HEADER_TAGS)
         self.is_old, code, long = head[25:26] != b"B", head[100:101], hexadecimal(head[112:114])
-        if code not in _ORDERS:
+        if code not in _ADF_ORDERS:
             raise ValueError(
                 f"{path}: an ADF file with numbers of format {code.decode(errors='replace')!r}; "
                 "IEEE's "
@@ -249,7 +249,7 @@ class Reader:
             )
         if long not in (4, 8):
             raise ValueError(f"long numbers of {long} bytes")
-        self.order = _ORDERS[code]
+        self.order = _ADF_ORDERS[code]
         kinds = {"I4": "i4", "U4": "u4", "R4": "f4", "R8": "f8", "C1": "i1", "B1": "u1"}
         kinds |= {"I8": f"i{long}", "U8": f"u{long}"}
         self.kinds = {code: np.dtype(self.order + kind) for code, kind in kinds.items()}
@@ -281,7 +281,7 @@ class Reader:
         return self.file.read(count)
 
     def _pointer(self, raw: bytes) -> int:
-        return self._integer(raw[:8]) * BLOCK + self._integer(raw[8:])
+        return self._integer(raw[:8]) * ADF_BLOCK + self._integer(raw[8:])
 
     def _integer(self, raw: bytes) -> int:
         return (
@@ -292,12 +292,12 @@ class Reader:
 
     def _tagged(self, raw: bytes, tags: dict[int, bytes]) -> None:
         for at, tag in tags.items():
-            if raw[at : at + TAG].lower() != tag:
-                raise ValueError(f"{raw[at : at + TAG]!r} where {tag!r} should stand")
+            if raw[at : at + TAG_SIZE].lower() != tag:
+                raise ValueError(f"{raw[at : at + TAG_SIZE]!r} where {tag!r} should stand")
 
     def _node(self, at: int, place: str = "") -> tuple[Node, list[int]]:
         raw = self._read(at, _NODE.size)
-        self._tagged(raw, {0: b"node", _NODE.size - TAG: b"tail"})
+        self._tagged(raw, {0: b"node", _NODE.size - TAG_SIZE: b"tail"})
         self.spans.append((at, at + len(raw)))
         name, label, children, below, kind, dimensions, sizes, chunks, data = _NODE.unpack(raw)
         node = Node(decoded(name.rstrip(b" \0")), label.rstrip())
@@ -349,19 +349,19 @@ class Reader:
     def _part(self, raw: bytes, tags: tuple[bytes, bytes]) -> tuple[int, int]:
         """Finds a part's content, behind the place of the last one, and its number of bytes."""
         at = self._pointer(raw)
-        head = self._read(at, TAG + POINTER)
+        head = self._read(at, TAG_SIZE + POINTER)
         first = at + len(head)
-        stop = self._pointer(head[TAG:])
+        stop = self._pointer(head[TAG_SIZE:])
         self._tagged(head, {0: tags[0]})
-        self._tagged(self._read(stop, TAG), {0: tags[1]})
+        self._tagged(self._read(stop, TAG_SIZE), {0: tags[1]})
         if stop < first:
             raise ValueError(f"a part at {at} that ends at {stop}")
-        self.spans.append((at, stop + TAG))
+        self.spans.append((at, stop + TAG_SIZE))
         return first, stop - first
 
 
 CDF = b"CDF"
-_TYPES = ("", "i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8")
+CDF_TYPES = ("", "i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8")
 """Types of numbers by CDF's codes, from 1 on."""
 _DIMENSIONS = 10
 _VARIABLES = 11
@@ -406,7 +406,7 @@ class _Header:
     def attributes(self) -> dict[str, bytes]:
         texts = {}
         for name in self.entries(_ATTRIBUTES):
-            kind = np.dtype(_TYPES[self.number(4)])
+            kind = np.dtype(CDF_TYPES[self.number(4)])
             texts[name] = self.taken(self.number() * kind.itemsize)
         return texts
 
@@ -435,7 +435,7 @@ class _Header:
         """Reads the place of a variable; one of a number each record stands behind all else."""
         sizes = [lengths[self.number()] for _ in range(self.number())] or [1]
         attributes = self.attributes()
-        kind = np.dtype(_TYPES[self.number(4)])
+        kind = np.dtype(CDF_TYPES[self.number(4)])
         stated = self.number()
         at = self.number(self.place)
         size = kind.itemsize * math.prod(sizes)

@@ -17,16 +17,16 @@ from jaxmorph._host.rows import first_of_equals
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, by_number, check_width, regions_note, sized
 
 from ._format import FilePoints, MeshLike, faults_of, of_grid, own_source
-from ._text import Pieces, blanked, lines, parse, replaced
+from ._text import Pieces, blanked, number_lines, parse, replace_numbers
 
 NAME = "XDMF"
-SHAPES = pairs_of(
+XDMF_SHAPES = pairs_of(
     "polyvertex vertex polyline line edge line interval line tri triangle triangle triangle "
     "quadrilateral quad quad quad tet tetra tetrahedron tetra pyramid pyramid wedge wedge "
     "hex hexahedron hexahedron hexahedron"
 )
 """Shapes of cells by XDMF's words, which an underscore and the number of nodes may follow."""
-CODES = inverted(
+XDMF_TYPES = inverted(
     codes(
         "vertex 1 line 2 triangle 4 quad 5 tetra 6 pyramid 7 wedge 8 hexahedron 9 "
         "line3 34 quad9 35 triangle6 36 quad8 37 tetra10 38 pyramid13 39 wedge15 40 wedge18 41 "
@@ -90,7 +90,7 @@ class XDMFDocument:
             )
         shape = tuple(map(int, item.get("Dimensions", "").split()))
         text = (item.text or "").strip()
-        values = self._stored(text) if form == "HDF" else _numbers(item, text)
+        values = self._stored(text) if form == "HDF" else _parse_item(item, text)
         if values.size != np.prod(shape, dtype=float):
             raise ValueError(f"an array of {values.size} numbers, of the shape {shape} in the XML.")
         return values.reshape(shape)
@@ -129,7 +129,7 @@ class XDMFDocument:
             raise ValueError("a grid without a Topology.")
         word = _type(found, "Topology").lower()
         ids = self.values(self.item_of(found, "a Topology")).astype(np.int64)
-        return list(_mixed(ids.ravel()) if word == "mixed" else [_alike(word, ids, found)])
+        return list(_mixed(ids.ravel()) if word == "mixed" else [_block_of_type(word, ids, found)])
 
     def arrays(self, grid: ElementTree.Element, center: str) -> dict[str, ndarray]:
         """Reads the attributes of nodes or cells, a column as an array (n,)."""
@@ -158,9 +158,9 @@ class XDMFDocument:
             if not is_points:
                 yield b">" + _words(self.values(leaf))
             elif leaf.get("Format", "XML").upper() == "HDF":
-                yield b">" + lines(points.ravel())
+                yield b">" + number_lines(points.ravel())
             else:
-                yield from replaced(inner, slice(1, len(inner)), points.ravel())
+                yield from replace_numbers(inner, slice(1, len(inner)), points.ravel())
             at = found.end(2)
         yield self.raw[at:]
 
@@ -191,7 +191,7 @@ def read(path: Path, tags: Path | None = None) -> Parts:
     first = int(np.argmax(levels))
     points = document.points(grids[first])
     grid = _grid(document, grids[first], of_grids[first], points)
-    patches = list(_patches(document, levels[first], points))
+    patches = list(_find_facets(document, levels[first], points))
     if tags is not None:
         patches += _of_file(tags, levels[first], points)
     others = [each for k, each in enumerate(grids) if levels[k] == levels[first] and k != first]
@@ -204,7 +204,9 @@ def read(path: Path, tags: Path | None = None) -> Parts:
     )
     parts = of_grid(path, NAME, content, grid, patches, notes)
     if list(parts.patches) == ["boundary"] and not patches:
-        source = dataclasses.replace(parts.source, notes=(*parts.source.notes, *_beside(path)))
+        source = dataclasses.replace(
+            parts.source, notes=(*parts.source.notes, *_note_files_beside(path))
+        )
         parts = parts._replace(source=source)
     return parts
 
@@ -255,11 +257,11 @@ def _level(blocks: Sequence[XDMFBlock]) -> int:
     return max((DIMENSION.get(block.kind, 0) for block in blocks), default=0)
 
 
-def _alike(word: str, ids: ndarray, topology: ElementTree.Element) -> XDMFBlock:
+def _block_of_type(word: str, ids: ndarray, topology: ElementTree.Element) -> XDMFBlock:
     name, _, size = word.partition("_")
-    if name not in SHAPES or not (size or "2").isdecimal():
+    if name not in XDMF_SHAPES or not (size or "2").isdecimal():
         raise ValueError(f"cells of the type {word} are not read.")
-    shape = SHAPES[name]
+    shape = XDMF_SHAPES[name]
     kind = sized(shape, int(size)) if size and shape in NODES else shape
     width = ids.shape[-1] if ids.ndim == 2 else int(topology.get("NodesPerElement") or 0)
     corners = ids.reshape(-1, width or NODES.get(kind, 1))
@@ -275,8 +277,8 @@ def _block(kind: str, corners: ndarray, rows: ndarray) -> XDMFBlock:
 
 def _mixed(stream: ndarray) -> Iterator[XDMFBlock]:
     """Yields the cells of each type: a number of the type, perhaps that of its nodes, the nodes."""
-    heads = {code: 1 + (code in COUNTED) for code in CODES}
-    steps = {code: heads[code] + NODES.get(kind, 1) for code, kind in CODES.items()}
+    heads = {code: 1 + (code in COUNTED) for code in XDMF_TYPES}
+    steps = {code: heads[code] + NODES.get(kind, 1) for code, kind in XDMF_TYPES.items()}
 
     def step(code: int) -> int:
         if code not in steps:
@@ -290,9 +292,9 @@ def _mixed(stream: ndarray) -> Iterator[XDMFBlock]:
     for code in dict.fromkeys(codes.tolist()):
         rows = np.flatnonzero(codes == code)
         table = stream[first[rows, None] + np.arange(steps[code])]
-        if code in COUNTED and (table[:, 1] != NODES.get(CODES[code], 1)).any():
-            raise ValueError(f"cells of type {CODES[code]} of other than two nodes.")
-        yield _block(CODES[code], table[:, heads[code] :], rows)
+        if code in COUNTED and (table[:, 1] != NODES.get(XDMF_TYPES[code], 1)).any():
+            raise ValueError(f"cells of type {XDMF_TYPES[code]} of other than two nodes.")
+        yield _block(XDMF_TYPES[code], table[:, heads[code] :], rows)
 
 
 def _grid(
@@ -317,13 +319,13 @@ def _grid(
     )
 
 
-def _patches(document: XDMFDocument, level: int, points: ndarray) -> Iterator[Patch]:
+def _find_facets(document: XDMFDocument, level: int, points: ndarray) -> Iterator[Patch]:
     """Yields the facets of each number of each array, in grids below the dimension of the mesh."""
     for grid in document.grids:
         blocks = document.blocks(grid)
         if _level(blocks) != level - 1:
             continue
-        nodes = _nodes(document.points(grid), points)
+        nodes = _find_nodes(document.points(grid), points)
         _check_corners(blocks, nodes)
         for name, values in document.arrays(grid, "Cell").items():
             # the largest number of 64 bits, and 0, are what FEniCS gives to facets without one
@@ -334,7 +336,7 @@ def _patches(document: XDMFDocument, level: int, points: ndarray) -> Iterator[Pa
                     yield Patch(f"{name}_{number}", "facets", members)
 
 
-def _nodes(found: ndarray, points: ndarray) -> ndarray:
+def _find_nodes(found: ndarray, points: ndarray) -> ndarray:
     """Finds the mesh's node at each of some points; -1 where there is none, or more than one."""
     if found.shape == points.shape and np.array_equal(found, points):
         return np.arange(len(points))
@@ -362,13 +364,13 @@ def _check_corners(blocks: Sequence[XDMFBlock], nodes: ndarray) -> None:
 
 def _of_file(path: Path, level: int, points: ndarray) -> list[Patch]:
     with faults_of(path):
-        found = list(_patches(_document(path), level, points))
+        found = list(_find_facets(_document(path), level, points))
         if not found:
             raise ValueError("no grid of facets with numbers.")
     return found
 
 
-def _beside(path: Path) -> Iterator[str]:
+def _note_files_beside(path: Path) -> Iterator[str]:
     """Names other XDMF files of the folder, where the numbers of facets may be."""
     files = (file for file in path.parent.iterdir() if file.suffix.lower() in (".xdmf", ".xmf"))
     names = sorted(file.name for file in files if file.name != path.name)
@@ -381,7 +383,7 @@ def _beside(path: Path) -> Iterator[str]:
         )
 
 
-def _numbers(item: ElementTree.Element, text: str) -> ndarray:
+def _parse_item(item: ElementTree.Element, text: str) -> ndarray:
     kind = item.get("NumberType") or item.get("DataType") or "Float"
     known: dict[str, type] = {"Float": np.float64, "UInt": np.uint64, "UChar": np.uint8}
     values = parse(text.encode(), known.get(kind, np.int64))
@@ -392,7 +394,7 @@ def _numbers(item: ElementTree.Element, text: str) -> ndarray:
 
 def _words(values: ndarray) -> bytes:
     if values.dtype.kind == "f":
-        return lines(values.ravel())
+        return number_lines(values.ravel())
     return "\n".join(map(str, values.ravel().tolist())).encode()
 
 

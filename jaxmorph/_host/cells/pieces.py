@@ -71,10 +71,10 @@ def owned_sides(cells: ByType, n: int, among: ndarray | None = None) -> dict[str
             found.setdefault(side, []).append((columns, owner))
         first += len(ids)
     sides = sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
-    return {side: _single(found[side], n) for side in sides}
+    return {side: _keep_single(found[side], n) for side in sides}
 
 
-def _single(parts: list[tuple[list[ndarray], ndarray]], n: int) -> Pair:
+def _keep_single(parts: list[tuple[list[ndarray], ndarray]], n: int) -> Pair:
     """Finds unique faces and their cells, from faces by column, and their cells."""
     rows = unpaired([columns for columns, _ in parts], n)
     columns = [

@@ -16,7 +16,7 @@ from .solves import Factors, Operator, conjugate_gradients, hierarchy, inner_pro
 
 # residual relative to the right side, and error relative to the solution, that end CG
 ACCURACY = 1e-9
-LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
+MOST_STEPS = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
 # unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
 RESORT = 60_000
 LATEST = 2  # number of the latest systems whose factors are cached
@@ -55,7 +55,7 @@ def inverse_of(system: tuple[tuple[tuple[int, ...], str, bytes], ...], multigrid
     values, diagonal, masses = (
         array.astype(float, copy=False) for array in (values, diagonal, masses)
     )
-    return _inverse(pairs, values, diagonal, masses, free, multigrid)
+    return _make_inverse(pairs, values, diagonal, masses, free, multigrid)
 
 
 def check_solver(unknowns: int, dimension: int) -> None:
@@ -66,7 +66,7 @@ def check_solver(unknowns: int, dimension: int) -> None:
         )
 
 
-def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator:
+def _make_inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator:
     # Of blocks there is one system; of numbers one for all columns with the same free unknowns.
     n, d = free.shape
     kinds = free.any(axis=1)[:, None]
@@ -78,7 +78,9 @@ def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator
         rows = np.flatnonzero(is_free)
         columns = np.flatnonzero(np.ravel(kind) == number)
         if masses.size:
-            root = sparse.diags(masses**-0.5) @ _matrix(pairs, values, diagonal, np.arange(n))
+            root = sparse.diags(masses**-0.5) @ _select_matrix(
+                pairs, values, diagonal, np.arange(n)
+            )
             parts.append((rows, columns, _of_square(root[:, rows])))
         elif len(rows):
             used = free[rows].ravel() if values.ndim == 3 else np.ones(len(rows), dtype=bool)
@@ -86,7 +88,7 @@ def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator
                 (
                     rows,
                     columns,
-                    _of_matrix(_matrix(pairs, values, diagonal, rows), used, d, multigrid),
+                    _of_matrix(_select_matrix(pairs, values, diagonal, rows), used, d, multigrid),
                 )
             )
 
@@ -99,7 +101,7 @@ def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator
     return apply
 
 
-def _matrix(pairs, values, diagonal, rows) -> Any:
+def _select_matrix(pairs, values, diagonal, rows) -> Any:
     """The matrix of the nodes `rows`, ascending: numbers in CSR, or blocks in BSR."""
     # SciPy sorts and selects the numbers of the entries, from 1 on.
     i, j, node = *pairs.T, np.arange(len(diagonal))
@@ -117,7 +119,7 @@ def _of_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
     if not (diagonal > 0).all():
         return lambda right: np.full_like(right, np.nan)
     scale = used / np.sqrt(diagonal)
-    _scale(matrix, scale)
+    _scale_in_place(matrix, scale)
     factors = functools.cache(lambda: Factors(matrix))
     multigrid &= not (is_direct := is_factored(len(scale), d))
     cycle = _cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid else None
@@ -128,7 +130,7 @@ def _of_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
         x = np.full_like(columns, np.nan)
         if not (is_direct or factors.cache_info().currsize):
             x = np.apply_along_axis(
-                lambda column: iterated(matrix, column, cycle, scale), 0, columns
+                lambda column: iterate_to_accuracy(matrix, column, cycle, scale), 0, columns
             )
         if may_factor and np.isfinite(right).all() and not np.isfinite(x).all():
             x = factors()(columns)
@@ -137,7 +139,7 @@ def _of_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
     return apply
 
 
-def _scale(matrix: Any, scale: ndarray) -> None:
+def _scale_in_place(matrix: Any, scale: ndarray) -> None:
     """Multiplies rows and columns by `scale`, in place; where it is 0, the diagonal becomes 1."""
     factor = scale.reshape(len(matrix.indptr) - 1, -1)
     data = matrix.data.reshape(-1, factor.shape[1], factor.shape[1])
@@ -147,7 +149,9 @@ def _scale(matrix: Any, scale: ndarray) -> None:
     data[owner == matrix.indices] += (factor == 0)[:, :, None] * np.eye(factor.shape[1])
 
 
-def iterated(matrix: Any, right: ndarray, cycle: Operator | None, scale: ndarray) -> ndarray:
+def iterate_to_accuracy(
+    matrix: Any, right: ndarray, cycle: Operator | None, scale: ndarray
+) -> ndarray:
     """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
     wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
     error: a residual that is small beside stiff cells moves soft cells far.
@@ -162,7 +166,7 @@ def iterated(matrix: Any, right: ndarray, cycle: Operator | None, scale: ndarray
         )
 
     # Without a cycle, twice as many steps are allowed.
-    inverse, limit = (cycle, LIMIT) if cycle else (lambda residual: residual, 2 * LIMIT)
+    inverse, limit = (cycle, MOST_STEPS) if cycle else (lambda residual: residual, 2 * MOST_STEPS)
     x, is_solved = conjugate_gradients(matrix, right, inverse, is_enough, limit)
     return x if is_solved else np.full_like(right, np.nan)
 

@@ -83,7 +83,7 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, ndar
             ) from error
 
 
-def real_array(path: pathlib.Path, arrays: dict[str, ndarray], name: str) -> ndarray:
+def real_values(path: pathlib.Path, arrays: dict[str, ndarray], name: str) -> ndarray:
     if arrays[name].dtype.kind not in "fiu":
         raise ValueError(
             f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected."
@@ -152,12 +152,12 @@ def complete(
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
     _check_replaceable(path, target, folder)
-    with named(path):
-        partial = _new(target, folder)
+    with name_errors_by(path):
+        partial = _make_partial(target, folder)
     try:
-        with named(path) if name_errors else contextlib.nullcontext():
+        with name_errors_by(path) if name_errors else contextlib.nullcontext():
             yield partial
-        with named(path):
+        with name_errors_by(path):
             partial.replace(target)
     finally:
         if partial.is_dir() and not partial.is_symlink():
@@ -176,7 +176,7 @@ def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -
 
 
 @contextlib.contextmanager
-def named(path: pathlib.Path) -> Iterator[None]:
+def name_errors_by(path: pathlib.Path) -> Iterator[None]:
     """Makes a system error name the target file instead of the temporary file or none."""
     try:
         yield
@@ -204,7 +204,7 @@ def _is_of_another(error: Exception) -> bool:
     return bool(names) and not any(".partial" in name for name in names)
 
 
-def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
+def _make_partial(target: pathlib.Path, folder: bool) -> pathlib.Path:
     room = (
         255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")
     )  # of a file system's 255 bytes

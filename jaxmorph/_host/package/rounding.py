@@ -13,7 +13,7 @@ from .cores import cores
 
 SAME = 1e-9  # relative difference up to which two numbers count as equal
 TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
-FEW = 4096  # points of a search up to which threads cost more than they gain
+FEW_POINTS = 4096  # points of a search up to which threads cost more than they gain
 
 
 NEAR_ZERO = 1e-290  # far above the smallest normal number, with a square that is zero
@@ -30,7 +30,7 @@ class Tree(KDTree):
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return super().query(
-            x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords
+            x, *arguments, **{"workers": cores() if len(x) > FEW_POINTS else 1} | keywords
         )
 
     def within(self, x: ndarray, radius: ndarray) -> Pair:

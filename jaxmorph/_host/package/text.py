@@ -142,7 +142,7 @@ def similar(word: str, known: Iterable[str]) -> str | None:
     return words[near[0]] if near else None
 
 
-SHOWN = 12  # names that an error lists
+SHOWN_NAMES = 12  # names that an error lists
 
 
 def patch_names(
@@ -164,13 +164,13 @@ def patch_names(
             if not found:
                 known = _known(patches, groups)
                 raise ValueError(
-                    f"no patch is called {name!r}{_hint(name, [*patches, *groups])}; {known}."
+                    f"no patch is called {name!r}{_suggest(name, [*patches, *groups])}; {known}."
                 )
         listed += found
     return tuple(dict.fromkeys(listed))
 
 
-def _hint(name: str, known: Sequence[str]) -> str:
+def _suggest(name: str, known: Sequence[str]) -> str:
     shell = re.sub(r"(?<![.\])])\*", ".*", name)
     if (
         shell != name
@@ -184,9 +184,9 @@ def _hint(name: str, known: Sequence[str]) -> str:
 
 def _known(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:
     names = [repr(name) for name in patches]
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
     of_groups = f", and the groups {', '.join(map(repr, groups))}" if groups else ""
-    return f"this mesh has: {', '.join(names[:SHOWN]) or 'none'}{more}{of_groups}"
+    return f"this mesh has: {', '.join(names[:SHOWN_NAMES]) or 'none'}{more}{of_groups}"
 
 
 def decoded(raw: bytes) -> str:

@@ -147,7 +147,7 @@ def _lower(
     np.minimum(distance, total, out=distance)
 
 
-SHARE = {
+DEFAULT_SHARES = {
     2: 0.25,
     3: 0.5,
 }  # default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
@@ -197,7 +197,7 @@ class Graded(AbstractSeparated):
         return chosen_in_order(points, lambda points, order: self._near(points, others))
 
     def _near(self, points: ndarray, others: ndarray) -> ndarray:
-        share = SHARE[points.shape[1]] if self.share is None else self.share
+        share = DEFAULT_SHARES[points.shape[1]] if self.share is None else self.share
         return farthest(
             points, self.most, self.closest(points), reach=share * _room(points, others)
         )

@@ -83,7 +83,7 @@ def _by_error(
     slack = SAME * np.abs(values).max()
     least = max(tolerance * np.abs(values).max(), slack)
     while len(chosen) < count:
-        missed = _missed(kernel, tail, chosen, values)
+        missed = _measure_misses(kernel, tail, chosen, values)
         missed[distance <= closest] = 0
         if missed.max() <= least:
             break
@@ -104,7 +104,7 @@ def _by_error(
     return chosen
 
 
-def _missed(kernel: ndarray, tail: ndarray, chosen: ndarray, values: ndarray) -> ndarray:
+def _measure_misses(kernel: ndarray, tail: ndarray, chosen: ndarray, values: ndarray) -> ndarray:
     """The largest miss (m,), over all values, of the chosen points' spline (eq. 3)."""
     terms = tail.shape[1]
     matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])

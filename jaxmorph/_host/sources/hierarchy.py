@@ -21,8 +21,8 @@ from ..package.rounding import (
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 
-BATCH = 256  # candidates for the next nodes in a batch
-WIDTH = 8  # entries in a row of a sweep's table
+CANDIDATES = 256  # candidates for the next nodes in a batch
+ROW_WIDTH = 8  # entries in a row of a sweep's table
 
 
 def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
@@ -67,7 +67,7 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
     distance[start] = 0
     tree = Tree(ordered)
     least = roundoff(points)
-    while (batch := _farthest(distance, least)).size:
+    while (batch := _pick_batch(distance, least)).size:
         gaps = np.where(
             np.tri(len(batch), k=-1, dtype=bool), cdist(ordered[batch], ordered[batch]), np.inf
         )
@@ -105,12 +105,12 @@ def _pairs_of_equals(numbers: ndarray) -> Pair:
     return first[first != second], second[first != second]
 
 
-def _farthest(distance: ndarray, least: float) -> ndarray:
+def _pick_batch(distance: ndarray, least: float) -> ndarray:
     """Nodes with the largest distances above `least`, largest first; ties by first node."""
-    count = min(BATCH, len(distance))
+    count = min(CANDIDATES, len(distance))
     last = np.partition(distance, -count)[-count]
     batch = np.flatnonzero((distance >= (1 - SAME) * last) & (distance > least))
-    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:BATCH]]
+    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:CANDIDATES]]
 
 
 def overlaps(points: ndarray, centres: ndarray, radius: ndarray, targets: ndarray) -> Pair:
@@ -160,20 +160,20 @@ def _sweep(owner: ndarray, level: ndarray) -> Pair:
     # rows, a quarter of the mean number of rows of a level. A level begins with a new step; the
     # rest of its last step stays empty.
     if not owner.size:
-        return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
+        return np.zeros((0, 1, ROW_WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))
     level = level[order]
     owner = owner[order]
     within = _places_in_runs(level, owner)
-    begins = within % WIDTH == 0
+    begins = within % ROW_WIDTH == 0
     level_of_row = level[begins]
     rows_of_level = np.bincount(level_of_row)
     rows = -(-len(level_of_row) // (4 * len(rows_of_level)))
     last_step = np.cumsum(-(-rows_of_level // rows))
     first_slot = rows * np.append(0, last_step)[level_of_row]
     slot = (first_slot + _places_in_runs(level_of_row))[np.cumsum(begins) - 1]
-    entries = np.full((last_step[-1] * rows, WIDTH), -1, dtype=np.int32)
+    entries = np.full((last_step[-1] * rows, ROW_WIDTH), -1, dtype=np.int32)
     owners = np.zeros(last_step[-1] * rows, np.int32)
-    entries[slot, within % WIDTH] = order
+    entries[slot, within % ROW_WIDTH] = order
     owners[slot] = owner
-    return entries.reshape(-1, rows, WIDTH), owners.reshape(-1, rows)
+    return entries.reshape(-1, rows, ROW_WIDTH), owners.reshape(-1, rows)

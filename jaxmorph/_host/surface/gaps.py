@@ -13,8 +13,8 @@ from ..linear.products import cofactor_rows, cross_rows, outward
 from ..package.rounding import Tree, morton_order
 
 CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
-BLOCK = 1 << 12  # points of a block
-NEAR = 8  # nearest simplices that bound the distance to all others
+POINTS_TOGETHER = 1 << 12  # points of a block
+NEAR_SIMPLICES = 8  # nearest simplices that bound the distance to all others
 
 
 def share_left(
@@ -49,7 +49,9 @@ def gaps(points: ndarray, wall: ndarray, faces: ndarray) -> Pair:
             near = others[
                 tree.query(points[here], k=range(1, min(CLOSEST, len(others)) + 1))[1]
             ].swapaxes(0, 1)
-            away = np.stack([_places(points[candidates], points[here])[1] for candidates in near])
+            away = np.stack(
+                [_nearest_places(points[candidates], points[here])[1] for candidates in near]
+            )
             best = away.argmin(axis=0), np.arange(len(here))
             distance[here] = away[best]
             nearest[here] = near[best]
@@ -76,18 +78,21 @@ def closest(corners: ndarray, x: ndarray) -> tuple[ndarray, ...]:
     groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
     trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
     blocks = [
-        _closest(trees, corners, x[at : at + BLOCK]) for at in range(0, max(len(x), 1), BLOCK)
+        _closest_of_block(trees, corners, x[at : at + POINTS_TOGETHER])
+        for at in range(0, max(len(x), 1), POINTS_TOGETHER)
     ]
     return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
 
 
-def _closest(trees: list, corners: ndarray, x: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+def _closest_of_block(
+    trees: list, corners: ndarray, x: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
     for group, tree, _ in trees:
-        near = group[tree.query(x, k=range(1, min(NEAR, len(group)) + 1))[1]]
-        distance = _places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[1]
+        near = group[tree.query(x, k=range(1, min(NEAR_SIMPLICES, len(group)) + 1))[1]]
+        distance = _nearest_places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[1]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
     for group, tree, radius in trees:
         row, member = tree.within(x, (bound + radius) * (1 + 1e-9))
@@ -95,13 +100,13 @@ def _closest(trees: list, corners: ndarray, x: ndarray) -> tuple[ndarray, ndarra
         simplices.append(group[member])
     row = np.concatenate(rows)
     simplex = np.concatenate(simplices)
-    weights, distance = _places(corners[simplex], x[row])
+    weights, distance = _nearest_places(corners[simplex], x[row])
     order = np.lexsort((simplex, distance, row))
     best = order[np.unique(row[order], return_index=True)[1]]
     return simplex[best], weights[best], distance[best]
 
 
-def _places(corners: ndarray, x: ndarray) -> Pair:
+def _nearest_places(corners: ndarray, x: ndarray) -> Pair:
     """Weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
     choices = []
     for i, j in itertools.combinations(range(corners.shape[1]), 2):
@@ -173,7 +178,7 @@ def overlapping_boxes(
     # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
     states = [corners] if after is None else [corners, after]
     order = morton_order(corners.mean(axis=1))
-    levels = [np.stack([_boxes(x, ~is_moving[:, None])[order].T for x in states])]
+    levels = [np.stack([_bounding_boxes(x, ~is_moving[:, None])[order].T for x in states])]
     while levels[-1].shape[2] > 1:
         levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[2], 2), axis=2))
     pairs = np.zeros((1, 2), np.int64)
@@ -188,7 +193,7 @@ def overlapping_boxes(
     return order[pairs[pairs[:, 0] != pairs[:, 1]]]
 
 
-def _boxes(corners: ndarray, is_still: ndarray) -> ndarray:
+def _bounding_boxes(corners: ndarray, is_still: ndarray) -> ndarray:
     slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
     low = corners.min(axis=1) - slack
     return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
@@ -249,9 +254,9 @@ def _passed(
     node = node[near]
     corners = faces[pairs[:, 1]]
     times = np.linspace(0, 1, SPLIT + 1)
-    sides = np.stack([_side(*_between(before, after, t, corners, node), 0.0) for t in times])
+    sides = np.stack([_side(*_place_on_way(before, after, t, corners, node), 0.0) for t in times])
     for k in (0, -1):
-        sides[k] = _side(*_between(before, after, times[k], corners, node))
+        sides[k] = _side(*_place_on_way(before, after, times[k], corners, node))
     for k in range(1, SPLIT):  # a node on a face on the way is still on the side it came from
         sides[k] = np.where(sides[k] == 0, sides[k - 1], sides[k])
     part, some = np.nonzero(sides[:-1] * sides[1:] < 0)
@@ -263,11 +268,11 @@ def _passed(
     high = times[part + 1]
     for _ in range(HALVES):
         share = (low + high) / 2
-        is_before = _side(*_between(before, after, share, corners, node), 0.0) * sense < 0
+        is_before = _side(*_place_on_way(before, after, share, corners, node), 0.0) * sense < 0
         low = np.where(is_before, share, low)
         high = np.where(is_before, high, share)
-    face, where = _between(before, after, low, corners, node)
-    hit = _places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
+    face, where = _place_on_way(before, after, low, corners, node)
+    hit = _nearest_places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
     return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
 
 
@@ -283,7 +288,9 @@ def _come_near(before: ndarray, after: ndarray, corners: ndarray, node: ndarray)
     return np.flatnonzero(near)
 
 
-def _between(before: ndarray, after: ndarray, share: Any, corners: ndarray, node: ndarray) -> Pair:
+def _place_on_way(
+    before: ndarray, after: ndarray, share: Any, corners: ndarray, node: ndarray
+) -> Pair:
     """Faces (k, c, d) and nodes (k, d) at a share, one or (k,), of the way."""
     share = np.reshape(share, (-1, 1))
     face = before[corners] + share[:, None] * (after[corners] - before[corners])
@@ -308,12 +315,12 @@ def _meeting(corners: ndarray, slack: float) -> ndarray:
         for start, end in zip(
             edges.swapaxes(0, 1), np.roll(edges, -1, axis=1).swapaxes(0, 1), strict=True
         ):
-            share = _share(start, end - start, others, slack)[:, None]
+            share = _share_of_segment(start, end - start, others, slack)[:, None]
             where = np.where(np.isfinite(share), start + share * (end - start), where)
     return where
 
 
-def _share(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
+def _share_of_segment(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
     """The share (k,) of a segment up to where it meets a simplex (k, d, d); NaN if it does not."""
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
     rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])

@@ -26,8 +26,8 @@ SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; 
 TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
 # SciPy's of qhull, but for a last check of outer planes, which simplices do not use
-OPTIONS = "Qbb Qc Qz Q12 Q5"
-FLAT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
+QHULL_OPTIONS = "Qbb Qc Qz Q12 Q5"
+FLAT_HEIGHT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Graph:
 
         def weigh(part: slice) -> None:
             corners = self.nodes[self.delaunay.simplices[simplex[part]]]
-            inverse = _inverse(corners)
+            inverse = _invert_edges(corners)
             with np.errstate(invalid="ignore"):
                 weights = np.einsum("kij,kj->ki", inverse[:, :-1], points[part] - inverse[:, -1])
                 least = np.minimum(weights.min(axis=1), 1 - weights.sum(axis=1))
@@ -77,8 +77,8 @@ def graph_of(surface: ndarray) -> Graph:
             f"a Delaunay graph in {dimension}-D needs {dimension + 1} distinct surface nodes, got "
             f"{len(nodes)}."
         )
-    flat = FLAT * roundoff(surface) / size
-    return Graph(centre, size, unique, nodes, _graph(nodes, flat), flat, slack)
+    flat = FLAT_HEIGHT * roundoff(surface) / size
+    return Graph(centre, size, unique, nodes, _triangulate(nodes, flat), flat, slack)
 
 
 class _Graph(Delaunay):
@@ -93,13 +93,13 @@ class _Graph(Delaunay):
         transform = np.empty((len(self.simplices), self.ndim + 1, self.ndim))
 
         def invert(part: slice) -> None:
-            transform[part] = _inverse(self.points[self.simplices[part]])
+            transform[part] = _invert_edges(self.points[self.simplices[part]])
 
         by_blocks(invert, len(transform))
         return transform
 
 
-def _inverse(corners: ndarray) -> ndarray:
+def _invert_edges(corners: ndarray) -> ndarray:
     edges = list((corners[:, :-1] - corners[:, -1:]).swapaxes(0, 1))
     rows = cofactor_rows(edges)
     volume = np.einsum("kd,kd->k", rows[0], edges[0])[:, None]
@@ -107,14 +107,14 @@ def _inverse(corners: ndarray) -> ndarray:
         return np.stack([*(row / volume for row in rows), corners[:, -1]], axis=1)
 
 
-def _graph(nodes: ndarray, flat: float) -> Delaunay:
+def _triangulate(nodes: ndarray, flat: float) -> Delaunay:
     # Coordinates are rounded to about `SNAP` of the nearest distance: qhull sees no last bits.
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     graph = None
     snapped = np.floor(nodes / step + BETWEEN) * step
     for phase in range(TRIALS):
         with contextlib.suppress(QhullError):
-            graph = _Graph(_jittered(snapped, phase), qhull_options=OPTIONS)
+            graph = _Graph(_jittered(snapped, phase), qhull_options=QHULL_OPTIONS)
             break
     if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
         raise ValueError(
@@ -141,7 +141,7 @@ def _jittered(nodes: ndarray, phase: int) -> ndarray:
     return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)
 
 
-TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
+WEIGHT_TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
 
 
 def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
@@ -162,14 +162,14 @@ def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
 
     by_blocks(find, len(targets))
     smallest = graph.smallest_weight(simplex, targets)
-    poor = np.flatnonzero(~(smallest >= -TOLERANCE))
+    poor = np.flatnonzero(~(smallest >= -WEIGHT_TOLERANCE))
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, targets[poor], simplex[poor])
-        still = poor[~(smallest[poor] >= -TOLERANCE)]
+        still = poor[~(smallest[poor] >= -WEIGHT_TOLERANCE)]
         _check_inside(
             points, wanted[still], _beyond_hull(graph, targets[still]) * graph.size - graph.slack
         )
-        simplex[still], beyond = _search(graph, targets[still])
+        simplex[still], beyond = _search_all(graph, targets[still])
         beyond[beyond <= graph.flat + JITTER] = 0
         _check_inside(points, wanted[still], beyond * graph.size - graph.slack)
     return graph.unique.astype(np.int32)[graph.delaunay.simplices][simplex]
@@ -182,7 +182,7 @@ def _repair(graph: Graph, points: ndarray, simplex: ndarray) -> Pair:
     best = graph.smallest_weight(simplex, points)
     middle = graph.nodes.mean(axis=0)
     for step in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-        left = np.flatnonzero(~(best >= -TOLERANCE))
+        left = np.flatnonzero(~(best >= -WEIGHT_TOLERANCE))
         if not left.size:
             break
         candidate = graph.delaunay.find_simplex(points[left] + step * (middle - points[left]))
@@ -193,7 +193,7 @@ def _repair(graph: Graph, points: ndarray, simplex: ndarray) -> Pair:
     return simplex, best
 
 
-def _search(graph: Graph, points: ndarray) -> Pair:
+def _search_all(graph: Graph, points: ndarray) -> Pair:
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
     corners = graph.nodes[graph.delaunay.simplices[sound]]

@@ -19,8 +19,8 @@ from ..package.rounding import (
     roundoff,
 )
 
-FEW = 16  # most walls for which every wall has a search tree of its own
-AROUND = 8  # neighbours among whose distances a leap is searched
+WALLS_APART = 16  # most walls for which every wall has a search tree of its own
+LEAP_NEIGHBOURS = 8  # neighbours among whose distances a leap is searched
 
 Once = Callable[[Any, Callable[[], Any]], Any]
 
@@ -67,7 +67,9 @@ def near_walls(
             surface[candidates, axis] - points[near[part], axis, None]
             for axis in range(points.shape[1])
         ]
-        rows[part, :count] = _closest(candidates, np.sum([a * a for a in offsets], axis=0), count)
+        rows[part, :count] = _pick_closest(
+            candidates, np.sum([a * a for a in offsets], axis=0), count
+        )
 
     by_blocks(compare, len(near))
     rows[:, count] = rows[:, 0]
@@ -95,7 +97,7 @@ def _by_reach(wall: ndarray, reach: ndarray) -> list[tuple[ndarray, float]]:
     return bounded
 
 
-def _closest(nodes: ndarray, squared: ndarray, count: int) -> ndarray:
+def _pick_closest(nodes: ndarray, squared: ndarray, count: int) -> ndarray:
     """Picks each row's `count` nearest nodes (k, c), nearest first; ties by first node."""
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
@@ -112,7 +114,7 @@ def searched_together(wall: ndarray, rows: ndarray) -> list[ndarray]:
     """
     labels = wall[rows]
     walls = np.unique(labels)
-    return [rows[labels == label] for label in walls] if len(walls) <= FEW else [rows]
+    return [rows[labels == label] for label in walls] if len(walls) <= WALLS_APART else [rows]
 
 
 def _nearest(
@@ -197,7 +199,7 @@ def nearly_coincident(points: ndarray, radius: float, share: float) -> Pair:
     nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up to
     `AROUND` points may be near each other.
     """
-    distance, nearest = map(np.asarray, Tree(points).query(points, k=AROUND + 1))
+    distance, nearest = map(np.asarray, Tree(points).query(points, k=LEAP_NEIGHBOURS + 1))
     distance = distance[:, 1:]  # infinite where there are no more neighbours
     jumps = (distance[:, :-1] < share * np.minimum(distance[:, 1:], radius)).any(axis=1)
     first = np.flatnonzero(jumps)[np.argsort(distance[jumps, 0], kind="stable")]

@@ -27,9 +27,9 @@ RINGS = (
     40,
     80,
 )  # radii of rings at which a body's field comes to rest, relative to the body's radius
-BEYOND = 1.1  # least distance of a far field with rings, relative to the last ring
-SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
-APART = {
+PAST_RINGS = 1.1  # least distance of a far field with rings, relative to the last ring
+HULL_SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
+RING_STEP = {
     2: 0.6,
     3: 0.8,
 }  # distance of the points of a ring, relative to its radius: about 8 on a circle
@@ -45,13 +45,13 @@ def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
         pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2).reshape(-1, 2))
     sides = np.concatenate(pairs)
     sides = np.unique(
-        np.sort(sides if len(sides) else _neighbours(points[:moving]), axis=1), axis=0
+        np.sort(sides if len(sides) else _pair_nearest(points[:moving]), axis=1), axis=0
     )
     length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
     return sides[length > roundoff(points)]
 
 
-def _neighbours(points: ndarray) -> ndarray:
+def _pair_nearest(points: ndarray) -> ndarray:
     """Pairs a node with its nearest and the nearest behind it (2-D), or its six nearest (3-D)."""
     first = distinct(points)[0]
     unique = points[first]
@@ -80,7 +80,7 @@ def chords(points: ndarray, wall: ndarray, faces: ByType | None = None) -> Pair:
     the wall's length, in 3-D of its area over the distance of the two nodes: a wing's chord, about
     the diameter of a sphere.
     """
-    size = np.bincount(wall, _shares(points, faces))
+    size = np.bincount(wall, _measure_shares(points, faces))
     ends = np.zeros((len(size), 2), dtype=np.int32)
     order = canonical_order(points)
     for label in np.unique(wall):
@@ -94,7 +94,7 @@ def chords(points: ndarray, wall: ndarray, faces: ByType | None = None) -> Pair:
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
 
-def _shares(points: ndarray, faces: ByType | None) -> ndarray:
+def _measure_shares(points: ndarray, faces: ByType | None) -> ndarray:
     """Measures the length (2-D) or area (3-D) around every node (b,); an estimate without faces."""
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
@@ -139,12 +139,14 @@ def drawn_in(surface: ndarray, moving: ndarray, fixed: ndarray, images: ndarray)
     # one moving node has no size, and no rings
     far = fixed[
         (images[fixed] == fixed)
-        & (way[fixed] > BEYOND * (1 + SAME) * rings.max())
+        & (way[fixed] > PAST_RINGS * (1 + SAME) * rings.max())
         & (rings.max() > 0)
     ]
     if len(far):
         far = far[canonical_order(surface[far])]
-        far = far[farthest(surface[far], len(far), 0.0, reach=APART[surface.shape[1]] * way[far])]
+        far = far[
+            farthest(surface[far], len(far), 0.0, reach=RING_STEP[surface.shape[1]] * way[far])
+        ]
     far = fixed[np.isin(images[fixed], far)]
     return np.tile(far, len(rings)), (rings / way[far]).ravel()
 
@@ -167,7 +169,7 @@ def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
         np.round(equations, 6), axis=0, return_index=True, return_inverse=True
     )[1:]
     area = np.bincount(plane.ravel(), size)
-    largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]]
+    largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:HULL_SIDES]]
     slack = 1e-8 * float(np.ptp(surface, axis=0).max())
     free = points[is_free]
     return any(
@@ -183,7 +185,7 @@ def has_free_faces(points: ndarray, faces: ByType, is_held: ndarray) -> bool:
     return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
 
 
-SHARP = np.cos(
+SHARP_TIP = np.cos(
     np.deg2rad(60)
 )  # cosine of the angle between a tip's edges below which the wall is sharp there
 NEARBY = (
@@ -247,7 +249,7 @@ def sharp_tips(points: ndarray, pairs: ndarray) -> Tips:
     beside = directed[np.minimum(first[:-1, None] + [0, 1], len(directed) - 1), 1]
     count = np.diff(first)
     arms = place[beside] - place[:, None]
-    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP * (1 + SAME) * np.linalg.norm(
+    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP_TIP * (1 + SAME) * np.linalg.norm(
         arms, axis=2
     ).prod(axis=1)
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))

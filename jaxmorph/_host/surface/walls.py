@@ -9,16 +9,16 @@ from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked, resolution
 from ..sources.farthest import farthest
 
-SHARP = np.cos(
+CONCAVE = np.cos(
     np.deg2rad(45)
 )  # cosine of a concave corner's angle from which on its faces are two walls
 # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
 REACH = 1.5
 # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
 CURVED = 4
-SAMPLE = 16  # nodes of a curve that vote for the next part
+CURVE_SAMPLE = 16  # nodes of a curve that vote for the next part
 # nearest nodes among which a node finds its vote; if votes fail, all nodes are searched
-AROUND = 512
+VOTERS = 512
 
 
 def walls(
@@ -86,11 +86,11 @@ def _by_faces(points: ndarray, moving: int, groups: list[ndarray]) -> ndarray:
     """The wall of every node (b,) by its faces; -1 for a node without faces."""
     normal = np.concatenate([outward(points[group]) for group in groups])
     middle = np.concatenate([points[group].mean(axis=1) for group in groups])
-    first, second, agree = _beside(groups)
+    first, second, agree = _pair_neighbours(groups)
     unit = unit_rows(normal)
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
     sharp = (
-        agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
+        agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < CONCAVE * (1 - SAME))
     )
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
     joined = (fixed[first] == fixed[second]) & ~sharp
@@ -98,14 +98,14 @@ def _by_faces(points: ndarray, moving: int, groups: list[ndarray]) -> ndarray:
     # A moving node at the rim may have moving and fixed faces; its moving faces must name its wall,
     # and a fixed node's fixed faces. So these faces write last.
     node = np.concatenate([group.T.ravel() for group in groups])
-    face = owners(groups)
+    face = face_of_corner(groups)
     order = np.argsort((node >= moving) == fixed[face], kind="stable")
     label = np.full(len(points), -1)
     label[node[order]] = part[face[order]]
     return label
 
 
-def owners(groups: list[ndarray]) -> ndarray:
+def face_of_corner(groups: list[ndarray]) -> ndarray:
     """The face of every corner, group by group (k, c), first corners of all its faces first."""
     starts = np.cumsum([0, *map(len, groups)])
     faces = zip(starts, groups, strict=False)
@@ -114,7 +114,7 @@ def owners(groups: list[ndarray]) -> ndarray:
     )
 
 
-def _beside(groups: list[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
+def _pair_neighbours(groups: list[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
     """Pairs of faces that share an edge (2-D: node), and a mask of opposite senses along it."""
     # Every face lists its edges; in 2-D its nodes, as an edge from the first and to the last.
     # Sorted by their nodes, lowest node first, equal edges are neighbours.
@@ -123,7 +123,7 @@ def _beside(groups: list[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
     if groups[0].shape[1] == 2:
         is_first = np.repeat([True, False], len(start) // 2)
         start, end = np.where(is_first, start, -1), np.where(is_first, -1, start)
-    owner = owners(groups)
+    owner = face_of_corner(groups)
     edge = np.sort([start, end], axis=0)
     turned = start < end
     order = np.lexsort(edge)
@@ -159,8 +159,8 @@ def _next_to_curves(points: ndarray, label: ndarray, spacing: ndarray) -> ndarra
         if len(members) > CURVED * (1 + SAME) * extent / np.median(spacing[label == curve]):
             continue
         tree = Tree(points[others])
-        sample = members[farthest(members, SAMPLE, 0.0)]
-        for count in (AROUND, len(others)):
+        sample = members[farthest(members, CURVE_SAMPLE, 0.0)]
+        for count in (VOTERS, len(others)):
             near = others[
                 np.sort(tree.query(sample, k=range(1, min(count, len(others)) + 1))[1], axis=1)
             ]

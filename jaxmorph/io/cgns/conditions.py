@@ -11,11 +11,11 @@ from numpy import ndarray
 
 from jaxmorph._host.rows import join_ids
 
-from .._joined import block_ids
-from .zone import Condition, Zone, children, data, first, word
+from .._joined import number_block
+from .zone import Condition, Zone, data, find_children, find_first, word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
-SYMMETRY = "BCSymmetryPlane"
+SYMMETRY_TYPE = "BCSymmetryPlane"
 UNSAID = ("", "Null", "FamilySpecified")
 ONE_TO_ONE = "GridConnectivity1to1_t"
 INTERFACES = (ONE_TO_ONE, "GridConnectivity_t", "OversetHoles_t")
@@ -52,9 +52,9 @@ class Connection(NamedTuple):
 
 def interfaces(zone: Zone) -> Iterator[Interface]:
     for label in INTERFACES:
-        for name, node in children(zone.group, "ZoneGridConnectivity_t", label):
+        for name, node in find_children(zone.group, "ZoneGridConnectivity_t", label):
             yield Interface(
-                label, name, node, first(node, "GridConnectivityProperty_t", "Periodic_t")
+                label, name, node, find_first(node, "GridConnectivityProperty_t", "Periodic_t")
             )
 
 
@@ -75,7 +75,7 @@ def _connection(zone: Zone, donor: Zone, each: Interface) -> Iterator[Connection
     if nodes is not None and others is not None:
         turn = {
             key: data(array).astype(float).ravel()
-            for key, array in children(each.turn, "DataArray_t")
+            for key, array in find_children(each.turn, "DataArray_t")
         }
         centre, angles = (turn.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
         yield Connection(zone.name, each.name, np.unique(nodes), np.unique(others), centre, angles)
@@ -112,7 +112,7 @@ def name_patches(zones: list[Zone]) -> list[str]:
     return notes + [text.format(name, count) for name, count in members.items() if count > 1]
 
 
-def patches(zone: Zone) -> Iterator[tuple[str, ndarray | None]]:
+def find_patches(zone: Zone) -> Iterator[tuple[str, ndarray | None]]:
     """Yields the patch and the nodes of each boundary condition; None for a condition on cells.
 
     gmsh writes these for volumes. Conditions inside of the mesh are left out. A zone without any
@@ -120,7 +120,7 @@ def patches(zone: Zone) -> Iterator[tuple[str, ndarray | None]]:
     """
     joined = _joints(zone)
     for condition in zone.conditions:
-        nodes = _nodes_of(zone, condition)
+        nodes = _condition_nodes(zone, condition)
         if nodes is None or np.unique(nodes).tobytes() not in joined:
             yield condition.patch, nodes
     if not zone.conditions and not any(interfaces(zone)):
@@ -139,7 +139,7 @@ def _joints(zone: Zone) -> set[bytes]:
     return joined
 
 
-def _nodes_of(zone: Zone, condition: Condition) -> ndarray | None:
+def _condition_nodes(zone: Zone, condition: Condition) -> ndarray | None:
     parts = condition.node
     what = next((part for part in CHOICES if part in parts), None)
     if what is None:
@@ -192,7 +192,7 @@ def _of_block(zone: Zone, name: str, place: str, start: ndarray, stop: ndarray) 
         raise zone.error(
             f"boundary condition {name} goes beyond {' x '.join(map(str, zone.shape))} vertices"
         )
-    ids = block_ids(zone.shape, zone.first).reshape(zone.shape)
+    ids = number_block(zone.shape, zone.first).reshape(zone.shape)
     ends = stop + step + 1
     return np.concatenate(
         [ids[tuple(map(slice, *box))].ravel() for box in zip(start, ends, strict=True)]
@@ -237,17 +237,21 @@ def _of_elements(zone: Zone, name: str, start: ndarray, stop: ndarray) -> ndarra
     return None if solid == count else join_ids(nodes)
 
 
-def said(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:
+def describe_conditions(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:
     """Lists what the file says of the patches `known`: their types and groups, and symmetry."""
     conditions = [
         condition for zone in zones for condition in zone.conditions if condition.patch in known
     ]
-    kinds = kinds_of(file, conditions)
-    symmetry = tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
-    return {"kinds": kinds, "groups": groups_of(file, conditions, known), "symmetry": symmetry}
+    kinds = list_kinds(file, conditions)
+    symmetry = tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY_TYPE)
+    return {
+        "kinds": kinds,
+        "groups": list_groups_of_families(file, conditions, known),
+        "symmetry": symmetry,
+    }
 
 
-def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
+def list_kinds(file: Any, conditions: list[Condition]) -> dict[str, str]:
     """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
     families = _of_families(file, "FamilyBC_t")
     types: dict[str, dict[str, None]] = {}
@@ -260,21 +264,23 @@ def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
 
 
 def _of_families(file: Any, label: str) -> dict[str, list[str]]:
-    families = children(file, "CGNSBase_t", "Family_t")
+    families = find_children(file, "CGNSBase_t", "Family_t")
     return {
-        name: [word(node) for _, node in children(family, label) if " data" in node]
+        name: [word(node) for _, node in find_children(family, label) if " data" in node]
         for name, family in families
     }
 
 
-def groups_of(
+def list_groups_of_families(
     file: Any, conditions: list[Condition], known: Iterable[str]
 ) -> dict[str, tuple[str, ...]]:
     """Lists patches by the families of their family, and by additional families, as in gmsh."""
     above = _of_families(file, "FamilyName_t")
     groups: dict[str, dict[str, None]] = {}
     for condition in conditions:
-        more = [word(family) for _, family in children(condition.node, "AdditionalFamilyName_t")]
+        more = [
+            word(family) for _, family in find_children(condition.node, "AdditionalFamilyName_t")
+        ]
         for group in [*above.get(condition.patch, []), *more]:
             groups.setdefault(group, {})[condition.patch] = None
     return {name: tuple(several) for name, several in groups.items() if name not in known}

@@ -16,9 +16,9 @@ from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
-from .._joined import block_cells, block_ids, block_sides
+from .._joined import block_cells, block_sides, number_block
 from .._text import decoded
-from .._tree import Coordinates, text_of
+from .._tree import Coordinates, read_text
 
 
 class Block(NamedTuple):
@@ -33,7 +33,7 @@ class Block(NamedTuple):
     cell: ndarray | None = None
 
 
-def _sides(numbers: ndarray, cells: list[Ragged]) -> ndarray:
+def _cells_beside(numbers: ndarray, cells: list[Ragged]) -> ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
     cell = Ragged.of(used, np.concatenate([rows.sizes for rows in cells])).row
@@ -47,7 +47,7 @@ def _sides(numbers: ndarray, cells: list[Ragged]) -> ndarray:
     return sides
 
 
-def _faces(corners: Ragged, sides: ndarray) -> Faces:
+def _make_faces(corners: Ragged, sides: ndarray) -> Faces:
     """Makes faces of those that have a cell; one with a cell only behind it is turned round."""
     turned = (sides[0] < 0) & (sides[1] >= 0)
     has_cell = np.flatnonzero(sides.max(axis=0) >= 0)
@@ -56,7 +56,7 @@ def _faces(corners: Ragged, sides: ndarray) -> Faces:
     return Faces(rows.values, rows.starts, owner, neighbour)
 
 
-TYPES = topology.inverted(
+CGNS_TYPES = topology.inverted(
     topology.codes(
         "vertex 2 line 3 triangle 5 quad 7 tetra 10 pyramid 12 wedge 14 hexahedron 17 "
         "line3 4 triangle6 6 quad8 8 quad9 9 tetra10 11 pyramid14 13 wedge15 15 wedge18 16 "
@@ -66,21 +66,21 @@ TYPES = topology.inverted(
     )
 )
 """Types of cells by CGNS's numbers."""
-NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
+CGNS_SIZES = {number: topology.NODES.get(kind, 1) for number, kind in CGNS_TYPES.items()}
 MIXED = 20
 NGON = 22
 NFACE = 23
-DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
+CGNS_DIMENSIONS = {number: topology.DIMENSION.get(kind, 0) for number, kind in CGNS_TYPES.items()}
 
 
-def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
+def find_children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
     """Yields names and nodes of a label in a group, or of the last label in those of the others."""
     for name in group:
         child = group[name]
-        if not hasattr(child, "keys") or text_of(child.attrs.get("label", b"")) != label:
+        if not hasattr(child, "keys") or read_text(child.attrs.get("label", b"")) != label:
             continue
         if inner:
-            yield from children(child, *inner)
+            yield from find_children(child, *inner)
         else:
             yield (
                 (decoded(name) if isinstance(name, bytes) else name),
@@ -88,8 +88,8 @@ def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
             )  # h5py: bytes unless UTF-8
 
 
-def first(group: Any, *labels: str) -> Any:
-    return next((child for _, child in children(group, *labels)), None)
+def find_first(group: Any, *labels: str) -> Any:
+    return next((child for _, child in find_children(group, *labels)), None)
 
 
 def data(group: Any) -> ndarray:
@@ -97,7 +97,7 @@ def data(group: Any) -> ndarray:
 
 
 def word(group: Any, default: str = "") -> str:
-    return text_of(data(group)) if group is not None and " data" in group else default
+    return read_text(data(group)) if group is not None and " data" in group else default
 
 
 class ElementSection(NamedTuple):
@@ -122,7 +122,7 @@ class ZoneContent(NamedTuple):
     dimension: int = 3
 
 
-NOTHING = ZoneContent([], {})
+NO_CELLS = ZoneContent([], {})
 
 
 @dataclasses.dataclass(eq=False)
@@ -147,14 +147,14 @@ class Zone:
     group: Any
     shape: tuple[int, ...]
     is_structured: bool
-    first: int
-    content: ZoneContent = NOTHING
+    find_first: int
+    content: ZoneContent = NO_CELLS
 
     @functools.cached_property
     def conditions(self) -> list[Condition]:
         found = []
-        for name, node in children(self.group, "ZoneBC_t", "BC_t"):
-            family = word(first(node, "FamilyName_t"))
+        for name, node in find_children(self.group, "ZoneBC_t", "BC_t"):
+            family = word(find_first(node, "FamilyName_t"))
             found.append(Condition(self.name, name, node, family, family or name))
         return found
 
@@ -176,15 +176,15 @@ class Zone:
 
     def coordinates(self) -> list[Coordinates]:
         """Finds x, y[, z]. Raises `ValueError` for other coordinates, and for rind planes."""
-        grids = dict(children(self.group, "GridCoordinates_t"))
+        grids = dict(find_children(self.group, "GridCoordinates_t"))
         grid = grids.get("GridCoordinates", next(iter(grids.values()), None))
         if grid is None:
             raise self.error("no GridCoordinates")
-        names = dict(children(grid, "DataArray_t"))
+        names = dict(find_children(grid, "DataArray_t"))
         sets = [
             names[f"Coordinate{axis}"][" data"] for axis in "XYZ" if f"Coordinate{axis}" in names
         ]
-        if len(sets) < 2 or any(data(rind).any() for _, rind in children(grid, "Rind_t")):
+        if len(sets) < 2 or any(data(rind).any() for _, rind in find_children(grid, "Rind_t")):
             raise self.error(
                 f"Cartesian coordinates without rind planes expected, found {', '.join(names)}"
             )
@@ -198,7 +198,7 @@ class Zone:
 
     def cells(self, points: ndarray) -> ZoneContent:
         if self.is_structured:
-            ids = block_ids(self.shape, self.first)
+            ids = number_block(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(
                     f"a block of {' x '.join(map(str, self.shape))} vertices has no cells"
@@ -208,7 +208,7 @@ class Zone:
         elements = {}
         polygons: dict[int, tuple[Ragged, ndarray]] = {}
         volumes = []
-        for name, node in children(self.group, "Elements_t"):
+        for name, node in find_children(self.group, "Elements_t"):
             section = _Section(self, name, node)
             if section.kind == NFACE:
                 volumes.append(section.ragged(least=4))
@@ -221,10 +221,10 @@ class Zone:
                 elements[section.start] = ElementSection(name, 2, nodes, True)
             else:
                 for begin, number, corners in section.runs():
-                    ids = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
+                    ids = reordered(CGNS_TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
                     nodes = Ragged.of(ids.ravel(), np.full(len(ids), ids.shape[1]))
-                    elements[begin] = ElementSection(name, DIMENSION[number], nodes, False)
-                    blocks.append(Block(TYPES[number], ids))
+                    elements[begin] = ElementSection(name, CGNS_DIMENSIONS[number], nodes, False)
+                    blocks.append(Block(CGNS_TYPES[number], ids))
         return self._with_polyhedra(ZoneContent(blocks, elements), polygons, volumes, points)
 
     def _with_polyhedra(
@@ -249,11 +249,11 @@ class Zone:
         numbers = [first + np.arange(len(own)) for first, (own, _) in polygons.items()]
         try:
             if volumes:
-                sides = _sides(np.concatenate(numbers), volumes)
+                sides = _cells_beside(np.concatenate(numbers), volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
                 place = np.unique(np.append(0, parents), return_inverse=True)[1][1:]
                 sides = place.reshape(parents.shape).T - 1
-            faces = _faces(rows, sides)
+            faces = _make_faces(rows, sides)
             cells_by_type, whole = cells_of_faces(faces, points)
         except ValueError as error:
             raise self.error(str(error)) from error
@@ -328,13 +328,13 @@ class _Section:
         head = int(self.kind == MIXED)  # each element begins with its type
         while at < len(values):
             number = int(values[at]) if head else self.kind
-            if number not in NODES:
+            if number not in CGNS_SIZES:
                 raise self.error(
                     f"has elements of type {number}; linear elements, those of order 2, of order "
                     "3 and 4 with all inner nodes, "
                     "and polyhedra are read"
                 )
-            width = head + NODES[number]
+            width = head + CGNS_SIZES[number]
             rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
             rows = rows[: np.argmax(np.append(rows[:, 0] != number, True))] if head else rows
             if not len(rows):

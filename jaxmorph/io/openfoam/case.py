@@ -23,17 +23,17 @@ from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of
-from .._text import replaced
-from .file import PARENTHESES, Boundary, FoamFile, faces_of, load, patches
-from .plane import Front, check_cyclic, cyclic_pairs, layer, plane_cells, sector
+from .._text import replace_numbers
+from .file import PARENTHESES, Boundary, FoamFile, load_faces, load_file, read_patches
+from .plane import Front, cells_in_front, check_cyclic, cyclic_pairs, find_layer, find_sector
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
-SYMMETRY = ("symmetry", "symmetryPlane")
-PLANES = ("empty", "wedge")
+SYMMETRY_PATCHES = ("symmetry", "symmetryPlane")
+PLANE_TYPES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
 
-Members = dict[str, ndarray]
+PatchNodes = dict[str, ndarray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class CaseContent:
     def point_ids(self) -> ndarray:
         """The numbers (n,) of a part's points in the whole mesh: its `pointProcAddressing`."""
         try:
-            ids = load(self.topology, "pointProcAddressing").numbers("label").ravel()
+            ids = load_file(self.topology, "pointProcAddressing").numbers("label").ravel()
         except FileNotFoundError:
             raise ValueError(
                 f"{self.topology}: there is no pointProcAddressing, so it is not known which "
@@ -116,13 +116,15 @@ def read(path: pathlib.Path) -> Parts:
     stay in their cyclic patch.
     """
     here, folder = _folders(path)
-    boundary = patches(load(folder, "boundary"))
+    boundary = read_patches(load_file(folder, "boundary"))
     planes = _planes(path, boundary)
-    file, points = _points(here)
-    faces = faces_of(folder, boundary, len(points))
-    nodes = _nodes(faces, boundary)
+    file, points = _load_points(here)
+    faces = load_faces(folder, boundary, len(points))
+    nodes = _nodes_of_patches(faces, boundary)
     with faults_of(path):
-        mesh, ids, whole, plane = (_in_plane if planes else _in_space)(faces, points, nodes, planes)
+        mesh, ids, whole, plane = (_mesh_in_plane if planes else _mesh_in_space)(
+            faces, points, nodes, planes
+        )
     to_others = [patch.faces for patch in boundary if patch.is_between]
     between = faces.padded(join_ids(to_others))
     # a caller may change the mesh's points in place, and the file's values must stay
@@ -140,14 +142,17 @@ def read(path: pathlib.Path) -> Parts:
         else between
         if plane is None
         else plane.ids(between).reshape(-1, 2),
-        notes=(*_notes(folder, planes), *(_times(content) if here == folder else ())),
+        notes=(
+            *_note_zones(folder, planes),
+            *(_note_other_times(content) if here == folder else ()),
+        ),
         **content.known,
-        **_said(boundary, mesh, plane),
+        **_describe_patches(boundary, mesh, plane),
     )
     return mesh._replace(source=source)
 
 
-def _nodes(faces: Faces, boundary: Boundary) -> Members:
+def _nodes_of_patches(faces: Faces, boundary: Boundary) -> PatchNodes:
     """Lists nodes of patches, copied: views would keep all labels.
 
     Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to.
@@ -159,7 +164,7 @@ def _nodes(faces: Faces, boundary: Boundary) -> Members:
 
 
 def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
-    planes = [patch for patch in boundary if patch.type in PLANES]
+    planes = [patch for patch in boundary if patch.type in PLANE_TYPES]
     kinds = [patch.type for patch in planes if patch.size]
     if "wedge" in kinds and kinds != ["wedge"] * 2:
         names = ", ".join(patch.name for patch in planes if patch.size)
@@ -170,22 +175,22 @@ def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
     return planes if kinds else []
 
 
-def _said(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any]:
-    own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
+def _describe_patches(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any]:
+    own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANE_TYPES]
     kinds = {patch.name: patch.type for patch in own}
-    symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.size]
+    symmetry = [patch.name for patch in own if patch.type in SYMMETRY_PATCHES and patch.size]
     if plane is not None and plane.on_axis.any():
         symmetry = [*symmetry, "axis"]
         kinds = kinds | {"axis": "axis"}
     return {
-        "groups": _groups(own),
-        "periodic": _periodic(boundary, own),
+        "groups": _list_groups(own),
+        "periodic": _list_periodic(boundary, own),
         "symmetry": tuple(symmetry),
         "kinds": kinds,
     }
 
 
-def _periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
+def _list_periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     """Lists the cyclic pairs, unless partners of their faces are on another processor."""
     is_cut = any(patch.refers and patch.size for patch in boundary)
     return (
@@ -195,7 +200,7 @@ def _periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     )
 
 
-def _groups(own: Boundary) -> dict[str, tuple[str, ...]]:
+def _list_groups(own: Boundary) -> dict[str, tuple[str, ...]]:
     groups = dict.fromkeys(name for patch in own for name in patch.groups)
     return {name: tuple(patch.name for patch in own if name in patch.groups) for name in groups}
 
@@ -213,7 +218,9 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
                 f"{path}: {content.file.path.parent} is in no case with a folder constant; "
                 "nothing to copy."
             )
-        check_new(path, case, f"a new folder, or a time folder of the case such as {case / '1'}")
+        check_new_folder(
+            path, case, f"a new folder, or a time folder of the case such as {case / '1'}"
+        )
     elif case is None or not path.parent.is_dir() or not os.path.samefile(path.parent, case):
         raise ValueError(
             f"{path}: a time folder must be one of the case that the mesh was read from, {case}."
@@ -224,7 +231,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 
 
-def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
+def check_new_folder(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"{path}: exists; name {remedy}.")
     if case.resolve() in path.resolve().parents:
@@ -300,15 +307,15 @@ def _write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> 
         return
     with path.open("wb") as out:
         if path.suffix != ".gz":
-            out.writelines(_replaced(file, points))
+            out.writelines(_replace_points(file, points))
             return
         with gzip.GzipFile(
             file.path.stem, "wb", 6, out
         ) as packed:  # it keeps a name: not the temporary one
-            packed.writelines(_replaced(file, points))
+            packed.writelines(_replace_points(file, points))
 
 
-def _replaced(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearray | memoryview]:
+def _replace_points(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearray | memoryview]:
     place = file.list_at(file.end)
     if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
@@ -317,13 +324,13 @@ def _replaced(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearray | m
         yield from (file.data[: place.start], values, file.data[place.start + len(values) :])
     else:
         part = slice(place.start, file.end_of_text(place.start))
-        yield from replaced(
+        yield from replace_numbers(
             file.data, part, points.ravel(), plain=lambda text: text.translate(PARENTHESES)
         )
 
 
-def _points(folder: pathlib.Path) -> tuple[FoamFile, ndarray]:
-    file = load(folder, "points")
+def _load_points(folder: pathlib.Path) -> tuple[FoamFile, ndarray]:
+    file = load_file(folder, "points")
     points = file.numbers("scalar", 3)
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size or not len(points):
@@ -333,11 +340,11 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, ndarray]:
     return file, points
 
 
-Found = tuple[Parts, Members, Polyhedra | None, Front | None]
+Found = tuple[Parts, PatchNodes, Polyhedra | None, Front | None]
 """A mesh, the case's number of each cell by type, whole cells if some are cut, and planes."""
 
 
-def _in_space(faces: Faces, points: ndarray, nodes: Members, planes: Boundary) -> Found:
+def _mesh_in_space(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
     (cells, ids), whole = standard_cells(faces), None
     if "polyhedron" in ids:
         whole = Polyhedra(faces, ids.pop("polyhedron"))
@@ -347,13 +354,17 @@ def _in_space(faces: Faces, points: ndarray, nodes: Members, planes: Boundary) -
     return checked_parts(points, cells, nodes), ids, whole, None
 
 
-def _in_plane(faces: Faces, points: ndarray, nodes: Members, planes: Boundary) -> Found:
+def _mesh_in_plane(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
     kinds = {patch.type for patch in planes if patch.size}
     sides = [
         ids for patch in planes if len(ids := nodes.pop(patch.name))
     ]  # no patches of the mesh in one of them
-    plane = sector(faces, points, sides) if kinds == {"wedge"} else layer(faces, points, chosen)
+    plane = (
+        find_sector(faces, points, sides)
+        if kinds == {"wedge"}
+        else find_layer(faces, points, chosen)
+    )
     own = {name: plane.ids(ids) for name, ids in nodes.items()}
     axis = np.flatnonzero(plane.on_axis)
     if len(axis):
@@ -363,7 +374,7 @@ def _in_plane(faces: Faces, points: ndarray, nodes: Members, planes: Boundary) -
                 "boundary."
             )
         own["axis"] = axis
-    cells, ids, whole = plane_cells(faces, points, chosen, plane)
+    cells, ids, whole = cells_in_front(faces, points, chosen, plane)
     return checked_parts(plane.in_plane(points), cells, own), ids, whole, plane
 
 
@@ -376,7 +387,8 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     )
     if here is None:
         raise ValueError(
-            f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.{_hint(path)}"
+            f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it."
+            f"{_hint_at_parts(path)}"
         )
     if any((here / name).is_file() for name in ("faces", "faces.gz")):
         return here, here
@@ -387,7 +399,7 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     return here, time.parent / "constant" / here.absolute().relative_to(time)
 
 
-def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
+def _note_zones(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
     sizes = {name: _size(topology, name) for name in ("cellZones", "faceZones", "pointZones")}
     zones = [f"{size} {name}" for name, size in sizes.items() if size > 0]
     if zones:
@@ -401,7 +413,7 @@ def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
         yield f"the planes {names} are no patches: the mesh lies in one of them."
 
 
-def _times(content: CaseContent) -> Iterator[str]:
+def _note_other_times(content: CaseContent) -> Iterator[str]:
     """Names the last time folder that has points of its own for the mesh in `constant`."""
     case = content.case
     if case is None or content.topology.resolve().relative_to(case).parts[0] != "constant":
@@ -421,7 +433,7 @@ def _times(content: CaseContent) -> Iterator[str]:
 
 def _size(topology: pathlib.Path, name: str) -> int:
     with contextlib.suppress(OSError, ValueError):
-        file = load(topology, name)
+        file = load_file(topology, name)
         return file.list_at(file.end).size
     return 0
 
@@ -430,7 +442,7 @@ def regions(folder: pathlib.Path) -> list[str]:
     return sorted(mesh.parent.name for mesh in folder.glob("*/polyMesh") if mesh.is_dir())
 
 
-def _hint(path: pathlib.Path) -> str:
+def _hint_at_parts(path: pathlib.Path) -> str:
     here = path if _is_time(path) else path / "constant"
     parts = sorted(path.glob("processor*"))
     if found := regions(here):

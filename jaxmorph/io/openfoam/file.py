@@ -15,17 +15,17 @@ from jaxmorph._host.ragged import Ragged
 from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.faces import Faces, open_cells
 
-from .._text import chunks, parse
+from .._text import line_chunks, parse
 
 _LIST = re.compile(rb"(?:\s|//[^\n]*+|/\*.*?(?:\*/|\Z))*+(\d{0,19})(?!\d)\s*([({]?)", re.DOTALL)
-_END = re.compile(rb"\)(?:[\s;]|//[^\n]*+)*+\Z")
-_HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
+_LIST_END = re.compile(rb"\)(?:[\s;]|//[^\n]*+)*+\Z")
+_FOAM_HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
 _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
 UNIFORM = 2 * 10**8
 """Bytes of an unpacked list of equal elements, besides ten times its file's size."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
-KINDS = {"label": np.int64, "scalar": np.float64}
+FOAM_NUMBERS = {"label": np.int64, "scalar": np.float64}
 
 
 class List(NamedTuple):
@@ -71,7 +71,7 @@ class FoamFile(NamedTuple):
 
     def end_of_text(self, start: int) -> int:
         """Finds the last parenthesis, before at most 64 KiB of comments at the end of the file."""
-        found = _END.search(self.data, max(start, len(self.data) - (1 << 16)))
+        found = _LIST_END.search(self.data, max(start, len(self.data) - (1 << 16)))
         return found.start() if found else start
 
     def numbers(self, what: str, width: int = 1) -> ndarray:
@@ -87,7 +87,7 @@ class FoamFile(NamedTuple):
                 if items.uniform
                 else self.end_of_text(items.start)
             )
-            values = self._parsed(items, stop if items.size else items.start, KINDS[what])
+            values = self._parsed(items, stop if items.size else items.start, FOAM_NUMBERS[what])
         if items.uniform and len(values) == width:
             values = np.tile(values, items.size)
         if len(values) % width or items.size not in (-1, len(values) // width):
@@ -99,7 +99,7 @@ class FoamFile(NamedTuple):
     def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> ndarray:
         """Reads the numbers of a text list; `mark` takes the place of opening parentheses."""
         parts = [_narrow(np.zeros(0, kind))]
-        for chunk in chunks(self.data, items.start, stop):
+        for chunk in line_chunks(self.data, items.start, stop):
             parts.append(_narrow(parse(chunk.replace(b"(", mark).translate(PARENTHESES), kind)))
         return np.concatenate(parts)
 
@@ -167,14 +167,14 @@ def _narrow(values: ndarray) -> ndarray:
     return values.astype(np.int32 if not len(values) or values.max() < 2**31 else np.int64)
 
 
-def load(folder: pathlib.Path, name: str) -> FoamFile:
+def load_file(folder: pathlib.Path, name: str) -> FoamFile:
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
     with unpacked(path) as plain:
         raw = path.read_bytes()
         data = plain.read_bytes()
-    match = _HEADER.search(data, 0, 1 << 14)
+    match = _FOAM_HEADER.search(data, 0, 1 << 14)
     if match is None:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
     header = {key: " ".join(values).strip('"') for key, *values in _statements(_nested(match[1]))}
@@ -214,7 +214,7 @@ class FoamPatch(NamedTuple):
 Boundary = list[FoamPatch]
 
 
-def patches(file: FoamFile) -> Boundary:
+def read_patches(file: FoamFile) -> Boundary:
     """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
     tree = _nested(file.data[file.end :])
     _refuse_directives(file, tree)
@@ -225,7 +225,7 @@ def patches(file: FoamFile) -> Boundary:
         )
     end = tree.index(")") if ")" in tree else len(tree)
     found = [
-        _patch(file, str(name), body)
+        _read_patch(file, str(name), body)
         for name, body in itertools.zip_longest(tree[1:end:2], tree[2:end:2])
     ]
     name, count = collections.Counter(["", *(patch.name for patch in found)]).most_common(1)[0]
@@ -273,7 +273,7 @@ def _statements(words: list[Any]) -> Iterator[list[str]]:
             statement = []
 
 
-def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
+def _read_patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
     if not isinstance(body, list):
         raise file.error(
             f"patch {name[:80]} has no entries between {{ and }}; is the file cut short?"
@@ -302,11 +302,11 @@ def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
         ) from error
 
 
-def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
+def load_faces(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
     """Reads `faces`, `owner` and `neighbour`. Raises `ValueError` where they close no cells."""
-    rows = load(folder, "faces").faces()
+    rows = load_file(folder, "faces").faces()
     owner, neighbour = (
-        load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour")
+        load_file(folder, name).numbers("label").ravel() for name in ("owner", "neighbour")
     )
     if len(owner) != len(rows) or len(neighbour) > len(owner) or not len(owner):
         counts = f"{len(rows)} faces, {len(owner)} owners and {len(neighbour)} neighbours"

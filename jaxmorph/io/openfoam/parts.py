@@ -15,14 +15,14 @@ from numpy import ndarray
 from jaxmorph import Layer, Mesh, Periodic, Plan, export
 from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.package.arguments import checked, shown
-from jaxmorph._host.package.files import complete, named, output_path
+from jaxmorph._host.package.files import complete, name_errors_by, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
 from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, content_of
-from .case import NAME, check_new, copy_case, file_points, read, regions, write_points
-from .file import load, patches
+from .case import NAME, check_new_folder, copy_case, file_points, read, regions, write_points
+from .file import load_file, read_patches
 from .plane import cyclic_pairs
 
 PLAN = "jaxmorph.plan"
@@ -51,7 +51,7 @@ class Side(NamedTuple):
     nodes: ndarray
     points: ndarray
     faces: Mapping[str, ndarray]
-    patches: Mapping[str, ndarray]
+    read_patches: Mapping[str, ndarray]
     groups: Mapping[str, tuple[str, ...]]
     pairs: tuple[tuple[str, str], ...]
     symmetry: tuple[str, ...]
@@ -89,7 +89,7 @@ class Decomposed:
             self.path, self.region = self.path.parent.parent, self.path.name
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
-        self.count = _count(self.path)
+        self.count = _count_parts(self.path)
         found = regions(self.path / "processor0" / "constant")
         is_there = (
             self.region in found
@@ -127,7 +127,7 @@ class Decomposed:
         return self._last[1]
 
     def side(self, k: int) -> Side:
-        boundary = patches(load(self._mesh_folder(k), "boundary"))
+        boundary = read_patches(load_file(self._mesh_folder(k), "boundary"))
         if not sum(patch.size for patch in boundary):
             raise ValueError(
                 f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose "
@@ -175,10 +175,10 @@ class Decomposed:
                 f"{shown(sides)}."
             )
         nodes, points = self._common_points(sides)
-        faces = _join(sides, "faces", nodes)
-        members = _join(sides, "patches", nodes)
+        faces = _join_sides(sides, "faces", nodes)
+        members = _join_sides(sides, "patches", nodes)
         cells = {kind: corners for kind, corners in faces.items() if len(corners)}
-        known = _said(sides, members)
+        known = _common_facts(sides, members)
         return Mesh(
             points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known)
         )
@@ -202,7 +202,9 @@ class Decomposed:
     @checked
     def check_output(self, path: str | os.PathLike[str]) -> None:
         """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
-        check_new(output_path(path, folder=True), self.path, "a new folder for the moved case")
+        check_new_folder(
+            output_path(path, folder=True), self.path, "a new folder for the moved case"
+        )
 
     @checked
     @contextlib.contextmanager
@@ -228,7 +230,7 @@ class Decomposed:
             if ranks.rank:
                 return None
             new = stack.enter_context(complete(target, folder=True, name_errors=False))
-            with named(target):
+            with name_errors_by(target):
                 copy_case(
                     self.path,
                     new,
@@ -253,14 +255,14 @@ class Decomposed:
             together(ranks, end)
 
 
-def _join(sides: Sequence[Side], name: str, nodes: ndarray) -> dict[str, ndarray]:
+def _join_sides(sides: Sequence[Side], name: str, nodes: ndarray) -> dict[str, ndarray]:
     """Joins the ids that all sides have by type or patch, and renumbers them by their place."""
     return Rows(nodes).renumbered(
         gathered(item for side in sides for item in getattr(side, name).items())
     )
 
 
-def _said(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[str, Any]:
+def _common_facts(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[str, Any]:
     """Lists what the sides know; parts have the same patches, of which some are empty."""
     pairs = [Periodic(*pair) for pair in sides[0].pairs if all(len(members[name]) for name in pair)]
     symmetry = dict.fromkeys(itertools.chain(*(side.symmetry for side in sides)))
@@ -273,7 +275,7 @@ def _said(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[str, An
     }
 
 
-def _count(path: pathlib.Path) -> int:
+def _count_parts(path: pathlib.Path) -> int:
     names = {
         folder.name.removeprefix("processor")
         for folder in path.glob("processor*")
@@ -344,7 +346,7 @@ class Writer(NamedTuple):
                 )
             points[rows] = agreed
             if moved is not None:
-                with named(self.path):
+                with name_errors_by(self.path):
                     write_points(self.folder / f"processor{k}", content_of(moved, NAME), points)
 
         together(self.ranks, write)
@@ -410,8 +412,8 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     region = place.name if place.parent.name == "constant" else ""
     root = place.parent.parent if region else place
     files = [root / "constant" / region / PLAN]
-    with named(files[0]):
-        export(plan, files[0], layer=_layer(content))
+    with name_errors_by(files[0]):
+        export(plan, files[0], layer=_layer_of_plan(content))
     if not (root / "processor0").is_dir():
         return files
     case = Decomposed(path)
@@ -421,11 +423,11 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
         rows = ids if content.plane is None else content.plane.file_nodes()[ids]
         _check_part(case.folder(k), np.asarray(part.points), np.asarray(plan.points), rows)
         files.append(case.folder(k) / "constant" / region / PLAN)
-        export(plan, files[-1], nodes=rows, layer=_layer(content_of(part, NAME)))
+        export(plan, files[-1], nodes=rows, layer=_layer_of_plan(content_of(part, NAME)))
     return files
 
 
-def _layer(content: Any) -> Layer | None:
+def _layer_of_plan(content: Any) -> Layer | None:
     if content.plane is None:
         return None
     first, second = np.abs(content.plane.axes[0]).argmax(axis=1).tolist()

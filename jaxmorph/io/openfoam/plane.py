@@ -15,11 +15,11 @@ from jaxmorph._mesh.exchange import gathered
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, triangles
 
-from .file import Boundary, FoamPatch, load, patches
+from .file import Boundary, FoamPatch, load_file, read_patches
 
-FLAT = 1e-6
+OFF_PLANE = 1e-6
 """Distance of a node off its plane, as a share of the mesh's extent."""
-APART = 1e-3
+PARTNERS_APART = 1e-3
 """Distance between two partners, as a share of the mesh's extent."""
 ROUNDING = 1e-12
 """Distance of a node off its axis, relative to the mesh's extent, that is written as zero."""
@@ -57,7 +57,7 @@ class Front(NamedTuple):
     def fitted(self, points: ndarray) -> "Front":
         if self.kind == "empty":
             return self
-        axes, origin = _frame((self.front, np.unique(self.back)), points)
+        axes, origin = _find_axis((self.front, np.unique(self.back)), points)
         return self._replace(axes=axes, origin=origin)
 
     def in_plane(self, points: ndarray) -> ndarray:
@@ -90,20 +90,20 @@ class Front(NamedTuple):
         return values[self.front] @ self.axes[0].T + behind @ self.axes[1].T
 
 
-def sector(faces: Faces, points: ndarray, patches: Sequence[ndarray]) -> Front:
+def find_sector(faces: Faces, points: ndarray, patches: Sequence[ndarray]) -> Front:
     planes = [np.unique(nodes) for nodes in patches]
     if len(np.union1d(*planes)) < len(points):
         raise ValueError(
             "patches of type wedge, but there are nodes off both: there is more than one layer "
             "of cells."
         )
-    axes, origin = _frame(planes, points)
+    axes, origin = _find_axis(planes, points)
     # the plane farther around the axis is in front: seen from outside, (x, r) is right-handed
     turn = 1 if np.cross(axes[1, 1], axes[0, 1]) @ axes[0, 0] > 0 else -1
-    return _paired("wedge", faces, points, planes[::turn], axes[::turn], origin)
+    return _pair_planes("wedge", faces, points, planes[::turn], axes[::turn], origin)
 
 
-def _paired(
+def _pair_planes(
     kind: str,
     faces: Faces,
     points: ndarray,
@@ -132,7 +132,7 @@ def _paired(
         (points[nodes] - origin) @ own.T for nodes, own in zip((front, partner), axes, strict=True)
     )
     distance = np.linalg.norm(here - there, axis=1).max()
-    if distance > APART * np.ptp(points, axis=0).max():
+    if distance > PARTNERS_APART * np.ptp(points, axis=0).max():
         raise ValueError(
             f"patches of type {kind}, but nodes of the two planes are {distance:.3g} apart along "
             "them."
@@ -140,7 +140,7 @@ def _paired(
     return Front(kind, front, partner, axes, origin)
 
 
-def _frame(patches: Sequence[ndarray], points: ndarray) -> tuple[ndarray, ndarray]:
+def _find_axis(patches: Sequence[ndarray], points: ndarray) -> tuple[ndarray, ndarray]:
     """Finds the axis of two planes: unit vectors (2, 2, 3) along and away from it, and a point."""
     size = np.ptp(points, axis=0).max()
     middles = np.stack([points[nodes].mean(axis=0) for nodes in patches])
@@ -148,7 +148,7 @@ def _frame(patches: Sequence[ndarray], points: ndarray) -> tuple[ndarray, ndarra
     normals = np.stack([np.linalg.svd(arm, full_matrices=False)[2][-1] for arm in arms])
     if (
         max(np.abs(arm @ normal).max() for arm, normal in zip(arms, normals, strict=True))
-        > FLAT * size
+        > OFF_PLANE * size
     ):
         raise ValueError("a patch of type wedge does not lie in a plane.")
     axis = np.cross(*normals)
@@ -159,17 +159,17 @@ def _frame(patches: Sequence[ndarray], points: ndarray) -> tuple[ndarray, ndarra
         )
     axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
     sharp = np.round(axis)
-    axis = sharp if np.abs(axis - sharp).max() < FLAT else axis
+    axis = sharp if np.abs(axis - sharp).max() < OFF_PLANE else axis
     heights = np.append((normals * middles).sum(axis=1), 0)
     origin = np.linalg.lstsq(np.vstack([normals, axis]), heights, rcond=None)[0]
-    origin = np.where(np.abs(origin) < FLAT * size, 0, origin)
+    origin = np.where(np.abs(origin) < OFF_PLANE * size, 0, origin)
     away = middles - origin
     away -= (away @ axis)[:, None] * axis
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return np.stack([np.tile(axis, (2, 1)), away], axis=1), origin
 
 
-def layer(faces: Faces, points: ndarray, empty: ndarray) -> Front:
+def find_layer(faces: Faces, points: ndarray, empty: ndarray) -> Front:
     """Finds the two planes of a case with patches of type empty, whose faces are `empty`."""
     low = points.min(axis=0)
     high = points.max(axis=0)
@@ -179,7 +179,7 @@ def layer(faces: Faces, points: ndarray, empty: ndarray) -> Front:
     reach = (np.maximum.reduceat(corners, starts) - np.minimum.reduceat(corners, starts))[
         empty
     ].max(axis=0)
-    normals = np.flatnonzero(np.maximum(away, reach) <= FLAT * (high - low))
+    normals = np.flatnonzero(np.maximum(away, reach) <= OFF_PLANE * (high - low))
     if len(normals) != 1:
         raise ValueError(
             f"patches of type empty, but their faces are two planes across {len(normals)} of the "
@@ -193,10 +193,10 @@ def layer(faces: Faces, points: ndarray, empty: ndarray) -> Front:
     is_high = points[:, normal] - low[normal] > high[normal] - points[:, normal]
     is_front = ~is_high if normal == 1 else is_high
     planes = np.flatnonzero(is_front), np.flatnonzero(~is_front)
-    return _paired("empty", faces, points, planes, np.stack([axes, axes]), np.zeros(3))
+    return _pair_planes("empty", faces, points, planes, np.stack([axes, axes]), np.zeros(3))
 
 
-def plane_cells(
+def cells_in_front(
     faces: Faces, points: ndarray, chosen: ndarray, plane: Front
 ) -> tuple[dict[str, ndarray], dict[str, ndarray], Polyhedra | None]:
     """Makes triangles and quads of the front in cell order; larger faces become triangles.
@@ -228,12 +228,12 @@ def plane_cells(
             )
         pieces, piece_of = triangles(faces, cut, points)
         parts.append(("triangle", pieces, faces.owner[cut][piece_of]))
-        whole = Polyhedra(_edges(faces, chosen, is_front, plane), faces.owner[cut])
+        whole = Polyhedra(_edges_of_front(faces, chosen, is_front, plane), faces.owner[cut])
     cells = gathered((kind, Rows(plane.front).of(rows)) for kind, rows, _ in parts if len(rows))
     return cells, gathered((kind, cell) for kind, _, cell in parts), whole
 
 
-def _edges(faces: Faces, chosen: ndarray, is_front: ndarray, plane: Front) -> Faces:
+def _edges_of_front(faces: Faces, chosen: ndarray, is_front: ndarray, plane: Front) -> Faces:
     """Makes the front's edges, one a face across the layer, with its cell on the left."""
     across = np.delete(np.arange(len(faces.owner)), chosen)
     corners = faces.corners(across, 4)
@@ -263,14 +263,14 @@ def cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
 
 def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
     """Raises `ValueError` where cyclic patches matched with `old` points, but not with `new`."""
-    every = cyclic_pairs(patches(load(topology, "boundary")))
+    every = cyclic_pairs(read_patches(load_file(topology, "boundary")))
     pairs = [(a, b) for a, b in every if a.size == b.size > 0]
     if not pairs or np.array_equal(old, new):
         return
-    faces = load(topology, "faces").faces()
+    faces = load_file(topology, "faces").faces()
     for first, second in pairs:
         before, after = (
-            [_faces(points, faces.take(patch.faces)) for patch in (first, second)]
+            [_measure_faces(points, faces.take(patch.faces)) for patch in (first, second)]
             for points in (old, new)
         )
         turns = bool((_misses(*before, turned=False) > MATCH).any())
@@ -286,7 +286,7 @@ def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
             )
 
 
-def _faces(points: ndarray, faces: Ragged) -> tuple[ndarray, ndarray]:
+def _measure_faces(points: ndarray, faces: Ragged) -> tuple[ndarray, ndarray]:
     """Computes middles (k, 3) and sizes (k,), roots of areas, of faces."""
     corners = points[faces.values]
     begins = faces.starts[:-1]
