@@ -91,8 +91,8 @@ def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.He
     counts = _read_whole("points", table["points"], 2, np.full(d, MOST_CONTROL_POINTS))
     if math.prod(counts) > MOST_CONTROL_POINTS:
         raise ValueError(
-            f"points = {counts} are {math.prod(counts):.3g} control points; {MOST_CONTROL_POINTS} at "
-            "most."
+            f"points = {counts} are {math.prod(counts):.3g} control points; {MOST_CONTROL_POINTS} "
+            "at most."
         )
     more = {name: table[name] for name in OPTIONAL & table.keys()}
     if "corners" in table:
