@@ -93,7 +93,7 @@ def hard_values():
 @pytest.mark.parametrize("enough", [1, 1 << 30])
 def test_written_numbers_read_back_bit_for_bit(monkeypatch, enough):
     """With as few digits as Python's own."""
-    monkeypatch.setattr(_text, "ENOUGH", enough)
+    monkeypatch.setattr(_text, "LONG_TEXT", enough)
     values = hard_values()
     lines = _text.number_lines(values).split(b"\n")
     assert np.array([float(line) for line in lines]).tobytes() == values.tobytes()

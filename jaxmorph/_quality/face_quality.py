@@ -25,7 +25,14 @@ Mask = Bool[np.ndarray, " k"]
 
 FLOOR = 1e-300  # least divisor
 
-MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid", "volume_ratio")
+FACE_MEASURES = (
+    "skewness",
+    "aspect_ratio",
+    "non_orthogonality",
+    "volume",
+    "pyramid",
+    "volume_ratio",
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,7 +65,7 @@ class FaceQuality(Report):
     """
 
     rule = "volumes and face pyramids"
-    measures = MEASURES
+    measures = FACE_MEASURES
     rank = "pyramid"
 
     volume: PerCell
@@ -82,7 +89,7 @@ class FaceQuality(Report):
         return f"FaceQuality({self.count} cells)"
 
     def __str__(self) -> str:
-        return self._table(f"{self.count} cells: {self.inverted} inverted", MEASURES[:-1])
+        return self._table(f"{self.count} cells: {self.inverted} inverted", FACE_MEASURES[:-1])
 
 
 @checked

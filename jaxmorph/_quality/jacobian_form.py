@@ -83,7 +83,7 @@ class JacobianForm:
     def determinant(self, columns: Columns) -> Float[Either, "n k"]:
         space = self.spaces[0]
         product = columns[0]
-        steps = zip(self.spaces[1:], columns[1:], (products.cross, _dot), strict=False)
+        steps = zip(self.spaces[1:], columns[1:], (products.cross, _dot_product), strict=False)
         for factor, column, multiply in steps:
             product = bernstein.multiplied(space, factor, product, column, multiply)
             space = _space_of_product(space, factor)
@@ -161,7 +161,7 @@ def form_of(kind: str, has_time: bool = False) -> JacobianForm:
         return form_of(kind).with_time()
     cell = lagrange_types()[kind]
     space = tuple((m, cell.order) for m in FACTORS[cell.shape])
-    at = bernstein.lattice(space)
+    at = bernstein.bernstein_lattice(space)
     control = np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))
     control = np.round(control * EXACT) / EXACT
     columns = [
@@ -182,7 +182,7 @@ def _space_of_product(*spaces: Space) -> Space:
     )
 
 
-def _dot(a: list[Either], b: list[Either]) -> list[Either]:
+def _dot_product(a: list[Either], b: list[Either]) -> list[Either]:
     return [products.dot(a, b)]
 
 

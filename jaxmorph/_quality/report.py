@@ -126,7 +126,7 @@ class Report:
             are = "cell is" if len(bad) == 1 else "cells are"
             raise ValueError(
                 f"{len(bad)} of {self.count} {are} inverted, first cell {bad[0]} near "
-                f"{place_of(self, bad[0])}. "
+                f"{place_of_cell(self, bad[0])}. "
                 "jm.inspect(plan, u, mesh=mesh) looks for what helps."
             )
 
@@ -147,11 +147,11 @@ class Report:
             numbers = "".join(
                 f"{float(value(name)):>10.3g}" for value in (self.min, self.mean, self.max)
             )
-            lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of(self, cell)}")
+            lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of_cell(self, cell)}")
         return "\n".join(lines)
 
 
-def place_of(report: Report, cell: int | np.integer) -> str:
+def place_of_cell(report: Report, cell: int | np.integer) -> str:
     """Writes where a cell is; a coordinate that is small beside the largest one is 0."""
     centroid = np.asarray(report.centroid[cell], dtype=float)
     place = np.where(np.abs(centroid) < 1e-4 * np.abs(centroid).max(), 0.0, centroid)

@@ -16,7 +16,7 @@ from .._mesh.mesh import Mesh, PointsLike
 from .._methods.base import number
 from . import measures
 from .quality import Standard, link, non_orthogonality, places, standards_of
-from .vector import ByType, Vector, by_type, dot, joined
+from .vector import ValuesByType, Vector, by_type, dot, join_values
 
 PerCell = Float[Array, " k"]
 
@@ -76,10 +76,10 @@ def smooth_quality(
 
 @compiled
 def _measure_softly(
-    cells: ByType, behind, points, standards: dict[str, Standard], options
+    cells: ValuesByType, behind, points, standards: dict[str, Standard], options
 ) -> SmoothQuality:
     shapes = functools.partial(_measure_shapes, options)
-    skewness, aspect, jacobian = joined(jnp, by_type(shapes, points, cells, standards))
+    skewness, aspect, jacobian = join_values(jnp, by_type(shapes, points, cells, standards))
     signs = {kind: standard.sign for kind, standard in standards.items()}
     largest_angle = functools.partial(_largest_angle, sharpness=options[0])
     angles = non_orthogonality(points, cells, signs, behind, largest_angle)

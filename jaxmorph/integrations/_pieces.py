@@ -19,7 +19,7 @@ def check_comm(comm: Any) -> None:
         )
 
 
-def faces_of(
+def faces_of_piece(
     comm: Any, mesh: jm.Mesh | None, nodes: ndarray, is_shared: ndarray
 ) -> dict[str, ndarray] | None:
     """Finds a piece's boundary faces (k, corners) by type, from whole ids (n,); or None."""
@@ -32,7 +32,7 @@ def faces_of(
         return None
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
     # between them
-    marked = _marked(comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared)
+    marked = _mark_ids(comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared)
     cells = {kind: ids[is_first] for kind, ids, is_first, _ in marked}
 
     def outer() -> dict[str, ndarray]:
@@ -47,11 +47,11 @@ def faces_of(
             jm.boundary_faces(jm.Mesh(mesh.points, cells)) if any(map(len, cells.values())) else {}
         )
 
-    marked = _marked(comm, together(comm, outer), nodes, is_shared)
+    marked = _mark_ids(comm, together(comm, outer), nodes, is_shared)
     return {kind: nodes[ids[~is_twice]] for kind, ids, _, is_twice in marked}
 
 
-def _marked(
+def _mark_ids(
     comm: Any, cells: Mapping[str, Any], nodes: ndarray, is_shared: ndarray
 ) -> Iterator[tuple[str, ndarray, ndarray, ndarray]]:
     """Yields cells or faces by type with two marks: first in this piece, also in others."""
@@ -108,7 +108,7 @@ class WholeSurface:
         return order[np.searchsorted(self.names, ids, sorter=order)]
 
 
-def surface_of(
+def gather_surface(
     comm: Any, boundary: jm.Boundary, ids: ndarray, faces: dict[str, ndarray] | None
 ) -> WholeSurface:
     """Gathers the surface of all pieces; of this one `boundary`, whose points have the `ids` (n,).

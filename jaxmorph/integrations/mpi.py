@@ -19,7 +19,7 @@ from numpy import ndarray
 import jaxmorph as jm
 from jaxmorph.extend import Agreement, real_array, together
 
-from ._pieces import check_comm, faces_of, owned, surface_of
+from ._pieces import check_comm, faces_of_piece, gather_surface, owned
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,8 +156,8 @@ def prepare(
     mesh = points if isinstance(points, jm.Mesh) else None
     own, ids = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
     marks = owned(comm, ids)
-    faces = faces_of(comm, mesh, ids, marks[1])
-    surface = surface_of(comm, own, ids, faces)
+    faces = faces_of_piece(comm, mesh, ids, marks[1])
+    surface = gather_surface(comm, own, ids, faces)
     shares = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:

@@ -19,7 +19,7 @@ MESHIO_TYPES = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
 
 
-def read_apart(file: str, where: str, most: str) -> None:
+def read_data_sets(file: str, where: str, most: str) -> None:
     from vtkmodules import vtkCommonCore
 
     path = Path(file)
@@ -144,4 +144,4 @@ def write_data(path: Path, data: Any) -> None:
 
 
 if __name__ == "__main__":
-    read_apart(*sys.argv[1:])
+    read_data_sets(*sys.argv[1:])

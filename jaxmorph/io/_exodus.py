@@ -72,10 +72,10 @@ def read(path: Path) -> Parts:
     with opened(path, what=EXODUS_FILE) as file:
         content = TreePoints.of(path, file, _find_coordinates, EXODUS_FILE)
         n, d = content.points.shape
-        _check_dimension(file, "num_dim", d)
-        _check_dimension(file, "num_nodes", n)
+        _check_length(file, "num_dim", d)
+        _check_length(file, "num_nodes", n)
         blocks = list(_read_blocks(path, file, d))
-        _check_dimension(file, "num_elem", sum(len(block.corners) for block in blocks))
+        _check_length(file, "num_elem", sum(len(block.corners) for block in blocks))
         grid = Grid(content.points, [(block.kind, block.corners) for block in blocks], {}, {})
         patches = [
             Patch(block.name, block.own, block.corners) for *_, block in grid.of_blocks(blocks)
@@ -98,7 +98,7 @@ def _find_coordinates(file: Mapping[str, Any]) -> Iterator[Coordinates]:
         yield Coordinates(file[name], slice(0, file[name].size), slice(axis, axis + 1))
 
 
-def _check_dimension(file: Mapping[str, Any], name: str, count: int) -> None:
+def _check_length(file: Mapping[str, Any], name: str, count: int) -> None:
     if file[name].shape != (count,):
         raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
 

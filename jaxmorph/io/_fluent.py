@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import SIDE_TYPES, codes, inverted
+from jaxmorph._host.cells.topology import SIDE_TYPES, codes, invert_table
 from jaxmorph._host.ragged import Ragged, heads_of, spread
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
@@ -27,7 +27,7 @@ from ._text import Section, decoded
 NAME = "Fluent"
 INTERIOR = 2
 PARENT = 31
-ZONE_KINDS = inverted(
+ZONE_KINDS = invert_table(
     codes(
         "interior 2 wall 3 pressure-inlet 4 pressure-outlet 5 symmetry 7 periodic-shadow 8 "
         "pressure-far-field 9 velocity-inlet 10 periodic 12 fan 14 mass-flow-inlet 20 "

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
-from jaxmorph._host.cells.topology import DIMENSION, codes, inverted
+from jaxmorph._host.cells.topology import DIMENSION, codes, invert_table
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
@@ -34,7 +34,7 @@ GMSH_NUMBERS = codes(
     "line4 26 triangle10 21 quad16 36 tetra20 29 wedge40 90 hexahedron64 92 pyramid30 118 "
     "line5 27 triangle15 23 quad25 37 tetra35 30 wedge75 91 hexahedron125 93 pyramid55 119"
 )
-GMSH_TYPES = inverted(GMSH_NUMBERS)
+GMSH_TYPES = invert_table(GMSH_NUMBERS)
 """Types of cells by gmsh's numbers."""
 BYTE_ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""

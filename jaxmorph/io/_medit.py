@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import CORNERS, codes, inverted, pairs_of
+from jaxmorph._host.cells.topology import CORNERS, codes, invert_table, pairs_of
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
@@ -23,7 +23,7 @@ MEDIT_CELLS = pairs_of(
     "Edges line Triangles triangle Quadrilaterals quad Tetrahedra tetra Pyramids pyramid "
     "Prisms wedge Hexahedra hexahedron Hexaedra hexahedron"
 )
-MEDIT_KEYWORDS = inverted(
+MEDIT_KEYWORDS = invert_table(
     codes(
         "Dimension 3 Vertices 4 Edges 5 Triangles 6 Quadrilaterals 7 Tetrahedra 8 Prisms 9 "
         "Hexahedra 10 Pyramids 49 End 54"

@@ -130,7 +130,7 @@ class Space(NamedTuple):
         section = self.section
         at = np.arange(len(numbers)) + self.skipped
         part = CoordinatePart(section.start, section.stop, at=at, by_columns=self.by_nodes)
-        return PlacedPoints(rows, text, [part], _blank_comments, node=node)
+        return PlacedPoints(rows, text, [part], _blank_hash_lines, node=node)
 
 
 def read(path: Path) -> Parts:
@@ -138,7 +138,9 @@ def read(path: Path) -> Parts:
     text = path.read_bytes()
     parts = _name_sections(path, text)
     space = _space_of(parts)
-    cells, sides = (_read_cells(parts[name], space.vertices) for name in ("elements", "boundary"))
+    cells, sides = (
+        _read_attributed(parts[name], space.vertices) for name in ("elements", "boundary")
+    )
     if {DIMENSION[each.kind] for each in cells} not in ({2}, {3}):
         raise parts["elements"].error("cells of 2-D alone, or of 3-D alone, expected.")
     if space.order > 1 and "pyramid" in [each.kind for each in cells]:
@@ -170,7 +172,7 @@ def read(path: Path) -> Parts:
     return checked_parts(points.copy(), nodes, patches, source)
 
 
-_blank_comments = functools.partial(blanked, rb"(?m)^[ \t]*#[^\r\n]*")
+_blank_hash_lines = functools.partial(blanked, rb"(?m)^[ \t]*#[^\r\n]*")
 
 
 def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
@@ -180,7 +182,7 @@ def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
     words = rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$"
     parts = {
         word[1].decode(): section
-        for word, section in sections_between(path, _blank_comments(text), words)
+        for word, section in sections_between(path, _blank_hash_lines(text), words)
     }
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
     missing += ["line mfem_mesh_end"] * (
@@ -191,7 +193,7 @@ def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
     return parts
 
 
-def _read_cells(section: Section, count: int) -> list[AttributedCells]:
+def _read_attributed(section: Section, count: int) -> list[AttributedCells]:
     """Reads rows of attribute, type and corners, type by type; points of a boundary are none."""
     table = section.rows(np.int64)
     if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(table.counts) - 1:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
-from jaxmorph._host.cells.topology import DIMENSION, NODES, codes, inverted, pairs_of
+from jaxmorph._host.cells.topology import DIMENSION, NODES, codes, invert_table, pairs_of
 from jaxmorph._host.ragged import heads_of
 from jaxmorph._host.rows import first_of_equals
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, by_number, check_width, regions_note, sized
@@ -26,7 +26,7 @@ XDMF_SHAPES = pairs_of(
     "hex hexahedron hexahedron hexahedron"
 )
 """Shapes of cells by XDMF's words, which an underscore and the number of nodes may follow."""
-XDMF_TYPES = inverted(
+XDMF_TYPES = invert_table(
     codes(
         "vertex 1 line 2 triangle 4 quad 5 tetra 6 pyramid 7 wedge 8 hexahedron 9 "
         "line3 34 quad9 35 triangle6 36 quad8 37 tetra10 38 pyramid13 39 wedge15 40 wedge18 41 "

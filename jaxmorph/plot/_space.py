@@ -10,7 +10,7 @@ from numpy import ndarray
 import jaxmorph as jm
 from jaxmorph.extend import checked, lagrange_types
 
-from ._plane import ROOM, TextPath, findfont, plt, round_numbers
+from ._plane import FIGURE_ROOM, TextPath, findfont, plt, round_numbers
 from ._style import (
     BLUE,
     DARK,
@@ -19,7 +19,7 @@ from ._style import (
     STILL,
     UNNAMED,
     Limits,
-    Values,
+    PlotValues,
     body_patches,
     cell_values,
     check_cells,
@@ -55,7 +55,7 @@ def surface(
     mesh: jm.Mesh,
     points: Float[Any, "n 3"] | None = None,
     *,
-    values: Values | None = None,
+    values: PlotValues | None = None,
     limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
@@ -77,8 +77,8 @@ def surface(
 
     **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, an unknown `patch`, and no faces.
     """
-    return _draw(
-        outside(mesh, points, values, patches_of(mesh, patch)), limits, label, bar, plotter
+    return _draw_mesh(
+        outside(mesh, points, values, select_patches(mesh, patch)), limits, label, bar, plotter
     )
 
 
@@ -92,7 +92,7 @@ def before_after_3d(
     errors are as of `surface`.
     """
     before, after = (
-        outside(mesh, state, None, patches_of(mesh, patch)) for state in (None, points)
+        outside(mesh, state, None, select_patches(mesh, patch)) for state in (None, points)
     )
     new = plotter is None
     plotter = new_plotter() if plotter is None else plotter
@@ -120,7 +120,7 @@ def cut(
     points: Float[Any, "n 3"] | None = None,
     *,
     plane: jm.Plane,
-    values: Values | None = None,
+    values: PlotValues | None = None,
     limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
@@ -151,7 +151,7 @@ def cut(
         )
         for part in (grid, outside(mesh, points, None, ()))
     )
-    drawn = _draw(section, limits, label, bar, plotter, is_cut=True)
+    drawn = _draw_mesh(section, limits, label, bar, plotter, is_cut=True)
     for lines, width in ((outlines(section), 1), (walls, 3.5)):
         if lines.n_cells:
             _in_front(drawn.add_mesh(lines, color=DARK, line_width=width, lighting=False))
@@ -163,13 +163,13 @@ def cut(
 def _cropped(section: Any, body: ndarray | None, axes: Sequence[ndarray]) -> Any:
     if body is None:
         return section
-    room = ROOM * max(np.ptp(body @ axis) for axis in axes)
+    room = FIGURE_ROOM * max(np.ptp(body @ axis) for axis in axes)
     for axis in (*axes, *(-axis for axis in axes)):
         section = section.clip(normal=axis, origin=axis * ((body @ axis).max() + room))
     return section
 
 
-def _draw(
+def _draw_mesh(
     part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, is_cut: bool = False
 ) -> Any:
     if part.n_cells == 0:
@@ -401,7 +401,7 @@ def outlines(section: Any) -> Any:
     return lines_of(section.points, np.unique(edges[counts == 1, :2], axis=0))
 
 
-def patches_of(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
+def select_patches(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
     check_cells(mesh)
     return body_patches(mesh) if patch is None else (patch,)
 

@@ -16,12 +16,12 @@ from jaxmorph.extend import Module
 
 from ._arguments import Column, Positions, rows_like, shown_place
 
-Ids = Int[ndarray | Array, " _"]
+NodeIds = Int[ndarray | Array, " _"]
 Planes = Plane | Sequence[Plane]
-Borders = tuple[tuple[Plane, Ids], ...]
+Borders = tuple[tuple[Plane, NodeIds], ...]
 
 # shares of the extent: distance of points that are on a plane, and of the farthest edge or corner
-SAME = 1e-6
+SAME_NORMAL = 1e-6
 FARTHEST = 0.25
 
 
@@ -31,9 +31,9 @@ class Rail(Module):
     `beside` (c, 2) are the neighbours of each node along the wall's own curve.
     """
 
-    rows: Ids
+    rows: NodeIds
     beside: Int[ndarray | Array, "c 2"]
-    ids: Ids | None = None
+    ids: NodeIds | None = None
     curve: Facets | None = None
 
     def places(self, x: Positions, facing: Positions, points: Array) -> Any:
@@ -69,7 +69,7 @@ def borders_of(wall: Facets, symmetry: Planes) -> Borders:
     planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
     x = np.asarray(wall.points, float)
     rim = np.unique(wall.rim)
-    slack = SAME * np.ptp(x, axis=0).max()
+    slack = SAME_NORMAL * np.ptp(x, axis=0).max()
     d = x.shape[1]
     if others := {len(plane.normal) for plane in planes} - {d}:
         raise ValueError(f"the wall is in {d}-D, a plane in {max(others)}-D.")
@@ -195,7 +195,7 @@ def guides_of(
     wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]
 ) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
-    slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
+    slack = SAME_NORMAL * np.ptp(np.asarray(wall.points), axis=0).max()
     if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
         raise ValueError(
             "`features` must be pairs: ids of nodes of the wall, and of points of the target."

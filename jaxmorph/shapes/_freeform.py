@@ -35,7 +35,7 @@ from ._arguments import (
 from ._shape import AbstractLinearShape, Linked, Move
 
 Control = Float[Array, "..."]  # (*counts, d)
-Mask = Bool[ndarray, "..."]
+FreeMask = Bool[ndarray, "..."]
 Groups = Sequence[Sequence[tuple[int, ...]]]
 Counts = Sequence[int]
 Degree = int | Sequence[int | None] | None
@@ -169,7 +169,7 @@ class FreeForm(AbstractLinearShape):
         return jnp.zeros((*self.counts, len(self.counts)))
 
     @property
-    def free(self) -> Mask:
+    def free(self) -> FreeMask:
         """Mask (*counts,) of the control points that `continuity` leaves free."""
         layers = 0 if self.continuity is None else self.continuity + 1
         return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
@@ -288,7 +288,7 @@ def _lattice_of(counts: Counts, degree: Degree, d: int) -> tuple[tuple[int, ...]
 
 
 def _link_matrix(
-    free: Mask, groups: Groups, mirror: tuple[int, ndarray] | None
+    free: FreeMask, groups: Groups, mirror: tuple[int, ndarray] | None
 ) -> Float[ndarray, "p q"]:
     """Builds the matrix from free parameters to the flattened displacements of all controls.
     `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
@@ -331,8 +331,8 @@ def _reflection(axes: Float[ndarray, "d d"], mirror: int) -> tuple[int, ndarray]
 NEWTON_STEPS = 30  # a box that is no parallelepiped takes about six
 OUTSIDE = 2.0  # coordinate of a position far from the box, whose place is not found
 
-SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-ORDER = {2: SQUARE, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE])}
+SQUARE_FACES = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+ORDER = {2: SQUARE_FACES, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE_FACES])}
 """Place of each corner in the lattice, in VTK's order: one face, then the opposite face."""
 
 
@@ -391,7 +391,7 @@ class Hexahedron(AbstractLinearShape):
         return self.box.continuity
 
     @property
-    def free(self) -> Mask:
+    def free(self) -> FreeMask:
         """Mask (*counts,) of the control points that `continuity` leaves free."""
         return self.box.free
 

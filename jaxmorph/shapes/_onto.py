@@ -19,7 +19,17 @@ from jaxmorph import Facets, FarthestPoints, MeshError, Plane
 from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
-from ._features import SAME, Borders, Clip, Planes, Rail, borders_of, clipped, guides_of, height_of
+from ._features import (
+    SAME_NORMAL,
+    Borders,
+    Clip,
+    Planes,
+    Rail,
+    borders_of,
+    clipped,
+    guides_of,
+    height_of,
+)
 from ._smooth import stiffness_of
 
 Target = Facets | Callable
@@ -27,7 +37,7 @@ Motion = tuple[ndarray, ndarray]
 
 FIRST = 0.5
 LAST = 0.01  # first and last length over the wall's extent
-STEPS = 8
+PROJECTION_STEPS = 8
 SETTLED = 4  # steps from one to the other, and at the last
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
 HARD, STILL = (
@@ -101,17 +111,17 @@ class Onto(Module):
         if isinstance(target, Facets):
             for plane in planes:
                 clip, target = clipped(
-                    target, plane, np.sign(np.median(plane.height(x))), SAME * extent
+                    target, plane, np.sign(np.median(plane.height(x))), SAME_NORMAL * extent
                 )
                 self.clips += (clip,)
-            self.target = _turned(target, wall.at(start))
+            self.target = _turn_normals(target, wall.at(start))
             if self.is_exact or features:  # edges of noise are none
                 self.guides = guides_of(wall.at(start), self.target, planes, features)
             closest = target.closest
         else:
             self.function = target
         far = np.linalg.norm(np.asarray(closest(start)) - start, axis=1).max()
-        steps = STEPS * (1 + 2 * int(far > FAR * extent))
+        steps = PROJECTION_STEPS * (1 + 2 * int(far > FAR * extent))
         self.lengths = np.append(
             np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last)
         )
@@ -125,7 +135,7 @@ class Onto(Module):
             for clip in self.clips:
                 points = clip(points)
             target = target.at(points)
-        return _moved(self, x, target)
+        return _move_walls(self, x, target)
 
     def _places(self, y: Positions, facing: Positions, target: Facets | None) -> Positions:
         if target is None:
@@ -190,17 +200,17 @@ class Onto(Module):
 
         def solve(_, right):
             return host_call(
-                _solved, jax.ShapeDtypeStruct((m, d), y.dtype), faces, local, weights, right
+                _solve_motion, jax.ShapeDtypeStruct((m, d), y.dtype), faces, local, weights, right
             )
 
         return y + jax.lax.custom_linear_solve(product, off, solve, symmetric=True)
 
 
 @eqx.filter_jit
-def _moved(onto: Onto, x: Positions, target: Facets | None) -> Positions:
+def _move_walls(onto: Onto, x: Positions, target: Facets | None) -> Positions:
     turn, shift = (jnp.asarray(part, x.dtype) for part in (onto.turn, onto.shift))
     start = jnp.matmul(x, turn.T, precision="highest") + shift[None]
-    is_last = np.arange(len(onto.lengths)) >= STEPS
+    is_last = np.arange(len(onto.lengths)) >= PROJECTION_STEPS
     nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
     y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
     return (
@@ -228,7 +238,7 @@ def _rotated(
     return (corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01))[..., :d]
 
 
-def _solved(faces: ndarray, local: ndarray, weights: ndarray, right: ndarray) -> ndarray:
+def _solve_motion(faces: ndarray, local: ndarray, weights: ndarray, right: ndarray) -> ndarray:
     m, d = right.shape
     places = [
         np.broadcast_to(ids, local.shape).ravel() for ids in (faces[:, :, None], faces[:, None])
@@ -240,7 +250,7 @@ def _solved(faces: ndarray, local: ndarray, weights: ndarray, right: ndarray) ->
     return factors.solve(right.ravel().astype(float)).reshape(m, d)
 
 
-def _turned(target: Facets, start: Facets) -> Facets:
+def _turn_normals(target: Facets, start: Facets) -> Facets:
     """Turns parts of the target that look the other way than the wall's nodes that are closest."""
     face = np.asarray(target.face(start.points))
     areas = np.asarray(target.areas())
@@ -256,7 +266,7 @@ def _turned(target: Facets, start: Facets) -> Facets:
 
 FITS = 20
 SAMPLE = 300
-NEAR = 0.05
+NEAR_TARGET = 0.05
 WHOLE = 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
@@ -281,7 +291,7 @@ def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Pla
     best = starts[0]
     least = np.sqrt(np.mean(off(*starts[0])[1] ** 2))
     for turn, shift in starts:
-        for _ in range(FITS if least > NEAR * np.ptp(x, axis=0).max() else 0):
+        for _ in range(FITS if least > NEAR_TARGET * np.ptp(x, axis=0).max() else 0):
             turn, shift, is_done = _fitted(
                 *off(turn, shift), normals[some] @ turn.T, motions, turn, shift
             )

@@ -274,9 +274,11 @@ class History:
                 f"`design` has {len(variables)} variables; {self.path} has "
                 f"{len(self.rows[0]['design'])}."
             )
-        row = {"design": variables.astype(float).tolist(), "value": _numbers("value", value)}
+        row = {"design": variables.astype(float).tolist(), "value": _count_numbers("value", value)}
         for kind, given in (("constraints", constraints), ("measures", measures)):
-            row[kind] = {name: _numbers(name, numbers) for name, numbers in (given or {}).items()}
+            row[kind] = {
+                name: _count_numbers(name, numbers) for name, numbers in (given or {}).items()
+            }
         with self.path.open("r+b" if self.path.exists() else "xb") as file:
             file.truncate(self._end)  # a line that was cut off
             file.seek(self._end)
@@ -285,10 +287,10 @@ class History:
             os.fsync(file.fileno())
             self._end = file.tell()
         others = [
-            f"{name} {_shown(numbers)}"
+            f"{name} {_show_variable(numbers)}"
             for name, numbers in (row["constraints"] | row["measures"]).items()
         ]
-        shown = ", ".join([_shown(row["value"]), *others])
+        shown = ", ".join([_show_variable(row["value"]), *others])
         seconds = f"{time.monotonic() - self._began:.3g}"
         print(
             f"iteration {len(self)}: {shown} ({seconds} s{self._word})", file=sys.stderr, flush=True
@@ -297,7 +299,7 @@ class History:
         self._began, self._word = time.monotonic(), ""
 
 
-def _shown(value: Any) -> str:
+def _show_variable(value: Any) -> str:
     numbers = np.array(value, float).ravel()
     ends = (
         dict.fromkeys(f"{end:.6g}" for end in (numbers.min(), numbers.max()))
@@ -307,7 +309,7 @@ def _shown(value: Any) -> str:
     return " to ".join(ends)
 
 
-def _numbers(name: str, value: Any) -> Any:
+def _count_numbers(name: str, value: Any) -> Any:
     array = real_array(
         name, value if isinstance(value, list | tuple) else np.asarray(value), (), (None,)
     )

@@ -22,7 +22,7 @@ from ._features import Borders, Planes, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._walls import FANS, faces_of, wall_faces
 
-BALLS = 40  # tried at a node at most: the last ones hardly differ
+SMOOTHING_BALLS = 40  # tried at a node at most: the last ones hardly differ
 NO_BALL = 1e30  # radius where no ball touches another node
 
 FOUR = [*FANS[4], (0, 1, 3), (1, 2, 3)]
@@ -261,7 +261,7 @@ def _touching(x: ndarray, ahead: ndarray) -> ndarray:
     tree = Tree(x)
     found = np.arange(len(x))
     radius = np.full(len(x), 10 * np.ptp(x, axis=0).max())
-    for _ in range(BALLS):
+    for _ in range(SMOOTHING_BALLS):
         distance, other = map(np.asarray, tree.query(x + radius[:, None] * ahead))
         arm = x[other] - x
         above = np.sum(arm * ahead, axis=1)

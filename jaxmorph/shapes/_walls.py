@@ -240,7 +240,7 @@ class Stations(Module):
         ids = simplices_of(faces, wall.shape)
         same = 1e-9 * np.ptp(wall, axis=0).max()
         ends = [
-            _first_and_last(_places_on(wall[ids], *line), same)
+            _first_and_last(_place_on_wall(wall[ids], *line), same)
             for line in zip(own, lines, strict=True)
         ]
         missed = [row for row, faces in enumerate(ends) if not faces]
@@ -259,7 +259,7 @@ def _first_and_last(place: Float[ndarray, " k"], same: float) -> list[int]:
     return [int(np.argmax(s <= np.nanmin(s) + same)) for s in (place, -place)]
 
 
-def _places_on(
+def _place_on_wall(
     corners: Float[ndarray, "k d d"], point: ndarray, line: ndarray
 ) -> Float[ndarray, " k"]:
     """Where a line meets each face, as distances from its point; NaN where it does not."""

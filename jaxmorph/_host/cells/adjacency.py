@@ -35,7 +35,7 @@ def neighbours(cells: ByType) -> Pair:
         for number, face in enumerate(faces):
             side = [nodes[corner] for corner in face]
             columns.append(sorted_columns(side, width))
-            turns.append(_turns(side, columns[-1]))
+            turns.append(_senses(side, columns[-1]))
             owners.append(np.arange(first, first + len(corners), dtype=np.int32))
             slots.append(np.arange(slot + number, slot + len(faces) * len(corners), len(faces)))
         first = first + len(corners)
@@ -51,7 +51,7 @@ def neighbours(cells: ByType) -> Pair:
     return neighbour, flipped
 
 
-def _turns(nodes: Sequence[ndarray], ordered: Sequence[ndarray]) -> ndarray:
+def _senses(nodes: Sequence[ndarray], ordered: Sequence[ndarray]) -> ndarray:
     if len(nodes) == 2:
         return nodes[0] < nodes[1]
     here = np.stack(nodes)

@@ -20,7 +20,7 @@ def codes(words: str) -> dict[str, int]:
     return {name: int(number) for name, number in pairs_of(words).items()}
 
 
-def inverted(table: Mapping[Any, Any]) -> dict[Any, Any]:
+def invert_table(table: Mapping[Any, Any]) -> dict[Any, Any]:
     return {value: key for key, value in table.items()}
 
 

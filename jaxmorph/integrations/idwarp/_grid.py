@@ -15,8 +15,8 @@ from jaxmorph.extend import finite_array, rows_of, together
 from .. import mpi
 from .._pieces import check_comm
 
-Points = Inexact[ndarray, "k 3"]
-Coordinates = Inexact[ndarray, " c"]
+GridPoints = Inexact[ndarray, "k 3"]
+GridCoordinates = Inexact[ndarray, " c"]
 """Three numbers of each point in turn."""
 
 
@@ -45,7 +45,7 @@ class DistributedGrid:
     def read(comm: Any, path: str) -> "DistributedGrid":
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return DistributedGrid._decomposed(comm, path)
-        mesh = together(comm, lambda: None if comm.rank else _in_space(io.read(path), path))
+        mesh = together(comm, lambda: None if comm.rank else _put_in_space(io.read(path), path))
         return DistributedGrid.shared(comm, mesh)
 
     @staticmethod
@@ -69,7 +69,7 @@ class DistributedGrid:
                     f"{path}: {len(case)} folders processor*, and {comm.size} processes: run as "
                     "many."
                 )
-            return case, _in_space(case.read(comm.rank), path), case.side(comm.rank)
+            return case, _put_in_space(case.read(comm.rank), path), case.side(comm.rank)
 
         case, mesh, side = together(comm, part)
         sides = comm.gather(side)
@@ -86,16 +86,16 @@ class DistributedGrid:
             return {}
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
 
-    def listed(self, points: Points) -> Coordinates:
+    def listed(self, points: GridPoints) -> GridCoordinates:
         return points[self.rows].ravel()
 
-    def added(self, values: Coordinates) -> Points:
+    def added(self, values: GridCoordinates) -> GridPoints:
         """Adds values of the file's list to its nodes: the transpose of `listed`."""
         total = np.zeros(self.points.shape)
         np.add.at(total, self.rows, values.reshape(-1, 3))
         return total
 
-    def write(self, path: str, points: Points) -> None:
+    def write(self, path: str, points: GridPoints) -> None:
         if self.case is not None and self.mesh is not None:
             with self.case.writing(path, self.comm) as writer:
                 writer.add(self.comm.rank, self.mesh.moved(points))
@@ -160,7 +160,7 @@ def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
     return SolverOrder(comm, count, sent, places)
 
 
-def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
+def _put_in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
     if mesh.points.shape[1] != 3:
         raise ValueError(
             f"{path}: this mesh is in 2-D, and IDWarp's coordinates are in 3-D: take "

@@ -14,9 +14,9 @@ from jaxmorph.extend import float64_mode, together
 
 from .. import mpi
 from ._grid import (
-    Coordinates,
     DistributedGrid,
-    Points,
+    GridCoordinates,
+    GridPoints,
     SolverOrder,
     agreed,
     communicator,
@@ -182,7 +182,7 @@ class USMesh:
         self._surface: Follower | None = None
         self._coordinates = self._dXs = np.zeros((0, 3))
 
-    def getSurfaceCoordinates(self) -> Points:
+    def getSurfaceCoordinates(self) -> GridPoints:
         """Returns the surface's points that this process has, as they were set last."""
         self._defined()
         return self._coordinates.copy()
@@ -229,15 +229,15 @@ class USMesh:
         """
         self._order = solver_order(self.comm, 3 * len(self._grid.rows), ind)
 
-    def getSolverGrid(self) -> Coordinates:
+    def getSolverGrid(self) -> GridCoordinates:
         """Returns the coordinates of the moved mesh, in the order of `setExternalMeshIndices`."""
         return self._solver().to_solver(self.getCommonGrid())
 
-    def getCommonGrid(self) -> Coordinates:
+    def getCommonGrid(self) -> GridCoordinates:
         """Returns this process' coordinates of the moved mesh in the file's order."""
         return self._grid.listed(self._moved)
 
-    def getWarpGrid(self) -> Coordinates:
+    def getWarpGrid(self) -> GridCoordinates:
         """Returns what `getCommonGrid` does: no other order is used here."""
         return self.getCommonGrid()
 
@@ -254,11 +254,11 @@ class USMesh:
         seed = self._grid.added(self._volume(dXv, solverVec))
         self._dXs = self._defined().pullback(self._coordinates, seed)
 
-    def getdXs(self) -> Points:
+    def getdXs(self) -> GridPoints:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         return self._dXs.copy()
 
-    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Coordinates:
+    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> GridCoordinates:
         """Moves the mesh, and pushes a change of the surface's points (k, 3) forward to it.
 
         The result is in the order of `getSolverGrid`, or of `getCommonGrid` without `solverVec`.

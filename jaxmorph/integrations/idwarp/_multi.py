@@ -14,9 +14,9 @@ from jaxmorph.extend import rows_of, together
 from jaxmorph.io.cgns.file import open_zones, opened
 
 from ._grid import (
-    Coordinates,
     DistributedGrid,
-    Points,
+    GridCoordinates,
+    GridPoints,
     SolverOrder,
     agreed,
     communicator,
@@ -115,7 +115,7 @@ class MultiUSMesh:
                 points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own]
             )
 
-    def getSurfaceCoordinates(self) -> Points:
+    def getSurfaceCoordinates(self) -> GridPoints:
         """Returns the surface's points that this process has, as they were set last."""
         for rows, mesh in self._parts():
             self._coordinates[rows] = mesh.getSurfaceCoordinates()
@@ -136,19 +136,19 @@ class MultiUSMesh:
         for mesh in self.meshes:
             mesh.warpMesh()
 
-    def getSolverGrid(self) -> Coordinates:
+    def getSolverGrid(self) -> GridCoordinates:
         """Returns the coordinates of the moved grids, in the order of `setExternalMeshIndices`."""
         grid = self._solver().to_solver(self._whole.listed(self._whole.points)).astype(self._number)
         for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
             grid[chosen] = mesh.getSolverGrid()
         return grid
 
-    def getWarpGrid(self) -> tuple[list[Coordinates], int]:
+    def getWarpGrid(self) -> tuple[list[GridCoordinates], int]:
         """Returns `getCommonGrid` of each moving grid, and the count of all coordinates."""
         grids = [mesh.getCommonGrid() for mesh in self.meshes]
         return grids, self.comm.allreduce(sum(map(len, grids)))
 
-    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Points:
+    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> GridPoints:
         """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3)."""
         if not solverVec:
             raise ValueError(
@@ -159,14 +159,14 @@ class MultiUSMesh:
             mesh.warpDeriv(values[chosen])
         return self.getdXs()
 
-    def getdXs(self) -> Points:
+    def getdXs(self) -> GridPoints:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         total = np.zeros(self._coordinates.shape)
         for rows, mesh in self._parts():
             total[rows] += mesh.getdXs()
         return total
 
-    def warpDerivFwd(self, dXs: Any) -> Coordinates:
+    def warpDerivFwd(self, dXs: Any) -> GridCoordinates:
         """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
         parts = self._parts()
         tangent = agreed(self.comm, "dXs", dXs, self._coordinates.shape)

@@ -16,7 +16,7 @@ from jaxmorph import io
 from jaxmorph.extend import Tree, closest, fans, float64_mode, spacing
 
 from .. import mpi
-from ._grid import Points
+from ._grid import GridPoints
 
 PATCH_WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
 """What a patch is, by a word in its kind or its name."""
@@ -42,7 +42,7 @@ class Definition:
         corners = [own + first for own, first in zip(triangles, firsts, strict=False)]
         return Definition(np.concatenate(shares), np.concatenate(corners))
 
-    def weights(self, x: Points) -> tuple[Any, ndarray, ndarray]:
+    def weights(self, x: GridPoints) -> tuple[Any, ndarray, ndarray]:
         """Computes sparse weights (k, s) by which the surface's points move nodes `x`.
 
         A node moves as the closest point of the faces, or without faces as the three nearest
@@ -98,12 +98,12 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
 
 def _patches_in(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
     on = np.logical_or.reduce(
-        [np.zeros(len(mesh.points), bool), *(plane.holds(_places_of(mesh)) for plane in planes)]
+        [np.zeros(len(mesh.points), bool), *(plane.holds(_find_places(mesh)) for plane in planes)]
     )
     return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
 
 
-def _places_of(mesh: jm.Mesh) -> ndarray:
+def _find_places(mesh: jm.Mesh) -> ndarray:
     return np.asarray(mesh.points, dtype=float)
 
 
@@ -125,7 +125,7 @@ def _patches_named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str
 
 def _read_planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
     planes = []
-    points = _places_of(mesh)
+    points = _find_places(mesh)
     for origin, normal in options["symmetryPlanes"]:
         plane = jm.Plane(normal, origin)
         near = np.flatnonzero(np.abs(plane.height(points)) <= options["symmTol"])
@@ -146,7 +146,7 @@ def boundary_of(
     symmetry, periodic and overset ones are fixed.
     """
     kinds = patches_by_kind(mesh, options)
-    points = _places_of(mesh)
+    points = _find_places(mesh)
     walls = kinds["wall"]
     periodic = io.periodic(mesh)
     loose = {*kinds["symmetry"], *kinds["overset"]}
@@ -170,7 +170,7 @@ def _on_surface(
         for nodes in (np.asarray(mesh.patches[name]) for name in names):
             if len(nodes) < 2:
                 continue
-            x = _places_of(mesh)[nodes]
+            x = _find_places(mesh)[nodes]
             _, away, limit = surface.weights(x)
             is_on = away <= np.maximum(limit, NEAR_FACE * spacing(x))
             if is_on.mean() >= PART:

@@ -17,8 +17,8 @@ from jaxmorph import Mesh, io, shapes
 from jaxmorph.extend import checked, complete, finite_array, input_path, output_path, warn
 
 from ._boxes import BoxPart, box_parts, boxes_of
-from ._motion import AbstractPart, DesignVariables, Names, wall_parts
-from ._options import KINDS, Options, Variable, checked_variables, read_options
+from ._motion import AbstractPart, DesignVariables, PatchNamesOfMotion, wall_parts
+from ._options import VARIABLE_KINDS, Options, Variable, checked_variables, read_options
 
 LARGE = 0.5
 """Motion of a wall over its own length that counts as a mistake."""
@@ -156,7 +156,7 @@ def read_config(
     listed, markers = checked_variables(options, definition)
     mesh = _read_mesh(options, zone)
     kinds = {variable.kind for variable in listed}
-    sorts = {KINDS[kind].sort for kind in kinds}
+    sorts = {VARIABLE_KINDS[kind].sort for kind in kinds}
     is_setting = "FFD_SETTING" in kinds
     is_whole = "mesh" in sorts
     is_moving = is_setting or not sorts <= {"nothing", "flow"}
@@ -207,11 +207,11 @@ def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
 
 
 def _sort(name: str) -> str:
-    return KINDS[name.partition("[")[0]].sort
+    return VARIABLE_KINDS[name.partition("[")[0]].sort
 
 
 def _markers_present(
-    options: Options, mesh: Mesh, name: str, markers: Names, is_needed: bool = False
+    options: Options, mesh: Mesh, name: str, markers: PatchNamesOfMotion, is_needed: bool = False
 ) -> tuple[str, ...]:
     present = []
     absent = []
@@ -233,7 +233,7 @@ def _markers_present(
 def _warn_of_results(config: Config, listed: list[Variable]) -> None:
     options = config.options
     kinds = dict.fromkeys(variable.kind for variable in listed)
-    for kind in filter(lambda kind: KINDS[kind].sort == "flow", kinds):
+    for kind in filter(lambda kind: VARIABLE_KINDS[kind].sort == "flow", kinds):
         warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")
     if left_out := options.left_out():
         warn(
@@ -249,7 +249,7 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
         if relaxed == 1
         else f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2"
     )
-    suspect = {kind for kind in kinds if KINDS[kind].sort in ("wall", "box")} - (
+    suspect = {kind for kind in kinds if VARIABLE_KINDS[kind].sort in ("wall", "box")} - (
         RIGID if relaxed == 1 else set()
     )
     if config.share > LARGE and suspect:
@@ -296,7 +296,9 @@ def _make_shape(
     )
 
 
-def _free_coordinates(mesh: Mesh, moving: Names, planes: Names) -> Bool[ndarray, "m d"]:
+def _free_coordinates(
+    mesh: Mesh, moving: PatchNamesOfMotion, planes: PatchNamesOfMotion
+) -> Bool[ndarray, "m d"]:
     """Marks coordinates that may change: on `planes` all but that across the patch."""
     nodes = mesh.patch(*moving) if moving else np.zeros(0, int)
     points = np.asarray(mesh.points, float)

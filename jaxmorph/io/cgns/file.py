@@ -45,7 +45,7 @@ def read(path: pathlib.Path) -> Parts:
     with opened(path) as file:
         zones, dimension = open_zones(path, file)
         content = TreePoints.of(path, file, functools.partial(_zone_coordinates, path))
-        _read_cells(zones, dimension, content.points)
+        _take_cells(zones, dimension, content.points)
         notes = [*_others(file, zones, dimension), *name_patches(zones)]
         of_patch, faces, regions = _gather_patches(zones)
         found = list(connections(zones))
@@ -96,7 +96,7 @@ def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
             yield name, base, int(data(base)[0])
 
 
-def _read_cells(zones: list[Zone], dimension: int, points: ndarray) -> None:
+def _take_cells(zones: list[Zone], dimension: int, points: ndarray) -> None:
     contents = [zone.cells(points[zone.rows]) for zone in zones]
     levels = {LEVEL_OF_TYPE[block.kind] for content in contents for block in content.blocks}
     if max(levels, default=0) == 2 < dimension:  # a surface alone in a base of volumes

@@ -56,7 +56,7 @@ def _make_faces(corners: Ragged, sides: ndarray) -> Faces:
     return Faces(rows.values, rows.starts, owner, neighbour)
 
 
-CGNS_TYPES = topology.inverted(
+CGNS_TYPES = topology.invert_table(
     topology.codes(
         "vertex 2 line 3 triangle 5 quad 7 tetra 10 pyramid 12 wedge 14 hexahedron 17 "
         "line3 4 triangle6 6 quad8 8 quad9 9 tetra10 11 pyramid14 13 wedge15 15 wedge18 16 "
