@@ -217,7 +217,8 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
             "the mesh was not read from an SU2 file: other formats hold no free-form boxes."
         )
     _check_control(new, mesh.points.shape[1])
-    content, (start, stop) = source.content, _extent(source)
+    content = source.content
+    start, stop = _extent(source)
     end = b"\r\n" if b"\r\n" in content.raw[:1000] else b"\n"
     written = b"".join(line.encode() + end for line in _box_lines(new)) if new else b""
     before = content.raw[:start]

@@ -354,10 +354,8 @@ def _restart(
     content: bytes, wanted: tuple[str, ...]
 ) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
-    order, begin = (
-        MAGICS[content[:4]],
-        20,
-    )  # five numbers: 535532, counts of columns and nodes, two zeros
+    order = MAGICS[content[:4]]
+    begin = 20  # five numbers: 535532, counts of columns and nodes, two zeros
     k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
     start = begin + NAME_WIDTH * k
     size = start + 8 * n * k

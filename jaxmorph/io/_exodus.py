@@ -161,7 +161,8 @@ def _read_entries(
     file: Mapping[str, Any], what: tuple[str, str, str], number: str
 ) -> Iterator[tuple[int, str, str, Any]]:
     """Yields place, name, own name, array of blocks or sets; None for empty ones, of status 0."""
-    (prefix, array, word), count = what, file[number].shape[0] if number in file else 0
+    prefix, array, word = what
+    count = file[number].shape[0] if number in file else 0
     defaults = {"prop1": np.arange(1, count + 1), "names": [""] * count, "status": np.zeros(count)}
     numbers, names, status = (
         file[f"{prefix}_{name}"][()] if f"{prefix}_{name}" in file else default

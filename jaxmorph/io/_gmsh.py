@@ -81,8 +81,13 @@ class ElementBlock(NamedTuple):
 
 class _Found:
     def __init__(self, form: MeshFormat):
-        self.form, self.content, self.labels = form, None, None
-        self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
+        self.form = form
+        self.content = None
+        self.labels = None
+        self.names = {}
+        self.groups = {}
+        self.blocks = []
+        self.others = {}
         self.links: list[tuple[int, ndarray]] = []
 
     def take(self, name: str, section: Section) -> None:
@@ -359,7 +364,8 @@ def read_elements(stream: Stream, groups: EntityGroups) -> list[ElementBlock]:
     blocks = []
     for _ in range(count):
         dimension, tag, number = _entity(stream)
-        size, (kind, corners) = stream.one("n"), _kind_of_number(number)
+        size = stream.one("n")
+        kind, corners = _kind_of_number(number)
         if DIMENSION.get(kind, 0) != dimension:
             raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
         rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(

@@ -191,8 +191,12 @@ class Array:
         pieces: list[tuple[int, int]],
         attrs: Mapping[str, bytes] | None = None,
     ):
-        self._file, self.dtype, self.pieces, self.attrs = file, dtype, pieces, attrs or {}
-        self.shape, self.size = shape, math.prod(shape)
+        self._file = file
+        self.dtype = dtype
+        self.pieces = pieces
+        self.attrs = attrs or {}
+        self.shape = shape
+        self.size = math.prod(shape)
 
     def __getitem__(self, key: Any) -> ndarray:
         parts = []
@@ -215,7 +219,8 @@ class Node(dict[str, Any]):
 
     def __init__(self, name: str, label: bytes):
         super().__init__()
-        self.name, self.attrs = name, {"label": label}
+        self.name = name
+        self.attrs = {"label": label}
 
 
 def check_spans(spans: list[tuple[int, int]], size: int) -> None:
@@ -237,10 +242,15 @@ class Reader:
     """Reads nodes, and records their `spans` of the file: no two may share a byte."""
 
     def __init__(self, path: Path, file: BinaryIO):
-        self.path, self.file, self.size, self.spans = path, file, file.seek(0, 2), [(0, 186)]
+        self.path = path
+        self.file = file
+        self.size = file.seek(0, 2)
+        self.spans = [(0, 186)]
         head = self._read(0, 186)
         self._tagged(head, _HEADER_TAGS)
-        self.is_old, code, long = head[25:26] != b"B", head[100:101], hexadecimal(head[112:114])
+        self.is_old = head[25:26] != b"B"
+        code = head[100:101]
+        long = hexadecimal(head[112:114])
         if code not in _ADF_ORDERS:
             raise ValueError(
                 f"{path}: an ADF file with numbers of format {code.decode(errors='replace')!r}; "
@@ -372,12 +382,14 @@ _UNSTATED = 2**32 - 4
 
 class _Header:
     def __init__(self, file: BinaryIO):
-        self.file, self.size = file, file.seek(0, 2)
+        self.file = file
+        self.size = file.seek(0, 2)
         file.seek(0)
         version = self.taken(4)[3]
         if version not in (1, 2, 5):
             raise ValueError(f"version {version} of netCDF; 1, 2 and 5 are read")
-        self.count, self.place = (8 if version == 5 else 4), (4 if version == 1 else 8)
+        self.count = 8 if version == 5 else 4
+        self.place = 4 if version == 1 else 8
 
     def taken(self, count: int) -> bytes:
         """Reads some bytes, and the bytes that fill them up to a multiple of four."""

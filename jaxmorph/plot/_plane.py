@@ -330,10 +330,9 @@ def given_or_new(
     if window is None:
         return plt.subplots(figsize=(LINE_WIDTH, 0.7 * LINE_WIDTH), layout="constrained")[1]
     width, height = (side[1] - side[0] for side in window)
-    beside, below = (
-        0.85 + 1.0 * bar,
-        0.55 + above,
-    )  # inches for labels, in which the mesh has no part
+    # inches for labels, in which the mesh has no part
+    beside = 0.85 + 1.0 * bar
+    below = 0.55 + above
     scale = min((LINE_WIDTH - beside) / width, (TALLEST - below) / height)
     size = scale * width + beside, max(scale * height + below, 1.5)
     ax = plt.subplots(figsize=size, layout="constrained")[1]
@@ -393,7 +392,8 @@ def whole(points: Float[Any, "n 2"]) -> Window:
     **Raises:** `ValueError` for points that are not in 2-D.
     """
     points = in_2d(points)
-    (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    left, bottom = points.min(axis=0).tolist()
+    right, top = points.max(axis=0).tolist()
     return (left, right), (bottom, top)
 
 

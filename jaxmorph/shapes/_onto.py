@@ -40,10 +40,9 @@ LAST = 0.01  # first and last length over the wall's extent
 PROJECTION_STEPS = 8
 SETTLED = 4  # steps from one to the other, and at the last
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
-HARD, STILL = (
-    100.0,
-    1e-4,
-)  # weight of edges, corners and planes over the stiffness; of staying, against sliding away
+# weight of edges, corners and planes over the stiffness; of staying, against sliding away
+HARD = 100.0
+STILL = 1e-4
 
 
 class Onto(Module):
@@ -103,10 +102,14 @@ class Onto(Module):
             raise ValueError(
                 f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
             )
-        self.wall, self.is_exact, self.function, self.target = wall, length == 0, None, None
+        self.wall = wall
+        self.is_exact = length == 0
+        self.function = None
+        self.target = None
         closest = target.closest if isinstance(target, Facets) else target
         self.turn, self.shift = _rigid(wall, target, closest, planes)
-        self.clips, self.guides = (), ()
+        self.clips = ()
+        self.guides = ()
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
             for plane in planes:
@@ -179,7 +182,8 @@ class Onto(Module):
         # drawn to the tangent plane at its closest place c: N y = N c. The length of K falls: the
         # wall first goes as a whole, at the end its faces only resist sliding.
         length, is_last = step
-        faces, (m, d) = jnp.asarray(self.wall.faces), y.shape
+        faces = jnp.asarray(self.wall.faces)
+        m, d = y.shape
         size, local = stiffness_of(start[faces])
         local = length**2 * local
         mass = jnp.zeros(m, y.dtype).at[faces].add(size[:, None] / d)

@@ -198,7 +198,9 @@ class History:
     def __init__(self, path: str | os.PathLike[str]):
         self.path = output_path(path)
         self.rows: list[dict[str, Any]] = []
-        self._end, self._began, self._word = 0, time.monotonic(), ", with compiling"
+        self._end = 0
+        self._began = time.monotonic()
+        self._word = ", with compiling"
         if not self.path.exists():
             return
         content = input_path(self.path).read_bytes()
@@ -296,7 +298,8 @@ class History:
             f"iteration {len(self)}: {shown} ({seconds} s{self._word})", file=sys.stderr, flush=True
         )
         self.rows.append(row)
-        self._began, self._word = time.monotonic(), ""
+        self._began = time.monotonic()
+        self._word = ""
 
 
 def _show_variable(value: Any) -> str:

@@ -115,7 +115,8 @@ def sorted_columns(nodes: Sequence[ndarray], width: int) -> list[ndarray]:
             for low in range(sweep % 2, len(parts) - 1, 2):
                 a = parts[low]
                 b = parts[low + 1]
-                parts[low], parts[low + 1] = np.minimum(a, b), np.maximum(a, b)
+                parts[low] = np.minimum(a, b)
+                parts[low + 1] = np.maximum(a, b)
         for column, part in zip(columns, parts, strict=True):
             column[rows] = part
 
@@ -135,7 +136,8 @@ def twins(columns: Sequence[ndarray]) -> ndarray:
     one = order[first[size == 2]]
     other = order[first[size == 2] + 1]
     partner = np.full(len(order), -1)
-    partner[one], partner[other] = other, one
+    partner[one] = other
+    partner[other] = one
     return partner
 
 

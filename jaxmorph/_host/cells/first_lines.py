@@ -54,7 +54,9 @@ def _node_areas(x: Any, slopes: Any) -> Any:
     a, *others = along
     if not others:
         return a[..., ::-1] * np.array([[[-1.0, 1.0]]], dtype=x.dtype)
-    (b,), after, before = others, np.array([1, 2, 0]), np.array([2, 0, 1])
+    (b,) = others
+    after = np.array([1, 2, 0])
+    before = np.array([2, 0, 1])
     return a[..., after] * b[..., before] - a[..., before] * b[..., after]
 
 

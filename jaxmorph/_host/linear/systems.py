@@ -104,7 +104,8 @@ def _make_inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Ope
 def _select_matrix(pairs, values, diagonal, rows) -> Any:
     """The matrix of the nodes `rows`, ascending: numbers in CSR, or blocks in BSR."""
     # SciPy sorts and selects the numbers of the entries, from 1 on.
-    i, j, node = *pairs.T, np.arange(len(diagonal))
+    i, j = pairs.T
+    node = np.arange(len(diagonal))
     turned = values.transpose(0, *range(values.ndim - 1, 0, -1))
     entries = np.concatenate([values, turned, diagonal])
     places = np.concatenate([i, j, node]), np.concatenate([j, i, node])

@@ -16,7 +16,8 @@ class MeshError(ValueError):
 
     def __init__(self, message: str, nodes: Sequence[int] | ndarray):
         super().__init__(message, nodes)
-        self.message, self.nodes = message, np.asarray(nodes, dtype=np.int64)
+        self.message = message
+        self.nodes = np.asarray(nodes, dtype=np.int64)
 
     def __str__(self) -> str:
         return self.message.replace("{node}", str(self.nodes[0]))

@@ -77,7 +77,8 @@ class Agreement:
 
     def __init__(self, ranks: Ranks):
         self.ranks = ranks
-        self.ids, self.values = np.zeros(0, np.int64), np.zeros((0, 0))
+        self.ids = np.zeros(0, np.int64)
+        self.values = np.zeros((0, 0))
 
     def __call__(self, ids: ndarray, values: ndarray) -> ndarray:
         """Returns common values (k, d) of ids (k,); all processes call it, also without nodes."""

@@ -221,7 +221,8 @@ def far_to_near(points: ndarray, first: int, count: int) -> Pair:
     """
     canonical = canonical_order(points)
     order = canonical[farthest(points[canonical], len(points), 0.0)]
-    points, n = points[order], len(points)
+    n = len(points)
+    points = points[order]
     place = np.arange(min(first, n), n)[:, None]
     earlier = np.repeat(place.astype(np.int32), count, axis=1)
     start = first

@@ -60,7 +60,8 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
         start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])
         away = np.linalg.norm(ordered - ordered[start], axis=1)
         if nearest[start] == start:
-            distance[start], nearest[start] = away.max(), first_largest(away)
+            distance[start] = away.max()
+            nearest[start] = first_largest(away)
         radius[start] = distance[start]
     others = np.setdiff1d(np.arange(len(points)), start)
     approach(others, nearest_of(ordered[others], ordered[start], start))

@@ -216,10 +216,8 @@ class KDTree(AbstractSeparated):
 
     def boxes(self, points: ndarray) -> ndarray:
         """Builds the tree of points (n, d); returns lower and upper corners of leaves (k, 2, d)."""
-        counter, done = (
-            itertools.count(),
-            [],
-        )  # the number breaks ties: the leaf found first is split first
+        done = []
+        counter = itertools.count()  # breaks ties: the leaf found first is split first
         heap = [(-len(points), next(counter), np.arange(len(points)))]
         while heap:
             *_, members = heapq.heappop(heap)

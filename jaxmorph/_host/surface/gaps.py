@@ -135,10 +135,9 @@ def _nearest_places(corners: ndarray, x: ndarray) -> Pair:
     return np.stack(choices)[best], distance[best]
 
 
-AFTER, BEFORE = (
-    1e-9,
-    1e-6,
-)  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
+# slack of a crossing, relative to the faces: faces that nearly touched before do not count
+AFTER = 1e-9
+BEFORE = 1e-6
 PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
 TOGETHER = 1 << 17  # pairs of faces in a block
 SPLIT = 8  # parts of a straight way, in each of which a node changes sides once at most

@@ -239,10 +239,8 @@ class Tips:
 def sharp_tips(points: ndarray, pairs: ndarray) -> Tips:
     """Finds the sharp tips of the walls with the edges `pairs` (e, 2)."""
     first, same = distinct(points[pairs.ravel()])
-    rows, ends = (
-        pairs.ravel()[first],
-        same.reshape(-1, 2),
-    )  # the two nodes of a closed edge are one place
+    rows = pairs.ravel()[first]
+    ends = same.reshape(-1, 2)  # the two nodes of a closed edge are one place
     place = points[rows]
     directed = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)  # sorted by start
     first = np.searchsorted(directed[:, 0], np.arange(len(place) + 1))

@@ -221,7 +221,8 @@ def _naca(x, values, numbers: MotionNumbers, signs):
 
 
 def _parabolic(x, values, numbers: MotionNumbers, signs):
-    t, (centre, thickness) = x[:, 0], numbers[0]
+    t = x[:, 0]
+    centre, thickness = numbers[0]
     half = thickness / 100 * (t * t - t) / (2 * (centre * centre - centre))
     return jnp.where(signs != 0, signs * half - x[:, 1], 0)
 

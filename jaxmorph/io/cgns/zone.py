@@ -271,9 +271,13 @@ class Zone:
 
 class _Section:
     def __init__(self, zone: Zone, name: str, node: Any):
-        self.zone, self.name, self.node, self.kind = zone, name, node, int(data(node)[0])
+        self.zone = zone
+        self.name = name
+        self.node = node
+        self.kind = int(data(node)[0])
         ends = data(node["ElementRange"]).astype(np.int64).ravel()
-        self.start, self.count = int(ends[0]), int(ends[-1] - ends[0]) + 1
+        self.start = int(ends[0])
+        self.count = int(ends[-1] - ends[0]) + 1
         self.values = data(node["ElementConnectivity"]).astype(np.int64).ravel()
 
     def error(self, message: str) -> ValueError:

@@ -345,7 +345,8 @@ Found = tuple[Parts, PatchNodes, Polyhedra | None, Front | None]
 
 
 def _mesh_in_space(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
-    (cells, ids), whole = standard_cells(faces), None
+    cells, ids = standard_cells(faces)
+    whole = None
     if "polyhedron" in ids:
         whole = Polyhedra(faces, ids.pop("polyhedron"))
         pieces, owners = tetrahedra(faces, whole.cut, points)

@@ -84,9 +84,11 @@ class Decomposed:
 
     @checked
     def __init__(self, path: str | os.PathLike[str]):
-        self.path, self.region = pathlib.Path(path), ""
+        self.path = pathlib.Path(path)
+        self.region = ""
         if self.path.parent.name == "constant":
-            self.path, self.region = self.path.parent.parent, self.path.name
+            self.region = self.path.name
+            self.path = self.path.parent.parent
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
         self.count = _count_parts(self.path)

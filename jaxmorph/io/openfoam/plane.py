@@ -298,7 +298,8 @@ def _measure_faces(points: ndarray, faces: Ragged) -> tuple[ndarray, ndarray]:
 
 def _misses(first: tuple, second: tuple, turned: bool) -> ndarray:
     """Measures how far (k,) faces miss partners, by size, after the best transform."""
-    (middles, sizes), (partners, others) = first, second
+    middles, sizes = first
+    partners, others = second
     arms = middles - middles.mean(axis=0)
     ends = partners - partners.mean(axis=0)
     if turned:
