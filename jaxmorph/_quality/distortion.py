@@ -50,7 +50,7 @@ class Target(NamedTuple):
     """Inverse target matrices W^-1 by row, and samples that count: a sign beyond round-off."""
 
     inverse: tuple[tuple[Scalar, ...], ...]
-    determinant_of: Scalar
+    determinant: Scalar
     counts: Scalar
 
 

@@ -16,7 +16,7 @@ from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
 from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts
 
-from ._format import of_grid
+from ._format import note_unread, of_grid
 from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, blanked, decoded, parse, sections_between
 
@@ -40,8 +40,6 @@ CHANGING_KEYWORDS = "SYSTEM INCLUDE NGEN NFILL NCOPY NMAP ELGEN ELCOPY PARAMETER
 """Keywords that make or move nodes and elements."""
 QUIET_KEYWORDS = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
 LEVEL_NAMES = ("PART", "INSTANCE", "ASSEMBLY")
-SHOWN_KEYWORDS = 12
-"""Keywords that a note lists."""
 
 _CARD = re.compile(
     rb"^[ \t]*\*(?!\*)((?:[^\n]*,[ \t\r]*\n(?=[ \t]*[A-Za-z]))*[^\n]*)", re.MULTILINE
@@ -234,10 +232,7 @@ def read(path: Path) -> Parts:
         sets[words.get(what, "nodes")][name] = labels
     labels = np.concatenate(deck.labels)
     grid, notes = labelled_grid(content.points, labels, deck.cells, sets)
-    left = [*deck.left]
-    if left:
-        more = f" and {len(left) - SHOWN_KEYWORDS} more" if len(left) > SHOWN_KEYWORDS else ""
-        notes += (f"{', '.join(left[:SHOWN_KEYWORDS])}{more} are not read, and stay in the file.",)
+    notes += note_unread("", deck.left)
     return of_grid(path, NAME, content, grid, notes=notes, labels=labels)
 
 

@@ -91,7 +91,7 @@ class _FluentText:
         if number == 2:
             self.dimension = int(section.content)
         elif kind in (45, 39) and (zone := _ZONE_HEAD.match(section.text, section.start)):
-            self.names[int(zone[1])] = decoded(zone[3]), zone[2].decode(errors="replace")
+            self.names[int(zone[1])] = decoded(zone[3]), decoded(zone[2])
         elif kind in (58, 59):
             raise section.error("a mesh that was adapted, with parents of cells, is not read.")
         elif kind in (10, 12, 13) and (head := _SECTION_HEAD.match(section.text, section.start)):

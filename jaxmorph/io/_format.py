@@ -24,6 +24,9 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 LOST_SHARE = 0.1
 """Share of the motion, or of an edge, that rounding may take without a warning."""
 
+MOST_NAMED = 12
+"""Names that a note lists."""
+
 EVERYTHING = ((slice(None), slice(None)),)
 """The `singles` of a file in single precision."""
 
@@ -200,6 +203,14 @@ def check_form(path: Path, mesh: MeshLike, name: str, form_of: Callable[[Path], 
             f"only a mesh that was read from a file of this form can be written to one; end it as "
             f"{own.name} ends, or write .vtu or .msh."
         )
+
+
+def note_unread(what: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Makes a note on sections of a file that no mesh has, if there are any."""
+    listed = [*names]
+    more = f" and {len(listed) - MOST_NAMED} more" if len(listed) > MOST_NAMED else ""
+    text = f"{what}{', '.join(listed[:MOST_NAMED])}{more} are not read, and stay in the file."
+    return (text,) if listed else ()
 
 
 @contextlib.contextmanager

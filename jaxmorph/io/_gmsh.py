@@ -19,7 +19,7 @@ from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from ._format import MeshLike, content_of, faults_of, of_grid, patch_faces
+from ._format import MeshLike, content_of, faults_of, note_unread, of_grid, patch_faces
 from ._places import Labels, Stream
 from ._text import Section, blanked, decoded
 
@@ -148,8 +148,7 @@ def read(path: pathlib.Path) -> Parts:
     sides = [pairs for level, pairs in found.links if level == top - 1]
     periodic = tuple(_pair_patches(sides, labels.rows.ids, patches))
     unread = [name for name in found.others if name != "$Periodic" or not periodic]
-    if unread:
-        notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
+    notes += note_unread("sections ", unread)
     known = {"labels": labels.rows.ids, "periodic": periodic}
     return of_grid(path, NAME, content, grid, patches, notes, **known)
 
@@ -221,14 +220,14 @@ def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
             else ""
         )
         number = 1 + data.count(b"\n", 0, start)
-        first = head.decode(errors="replace").strip()[:40]
+        first = decoded(head).strip()[:40]
         raise ValueError(
             f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not "
             f"{first!r}.{mark}"
         )
     found = _VERSION_LINE.match(words)
     if found is None:
-        said = words.decode(errors="replace").strip()[:40]
+        said = decoded(words).strip()[:40]
         raise ValueError(
             f"{path}: .msh of version {said!r}; 1, 2, 4.0 and 4.1 are read, then 0 or 1, and 4 or "
             "8."
@@ -258,7 +257,7 @@ def cut_sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str
             raise ValueError(
                 f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is cut short."
             )
-        yield name.decode(errors="replace"), Section(path, data, start, stop)
+        yield decoded(name), Section(path, data, start, stop)
         at = stop + 4 + len(name)
 
 

@@ -15,9 +15,10 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import numbers
+from jaxmorph._host.ragged import heads_of
 from jaxmorph._mesh.exchange import Parts, gathered
 
-from ._format import of_grid
+from ._format import note_unread, of_grid
 from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
 from ._text import Section, decoded, parse
 
@@ -75,8 +76,7 @@ def read(path: Path) -> Parts:
         )
     known = (2411, 781, 2412, 2420, *GROUP_DATASETS, *QUIET_DATASETS)
     left = dict.fromkeys(str(n) for n, _ in sections if n not in known)
-    if left:
-        notes += (f"datasets {', '.join(left)} are not read, and stay in the file.",)
+    notes += note_unread("datasets ", left)
     if others := sum(int((~np.isin(ids[:, 0], (7, 8))).sum()) for _, ids in groups):
         notes += (f"{others} members of groups are no nodes or elements, and are not read.",)
     return of_grid(path, NAME, content, grid, notes=notes, labels=nodes[:, 0])
@@ -168,12 +168,7 @@ def _element_blocks(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]
     # Each row, taken for an element's first, tells how many rows the element has: from the first
     # row on one goes from element to element.
     steps = (1 + has_axis - (-size // 8)).tolist()
-    firsts = []
-    at = 0
-    while at < total:
-        firsts.append(at)
-        at += steps[at]
-    which = np.array(firsts, np.int64)
+    which = heads_of(np.arange(total), steps.__getitem__)
     start = rows.first[which] + 6 + 3 * has_axis[which]
     words = np.append(rows.first, len(rows.values))[np.append(which, total)][1:] - start
     is_bad = (counts[which] != 6) | (words != size[which]) | (head[which, 5] < 1)

@@ -9,6 +9,7 @@ from numpy import ndarray
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
+from .._host.package.errors import check_finite
 from .._host.package.rounding import Tree
 
 BLOCK_SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
@@ -103,11 +104,7 @@ def join_zones(
 
     It raises `ValueError` for coordinates that are not finite.
     """
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise ValueError(
-            f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}."
-        )
+    check_finite(points)
     faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
     node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
     first = np.unique(node, return_index=True)[1]

@@ -13,10 +13,10 @@ from jaxmorph._host.cells.topology import CORNERS, codes, invert_table, pairs_of
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import EVERYTHING, MeshLike, check_form, of_grid
+from ._format import EVERYTHING, MeshLike, check_form, note_unread, of_grid
 from ._gmsh import BYTE_ORDERS
 from ._places import PlacedPoints, Stream
-from ._text import Section, blanked, sections_between
+from ._text import Section, blanked, decoded, sections_between
 
 NAME = "Medit"
 MEDIT_CELLS = pairs_of(
@@ -86,8 +86,7 @@ def read(path: Path) -> Parts:
         (MEDIT_CELLS[name], corners) for name, (corners, _) in zip(names, tables, strict=True)
     ]
     arrays = {"medit:ref": [numbers for _, numbers in tables]}
-    others = [name for name in file.sections if name not in READ_KEYWORDS]
-    notes = (f"sections {', '.join(others)} are not read, and stay in the file.",) if others else ()
+    notes = note_unread("sections ", (name for name in file.sections if name not in READ_KEYWORDS))
     grid = Grid(content.points, blocks, {"medit:ref": of_nodes}, arrays)
     return of_grid(path, NAME, content, grid, notes=notes)
 
@@ -101,7 +100,7 @@ _without_comments = functools.partial(blanked, rb"#[^\r\n]*")
 
 def _of_text(path: Path, raw: bytes) -> MeditFile:
     found = sections_between(path, _without_comments(raw), rb"(?<!\S)[A-Za-z]\w*")
-    return _once(raw, ((word[0].decode(errors="replace"), section) for word, section in found))
+    return _once(raw, ((decoded(word[0]), section) for word, section in found))
 
 
 def _of_binary(path: Path, raw: bytes, order: str) -> MeditFile:

@@ -17,7 +17,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
 from ._format import ArraysByName, Source
 from ._places import CoordinatePart, PlacedPoints
-from ._text import Section, blanked, sections_between
+from ._text import Section, blanked, decoded, sections_between
 
 MFEM_ORDER = NodeOrder(
     EDGES | {"tetra": numbers("01 02 03 12 13 23")},
@@ -176,7 +176,7 @@ _blank_hash_lines = functools.partial(blanked, rb"(?m)^[ \t]*#[^\r\n]*")
 
 
 def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
-    head = text[:64].split(b"\n")[0].strip().decode(errors="replace")
+    head = decoded(text[:64].split(b"\n")[0].strip())
     if not re.fullmatch(r"MFEM mesh v1\.[0-3]", head):
         raise ValueError(f"MFEM mesh v1.0 to v1.3 expected in the first line, found {head[:40]!r}.")
     words = rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$"
@@ -224,9 +224,7 @@ def _space_of(parts: dict[str, Section]) -> Space:
         raise section.error(
             "FiniteElementSpace with its FiniteElementCollection, VDim and Ordering expected."
         )
-    name = {b"Linear": "H1_P1", b"Quadratic": "H1_P2"}.get(
-        head[1], head[1].decode(errors="replace")
-    )
+    name = {b"Linear": "H1_P1", b"Quadratic": "H1_P2"}.get(head[1], decoded(head[1]))
     known = re.fullmatch(r"(H1|L2_T1)_(?:[23]D_)?P([12])", name)
     if known is None:
         raise section.error(
@@ -258,7 +256,7 @@ def _group_patches(section: Section | None, patches: Iterable[str]) -> dict[str,
 
 
 def _named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
-    text = "" if section is None else section.content.decode(errors="replace")
+    text = "" if section is None else decoded(section.content)
     return [(name, words.split()[1:]) for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)]
 
 

@@ -159,7 +159,7 @@ def _read_keywords(path: Path, text: bytes) -> Iterator[Keyword]:
         start = text.rfind(b"\n", 0, at) + 1
         end = text.find(b"\n", at) + 1 or len(text)
         name, _, value = text[start:end].partition(b"=")
-        name = name.removeprefix(b"\xef\xbb\xbf").strip().decode(errors="replace")
+        name = decoded(name.removeprefix(b"\xef\xbb\xbf").strip())
         name = DIALECT.get(name, name)
         lines.append((name, decoded(value.strip()), start, end))
         at = text.find(b"=", end)

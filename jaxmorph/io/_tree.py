@@ -311,7 +311,7 @@ class Reader:
         self.spans.append((at, at + len(raw)))
         name, label, children, below, kind, dimensions, sizes, chunks, data = _NODE.unpack(raw)
         node = Node(decoded(name.rstrip(b" \0")), label.rstrip())
-        code = kind.strip(b" \0").decode(errors="replace").upper()
+        code = decoded(kind.strip(b" \0")).upper()
         pieces = self._pieces(hexadecimal(chunks), data)
         if code == "LK":
             target = b"".join(self._read(first, count) for first, count in pieces)[:200].decode(

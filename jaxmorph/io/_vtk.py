@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmorph._host.cells.topology import VTK_LAGRANGE
+from jaxmorph._host.package.text import decoded
 from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
@@ -160,10 +161,10 @@ def _legacy_writer(data: Any, encoding: Encoding) -> Any:
 def _encoding(raw: bytes) -> Encoding:
     legacy = re.match(rb"# vtk DataFile Version (\d\.\d)[^\n]*\n([^\r\n]*)\r?\n\s*(\w+)", raw)
     if legacy:
-        version, title, mode = (word.decode(errors="replace") for word in legacy.groups())
+        version, title, mode = (decoded(word) for word in legacy.groups())
         return Encoding(True, mode.lower(), title=title, version=version)
     tag = re.search(rb"<VTKFile[^>]*>", raw)
-    said = dict(re.findall(r'(\w+)="(\w+)"', tag[0].decode(errors="replace") if tag else ""))
+    said = dict(re.findall(r'(\w+)="(\w+)"', decoded(tag[0]) if tag else ""))
     modes = {*re.findall(rb'format="(\w+)"', raw)}
     mode = next((mode for mode in ("appended", "binary") if mode.encode() in modes), "ascii")
     compressor = re.sub("^vtk|DataCompressor$", "", said.get("compressor", "None"))

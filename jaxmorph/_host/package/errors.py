@@ -60,3 +60,13 @@ def check_none(wrong: ndarray, message: str, points: ndarray | None = None) -> N
 
 def place_of(point: ndarray) -> str:
     return ", ".join(f"{x:.6g}" for x in point)
+
+
+def check_finite(points: ndarray) -> None:
+    """Raises `ValueError` for points (n, d) that are not finite, with the first one."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise ValueError(
+            f"{len(bad)} of {len(points)} points are not finite, first node {bad[0]}: "
+            f"{points[bad[0]].tolist()}."
+        )

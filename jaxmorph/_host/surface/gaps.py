@@ -12,7 +12,6 @@ from ..cells.topology import Pair
 from ..linear.products import cofactor_rows, cross_rows, outward
 from ..package.rounding import Tree, morton_order
 
-CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
 POINTS_TOGETHER = 1 << 12  # points of a block
 NEAR_SIMPLICES = 8  # nearest simplices that bound the distance to all others
 
@@ -43,18 +42,8 @@ def gaps(points: ndarray, wall: ndarray, faces: ndarray) -> Pair:
         here = np.flatnonzero(wall == label)
         others = faces[wall[faces[:, 0]] != label]
         if len(others):
-            tree = Tree(
-                points[others].mean(axis=1), leafsize=32, balanced_tree=False, compact_nodes=False
-            )
-            near = others[
-                tree.query(points[here], k=range(1, min(CLOSEST, len(others)) + 1))[1]
-            ].swapaxes(0, 1)
-            away = np.stack(
-                [_nearest_places(points[candidates], points[here])[1] for candidates in near]
-            )
-            best = away.argmin(axis=0), np.arange(len(here))
-            distance[here] = away[best]
-            nearest[here] = near[best]
+            simplex, _, distance[here] = closest(points[others], points[here])
+            nearest[here] = others[simplex]
     return distance, nearest
 
 

@@ -147,7 +147,7 @@ class Zone:
     group: Any
     shape: tuple[int, ...]
     is_structured: bool
-    find_first: int
+    first: int
     content: ZoneContent = NO_CELLS
 
     @functools.cached_property

@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
-from jaxmorph._host.package.errors import warn
+from jaxmorph._host.package.errors import check_finite, warn
 from jaxmorph._host.package.files import complete, is_same
 from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
@@ -332,11 +332,10 @@ def _replace_points(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearr
 def _load_points(folder: pathlib.Path) -> tuple[FoamFile, ndarray]:
     file = load_file(folder, "points")
     points = file.numbers("scalar", 3)
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size or not len(points):
-        raise file.error(
-            f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
-        )
+    if not len(points):
+        raise file.error("no points")
+    with faults_of(file.path):
+        check_finite(points)
     return file, points
 
 

@@ -15,7 +15,7 @@ from jaxmorph._host.ragged import Ragged
 from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.faces import Faces, open_cells
 
-from .._text import line_chunks, parse
+from .._text import decoded, line_chunks, parse
 
 _LIST = re.compile(rb"(?:\s|//[^\n]*+|/\*.*?(?:\*/|\Z))*+(\d{0,19})(?!\d)\s*([({]?)", re.DOTALL)
 _LIST_END = re.compile(rb"\)(?:[\s;]|//[^\n]*+)*+\Z")
@@ -251,7 +251,7 @@ def _refuse_directives(file: FoamFile, words: list[Any]) -> None:
 def _nested(data: bytes) -> list[Any]:
     """Lists the words of a text; those between braces are a list of their own."""
     stack: list[list[Any]] = [[]]
-    for word in _WORD.findall(_COMMENT.sub(" ", data.decode(errors="replace"))):
+    for word in _WORD.findall(_COMMENT.sub(" ", decoded(data))):
         if word == "{":
             stack.append([])
         elif word == "}" and len(stack) > 1:

@@ -51,7 +51,7 @@ class Side(NamedTuple):
     nodes: ndarray
     points: ndarray
     faces: Mapping[str, ndarray]
-    read_patches: Mapping[str, ndarray]
+    patches: Mapping[str, ndarray]
     groups: Mapping[str, tuple[str, ...]]
     pairs: tuple[tuple[str, str], ...]
     symmetry: tuple[str, ...]
