@@ -39,6 +39,9 @@ def test_ragged_rows_are_lists():
     chosen = rows.take(np.array([2, 0, 2]))
     assert np.split(chosen.values, chosen.starts[1:-1])[1].tolist() == [4, 1]
     assert rows.table(np.array([2, 2]), 3).tolist() == [[7, 7, 2]] * 2
+    assert rows.column.tolist() == [0, 1, 0, 1, 2]
+    assert rows.padded(-1).tolist() == [[4, 1, -1], [-1, -1, -1], [7, 7, 2]]
+    assert rows.padded(0, 4).shape == (3, 4)
     assert rows.turned(np.array([True, False, True])).values.tolist() == [1, 4, 2, 7, 7]
 
 

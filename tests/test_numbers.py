@@ -8,7 +8,7 @@ import pytest
 from runs import over
 
 from jaxmorph.io import _text
-from jaxmorph.io._text import spliced
+from jaxmorph.io._text import splice
 from jaxmorph.io.openfoam.file import load_file
 
 
@@ -112,7 +112,7 @@ def test_pieces_are_replaced_where_they_stand():
         new = ["".join(rng.choice("xyz") for _ in range(rng.randint(0, 12))) for _ in range(50)]
         text = "".join(a + b for a, b in zip(blanks, [*words, ""], strict=True)).encode()
         starts, ends, _ = _text.scan(text)
-        found = spliced(text, starts, ends, "\n".join(new).encode())
+        found = splice(text, starts, ends, "\n".join(new).encode())
         assert found.decode() == "".join(a + b for a, b in zip(blanks, [*new, ""], strict=True))
 
 
@@ -134,8 +134,8 @@ def test_faces_of_one_size_and_of_several(tmp_path, monkeypatch, faces, chunk):
     ]
     head = "FoamFile { format ascii; class faceList; object faces; }\n"
     (tmp_path / "faces").write_text(f"{head}2\n(\n{faces})\n")
-    labels, starts = load_file(tmp_path, "faces").faces()
-    assert [labels[a:b].tolist() for a, b in itertools.pairwise(starts)] == expected
+    rows = load_file(tmp_path, "faces").faces()
+    assert [rows.values[a:b].tolist() for a, b in itertools.pairwise(rows.starts)] == expected
     for bad in (faces.replace("(", "(9 ", 1), faces.replace("2", "x", 1)):
         (tmp_path / "faces").write_text(f"{head}2\n(\n{bad})\n")
         with pytest.raises(ValueError, match="2 faces expected, each as"):

@@ -55,6 +55,18 @@ class Ragged:
         """Gathers rows of one size, (..., size)."""
         return self.values[self.starts[rows][..., None] + np.arange(size)]
 
+    @property
+    def column(self) -> ndarray:
+        """The place (m,) of each value in its row."""
+        return np.arange(len(self.values)) - self.starts[self.row]
+
+    def padded(self, fill: Any, width: int = 0) -> ndarray:
+        """Lays rows into a table (k, width or more), with `fill` behind the last value of each."""
+        size = max(width, self.sizes.max(initial=0))
+        table = np.full((len(self), size), fill, self.values.dtype)
+        table[self.row, self.column] = self.values
+        return table
+
     def turned(self, chosen: ndarray) -> "Ragged":
         """Reverses the rows that are `chosen` (k,), a mask."""
         places = np.arange(len(self.values))

@@ -12,13 +12,13 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
-from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
+from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers_by_name
 from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts
 
 from ._format import note_unread, of_grid
-from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
-from ._text import Section, blanked, decoded, parse, sections_between
+from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, make_labelled_grid
+from ._text import Section, blank_out, decoded, parse, split_sections
 
 NAME = "Abaqus"
 ELEMENT_NAMES = {
@@ -29,12 +29,14 @@ ELEMENT_NAMES = {
 """Names of elements by their dimension; the number is that of their nodes, or of a beam's order."""
 LOOSE_ELEMENTS = r"(?:MASS|ROTARYI|HEATCAP|SPRING|DASHPOT|CONN|GAP|DCOUP)\w*"
 """Elements that are no cells."""
-ABAQUS_SIDES = {
-    "tetra": numbers("012 013 123 023"),
-    "pyramid": numbers("0123 014 124 234 034"),
-    "wedge": numbers("012 345 0143 1254 0253"),
-    "hexahedron": numbers("0123 4567 0154 1265 2376 0374"),
-}
+ABAQUS_SIDES = numbers_by_name(
+    {
+        "tetra": "012 013 123 023",
+        "pyramid": "0123 014 124 234 034",
+        "wedge": "012 345 0143 1254 0253",
+        "hexahedron": "0123 4567 0154 1265 2376 0374",
+    }
+)
 """Corners of the faces S1, S2, ... of each shape; cells in 2-D have those of `FACES`."""
 CHANGING_KEYWORDS = "SYSTEM INCLUDE NGEN NFILL NCOPY NMAP ELGEN ELCOPY PARAMETER"
 """Keywords that make or move nodes and elements."""
@@ -219,11 +221,11 @@ def read(path: Path) -> Parts:
     """Reads points, cells and patches: sets of nodes, of elements of lower dimension, surfaces."""
     raw = path.read_bytes()
     deck = _Deck()
-    for card in _cards(path, raw):
+    for card in _read_cards(path, raw):
         deck.take(card)
     if len({points.shape[1] for points in deck.points}) != 1:
         raise ValueError("nodes of 2 or of 3 coordinates (*NODE) expected.")
-    content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _without_commas)
+    content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _blank_commas_and_comments)
     words = {"NSET": "nodes", "ELSET": "elements"}
     sets = {"nodes": {}, "elements": {}}
     for (what, _), (name, labels) in deck.sets.items():
@@ -231,22 +233,22 @@ def read(path: Path) -> Parts:
             name += "_surface"
         sets[words.get(what, "nodes")][name] = labels
     labels = np.concatenate(deck.labels)
-    grid, notes = labelled_grid(content.points, labels, deck.cells, sets)
+    grid, notes = make_labelled_grid(content.points, labels, deck.cells, sets)
     notes += note_unread("", deck.left)
     return of_grid(path, NAME, content, grid, notes=notes, labels=labels)
 
 
-def _without_commas(text: bytes) -> bytes:
+def _blank_commas_and_comments(text: bytes) -> bytes:
     return _uncommented(text).replace(b",", b" ")
 
 
-_uncommented = functools.partial(blanked, rb"(?m)^[ \t]*\*\*[^\r\n]*")
+_uncommented = functools.partial(blank_out, rb"(?m)^[ \t]*\*\*[^\r\n]*")
 
 
-def _cards(path: Path, raw: bytes) -> Iterator[Card]:
+def _read_cards(path: Path, raw: bytes) -> Iterator[Card]:
     text = _uncommented(raw)
     plain = text.replace(b",", b" ")
-    cards = list(sections_between(path, text, _CARD))
+    cards = list(split_sections(path, text, _CARD))
     if text[: cards[0][0].start() if cards else None].strip():
         raise ValueError("line 1: * expected: no input deck of Abaqus (AVS's .inp is not read).")
     for head, section in cards:

@@ -25,14 +25,14 @@ def read_data_sets(file: str, where: str, most: str) -> None:
     path = Path(file)
     folder = Path(where)
 
-    reader = vtk_reader(path, folder)
+    reader = make_reader(path, folder)
     names = []
     limit_memory(int(most))
     said = vtkCommonCore.vtkStringOutputWindow()
     vtkCommonCore.vtkOutputWindow.SetInstance(said)
     vtkCommonCore.vtkLogger.SetStderrVerbosity(vtkCommonCore.vtkLogger.VERBOSITY_OFF)
     reader.Update()
-    for name, data in data_sets(reader.GetOutputDataObject(0)):
+    for name, data in list_data_sets(reader.GetOutputDataObject(0)):
         if data.IsA("vtkDataSet") and path.suffix.lower() not in (".pvtu", ".vtm"):
             raw = path.read_bytes()
             check_counts(raw, data)
@@ -55,7 +55,7 @@ def limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
 
 
-def vtk_reader(path: Path, folder: Path) -> Any:
+def make_reader(path: Path, folder: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
     with path.open("rb") as file:
@@ -70,7 +70,7 @@ def vtk_reader(path: Path, folder: Path) -> Any:
             "not a .vtk file; `# vtk DataFile Version` and three lines more are expected first"
         )
     copy = folder / "copy.vtk"
-    copy.write_bytes(re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw))
+    copy.write_bytes(re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", name_type, raw))
     reader = vtkIOLegacy.vtkGenericDataObjectReader()
     for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
         getattr(reader, f"ReadAll{name}On")()
@@ -109,12 +109,12 @@ def check_numbers(raw: bytes, data: Any) -> None:
             raise SystemExit(f"{len(words)} numbers are found where there are {count}")
 
 
-def own_type(found: re.Match[bytes]) -> bytes:
+def name_type(found: re.Match[bytes]) -> bytes:
     name = MESHIO_TYPES[found[2]]
     return b"unsigned_" + name.removeprefix(b"signed_") if found[1] else name
 
 
-def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
+def list_data_sets(data: Any) -> Iterator[tuple[str, Any]]:
     from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
 
     if not isinstance(data, vtkCompositeDataSet):

@@ -21,7 +21,7 @@ from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import gathered
 
 from ._format import Source, faults_of, source_of
-from ._su2 import NAME, Keyword, by_zones
+from ._su2 import NAME, Keyword, split_zones
 from ._text import PathLike, Section, decoded
 from ._vtk import Encoding, file_bytes
 
@@ -67,7 +67,7 @@ def read_box(
         else read(where, input_path(source).read_bytes())
     )
     with faults_of(Path(where)):
-        box = _box_of(table, dimensions)
+        box = _make_box(table, dimensions)
         control = np.zeros((*box.counts, dimensions))
         for entry in table["moved"] if isinstance(table["moved"], list) else [table["moved"]]:
             if not isinstance(entry, dict) or set(entry) != {"at", "by"}:
@@ -81,7 +81,7 @@ def read_box(
     return box, control
 
 
-def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.Hexahedron":
+def _make_box(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.Hexahedron":
     needed = NEEDED | ({"corners"} if "corners" in table else {"low", "high"})
     if not needed <= set(table) <= needed | OPTIONAL:
         listed = ", ".join(table) or "nothing"
@@ -218,9 +218,9 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
         )
     _check_control(new, mesh.points.shape[1])
     content = source.content
-    start, stop = _extent(source)
+    start, stop = _find_extent(source)
     end = b"\r\n" if b"\r\n" in content.raw[:1000] else b"\n"
-    written = b"".join(line.encode() + end for line in _box_lines(new)) if new else b""
+    written = b"".join(line.encode() + end for line in _format_boxes(new)) if new else b""
     before = content.raw[:start]
     if written and before and not before.endswith(b"\n"):
         before += end
@@ -246,7 +246,7 @@ def _check_control(new: Sequence[Box], d: int) -> None:
 
 def _find_keywords(source: Source) -> list[Keyword]:
     start = source.content.parts[0].start
-    zones = by_zones(source.path, source.content.raw)
+    zones = split_zones(source.path, source.content.raw)
     return next(
         zone
         for zone in zones
@@ -254,7 +254,7 @@ def _find_keywords(source: Source) -> list[Keyword]:
     )
 
 
-def _extent(source: Source) -> tuple[int, int]:
+def _find_extent(source: Source) -> tuple[int, int]:
     keywords = _find_keywords(source)
     sections = [
         each.section for each in keywords if each.name.startswith(("FFD_", "BSPLINE_ORDER_"))
@@ -271,8 +271,8 @@ def _read_section(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     empty = Section(Path(), b"", 0, 0)
     name = tag.value.replace(" ", "")
     try:
-        shape = _shape(table, d)
-        control = _control(_read_rows(table["FFD_CONTROL_POINTS"], 6), shape)
+        shape = _read_shape_of_box(table, d)
+        control = _sort_control(_read_rows(table["FFD_CONTROL_POINTS"], 6), shape)
     except KeyError as error:
         missing = f"box {name} has no {error.args[0]}=; SU2 writes it by DV_KIND= FFD_SETTING."
         raise tag.section.error(missing) from error
@@ -289,7 +289,7 @@ def _read_section(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     return Box(name, shape, control, surface, others["FFD_LEVEL"].number(), *relatives)
 
 
-def _shape(table: Mapping[str, Keyword], d: int) -> "jm.shapes.Hexahedron":
+def _read_shape_of_box(table: Mapping[str, Keyword], d: int) -> "jm.shapes.Hexahedron":
     degrees = np.array([table[f"FFD_DEGREE_{axis}"].number() for axis in "IJK"[:d]])
     orders = [table[word].number() if word in table else 0 for word in SPLINE_ORDERS[:d]]
     is_spline = all(
@@ -310,7 +310,7 @@ def _read_rows(keyword: Keyword, width: int) -> Float[ndarray, "k w"]:
     return rows.values.reshape(-1, width)
 
 
-def _control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> ControlPoints:
+def _sort_control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> ControlPoints:
     """Sorts control points by their numbers; in 2-D, two above each other become their mean."""
     d = len(shape.counts)
     counts = (*shape.counts, *(2,) * (3 - d))
@@ -345,7 +345,7 @@ def _read_markers(keyword: Keyword, n: int, d: int) -> Surface:
     }
 
 
-def _box_lines(new: Sequence[Box]) -> Iterator[str]:
+def _format_boxes(new: Sequence[Box]) -> Iterator[str]:
     yield f"FFD_NBOX= {len(new)}"
     yield f"FFD_NLEVEL= {1 + max(box.level for box in new)}"
     for box in new:
@@ -363,15 +363,15 @@ def _box_lines(new: Sequence[Box]) -> Iterator[str]:
         )
         yield from (f"FFD_PARENTS= {len(box.parents)}", *box.parents)
         yield from (f"FFD_CHILDREN= {len(box.children)}", *box.children)
-        yield from _point_lines(box)
+        yield from _format_points(box)
 
 
-def _point_lines(box: Box) -> Iterator[str]:
+def _format_points(box: Box) -> Iterator[str]:
     """Yields corners, control points, in 2-D below and above the plane, and nodes in the box."""
     corners = box.shape.given_corners
     control = np.asarray(box.control, float)
     d = len(box.shape.counts)
-    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *map(_row, corners.tolist()))
+    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *map(_format_row, corners.tolist()))
     if d == 2:
         control = np.stack(
             [
@@ -382,13 +382,13 @@ def _point_lines(box: Box) -> Iterator[str]:
         )
     yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
     yield from (
-        _row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1])
+        _format_row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1])
     )
     yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
     for marker, (nodes, inside) in box.surface.items():
         for node, x in zip(nodes.tolist(), inside.tolist(), strict=True):
-            yield f"{marker}\t{_row([node, *x, *[HALF_THICKNESS] * (3 - d)])}"
+            yield f"{marker}\t{_format_row([node, *x, *[HALF_THICKNESS] * (3 - d)])}"
 
 
-def _row(numbers: list) -> str:
+def _format_row(numbers: list) -> str:
     return "\t".join(map(repr, numbers))

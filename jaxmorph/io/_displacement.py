@@ -73,11 +73,11 @@ def read_displacement(
         else:
             ids, values = read_surface(path, d)
         known = (numbers, "the moving patches")
-        values = sort_by_id(ids, values, d, numbers, known, labels_of(mesh, moving))
+        values = sort_by_id(ids, values, d, numbers, known, take_labels(mesh, moving))
     return values - points[moving] if is_position else values
 
 
-def labels_of(mesh: Mesh, nodes: Int[ndarray, " m"]) -> ndarray | None:
+def take_labels(mesh: Mesh, nodes: Int[ndarray, " m"]) -> ndarray | None:
     """Returns the numbers that the mesh's file gives some nodes; None where it has no others."""
     labels = getattr(mesh.source, "labels", None)
     return None if labels is None or len(labels) != len(mesh.points) else labels[nodes]
@@ -164,7 +164,7 @@ def read_shape(path: Path) -> Simplices:
         return Simplices(points, simplices)
 
 
-def _stl(path: Path) -> Simplices:
+def _read_stl(path: Path) -> Simplices:
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
@@ -182,7 +182,7 @@ def _stl(path: Path) -> Simplices:
     return Simplices(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _obj(path: Path) -> Simplices:
+def _read_obj(path: Path) -> Simplices:
     data = path.read_bytes()
     rows = re.findall(rb"^v\s+(\S+\s+\S+\s+\S+)", data, re.MULTILINE)
     values = parse(b" ".join(rows), np.float64)
@@ -207,7 +207,7 @@ def _obj(path: Path) -> Simplices:
     return Simplices(points, np.zeros((0, 3), np.int64))
 
 
-def _npz(path: Path) -> Simplices:
+def _read_npz(path: Path) -> Simplices:
     arrays = read_arrays(path)
     kind = next((name for name in ("triangles", "lines") if name in arrays), "")
     if not kind or "points" not in arrays:
@@ -221,7 +221,7 @@ def _npz(path: Path) -> Simplices:
     return Simplices(real_values(path, arrays, "points"), simplices.astype(np.int64))
 
 
-READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}
+READERS = {".stl": _read_stl, ".obj": _read_obj, ".npz": _read_npz}
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
@@ -263,7 +263,7 @@ def read_table(
     """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and text[:4] in MAGICS:
-        return _restart(text, wanted[:d])
+        return _read_restart(text, wanted[:d])
     text = FACT.sub(b"", re.sub(rb"[%#][^\n]*", b"", text))
     found = HEADER_LINE.match(text)
     head = found[0] if found else b""
@@ -350,7 +350,7 @@ def sort_by_id(
     return values[Rows(ids).of(wanted)]
 
 
-def _restart(
+def _read_restart(
     content: bytes, wanted: tuple[str, ...]
 ) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""

@@ -9,13 +9,21 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.lagrange import inner_places, lagrange_types
 from jaxmorph._host.cells.orders import CGNS_ORDER, NodeOrder, reordered
-from jaxmorph._host.cells.topology import CORNERS, FACES, NODES, SHAPES, numbers, pairs_of
+from jaxmorph._host.cells.topology import (
+    CORNERS,
+    FACES,
+    NODES,
+    SHAPES,
+    numbers,
+    numbers_by_name,
+    pairs_of,
+)
 from jaxmorph._host.ragged import Ragged
 from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, regions_note
 
 from ._format import of_grid
-from ._tree import Coordinates, TreePoints, labels_in, opened, read_text
+from ._tree import Coordinates, TreePoints, open_tree, read_labels, read_text
 
 NAME = "Exodus"
 EXODUS_FILE = "an Exodus file"
@@ -26,12 +34,14 @@ EXODUS_TYPES = pairs_of(
 _SHELLS = {1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
 """Shapes of cells by first letters of Exodus's types; of shells by their number of nodes."""
 
-EXODUS_SIDES = {
-    "tetra": numbers("013 123 023 012"),
-    "pyramid": numbers("014 124 234 034 0123"),
-    "wedge": numbers("0143 1254 0253 012 345"),
-    "hexahedron": numbers("0154 1265 2376 0374 0123 4567"),
-}
+EXODUS_SIDES = numbers_by_name(
+    {
+        "tetra": "013 123 023 012",
+        "pyramid": "014 124 234 034 0123",
+        "wedge": "0143 1254 0253 012 345",
+        "hexahedron": "0154 1265 2376 0374 0123 4567",
+    }
+)
 """Corners of each side, by the shape; cells in 2-D have those of `FACES`."""
 
 EXODUS_ORDER = NodeOrder(
@@ -69,7 +79,7 @@ def read(path: Path) -> Parts:
 
     An unnamed set is called by its kind and number; so is a duplicate name, but the first.
     """
-    with opened(path, what=EXODUS_FILE) as file:
+    with open_tree(path, what=EXODUS_FILE) as file:
         content = TreePoints.of(path, file, _find_coordinates, EXODUS_FILE)
         n, d = content.points.shape
         _check_length(file, "num_dim", d)
@@ -84,7 +94,7 @@ def read(path: Path) -> Parts:
             patch for what, number in _SETS for patch in _read_sets(file, what, number, blocks)
         ]
         notes = _note_unread(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
-        labels = labels_in(file, "node_num_map", n)
+        labels = read_labels(file, "node_num_map", n)
         return of_grid(path, NAME, content, grid, patches, notes, labels=labels)
 
 

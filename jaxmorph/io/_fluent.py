@@ -178,7 +178,9 @@ def read(path: Path) -> Parts:
             raise section.error(f"a damaged section {number} ({error}).") from error
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     source = Source(path, NAME, found.content(text))
-    return mesh_of_faces(source, found.table(), list(found.zones()), found.counts.get(12), regions)
+    return make_mesh_of_faces(
+        source, found.table(), list(found.zones()), found.counts.get(12), regions
+    )
 
 
 def _find_sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
@@ -191,14 +193,14 @@ def _find_sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
             )
             stop, at = (end.start(), end.end()) if end else (-1, -1)
         else:
-            stop = _closing(text, begin.end())
+            stop = _find_closing(text, begin.end())
             at = stop + 1
         if stop < 0:
             raise ValueError(f"the section {number} has no end: the file is cut short.")
         yield number, Section(path, text, begin.end(), stop)
 
 
-def _closing(text: bytes, at: int) -> int:
+def _find_closing(text: bytes, at: int) -> int:
     depth = 1
     for mark in _MARK.finditer(text, at):
         depth += {b"(": 1, b")": -1}.get(mark[0], 0)
@@ -209,7 +211,7 @@ def _closing(text: bytes, at: int) -> int:
 
 def _cut_table(words: ndarray, kind: int) -> FaceTable:
     if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
-        first = heads_of(words, _width) + 1
+        first = heads_of(words, _measure_face) + 1
         sizes = words[first - 1]
         if (first[-1:] + sizes[-1:] + 2 != len(words)).any():
             raise ValueError("faces that are cut short")
@@ -224,24 +226,22 @@ def _cut_table(words: ndarray, kind: int) -> FaceTable:
     return FaceTable(Ragged.of(words[places], sizes), cells)
 
 
-def _width(count: int) -> int:
+def _measure_face(count: int) -> int:
     if count < 2:
         raise ValueError(f"a face of {count} nodes")
     return count + 3
 
 
-def mesh_of_faces(
+def make_mesh_of_faces(
     source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]
 ) -> Parts:
     """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
     points = source.content.points
     _check_faces(table, zones, len(points), count)
     faces = _orient_faces(table, points)
-    blocks, whole = (
-        cells_of_faces(faces, points) if points.shape[1] == 3 else _polygons_of_edges(faces)
-    )
+    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else _join_edges(faces)
     blocks = sorted(blocks, key=lambda block: block[0])  # as JAX sorts types
-    patches, notes = distinct(_zone_patches(faces, zones))
+    patches, notes = distinct(_list_zone_patches(faces, zones))
     kinds = {zone.name: zone.kind for zone in zones if zone.kind != ZONE_KINDS[INTERIOR]}
     source = dataclasses.replace(
         source,
@@ -256,7 +256,7 @@ def mesh_of_faces(
     return checked_parts(points.copy(), cells, patches, source)
 
 
-def _zone_patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
+def _list_zone_patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
     for number, name, kind, rows in zones:
         if kind != ZONE_KINDS[INTERIOR]:
             own = Ragged(faces.labels, faces.starts).take(rows)
@@ -316,7 +316,7 @@ def _orient_faces(table: FaceTable, points: ndarray) -> Faces:
     return dataclasses.replace(faces, labels=turned.values)
 
 
-def _polygons_of_edges(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
+def _join_edges(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
     """Makes triangles and quads of edges that have their cell on the left."""
     ordered, begins = faces.of_cells()
     ends = faces.corners(ordered, 2)

@@ -9,29 +9,29 @@ import numpy as np
 from jaxmorph._host.ragged import Ragged
 from jaxmorph._mesh.exchange import Parts
 
-from ._fluent import ZONE_KINDS, FaceTable, FaceZone, mesh_of_faces
+from ._fluent import ZONE_KINDS, FaceTable, FaceZone, make_mesh_of_faces
 from ._format import Source
-from ._tree import Coordinates, TreePoints, opened, read_text, take_only
+from ._tree import Coordinates, TreePoints, open_tree, read_text, take_only
 
 NAME = "Fluent HDF5"
 FLUENT_FILE = "a Fluent case in HDF5"
 
 
 def read(path: Path) -> Parts:
-    with opened(path, what=FLUENT_FILE) as file:
+    with open_tree(path, what=FLUENT_FILE) as file:
         if "meshes" not in file:
             missing = f"not {FLUENT_FILE}: there is no group `meshes`"
             kind = "a mesh of HOPR, which is not read" if "ElemInfo" in file else missing
             raise ValueError(f"{path}: this is {kind}.")
         mesh = take_only(file["meshes"], "meshes")[1]
-        content = TreePoints.of(path, file, _node_arrays, FLUENT_FILE)
-        found = _read_faces(mesh), list(_face_zones(mesh["faces"]))
+        content = TreePoints.of(path, file, _find_node_arrays, FLUENT_FILE)
+        found = _read_faces(mesh), list(_read_face_zones(mesh["faces"]))
         count = int(mesh.attrs["cellCount"].flat[0])
-        regions = _zone_names(mesh["cells"]["zoneTopology"])
-    return mesh_of_faces(Source(path, NAME, content), *found, count, regions)
+        regions = _read_zone_names(mesh["cells"]["zoneTopology"])
+    return make_mesh_of_faces(Source(path, NAME, content), *found, count, regions)
 
 
-def _node_arrays(file: Any) -> Iterator[Coordinates]:
+def _find_node_arrays(file: Any) -> Iterator[Coordinates]:
     first = 0
     for array in _sort_sections(take_only(file["meshes"], "meshes")[1]["nodes"]["coords"]):
         n, d = array.shape
@@ -61,17 +61,17 @@ def _read_faces(mesh: Any) -> FaceTable:
     return FaceTable(Ragged.of(labels, sizes), cells)
 
 
-def _face_zones(faces: Any) -> Iterator[FaceZone]:
+def _read_face_zones(faces: Any) -> Iterator[FaceZone]:
     topology = faces["zoneTopology"]
     columns = [
         topology[name][()].astype(int).tolist() for name in ("id", "zoneType", "minId", "maxId")
     ]
-    for name, number, kind, first, last in zip(_zone_names(topology), *columns, strict=True):
+    for name, number, kind, first, last in zip(_read_zone_names(topology), *columns, strict=True):
         yield FaceZone(
             number, name, ZONE_KINDS.get(kind, f"kind_{kind}"), np.arange(first - 1, last)
         )
 
 
-def _zone_names(topology: Any) -> list[str]:
+def _read_zone_names(topology: Any) -> list[str]:
     """Reads the names of zones, of which one text holds all."""
     return read_text(np.ravel(topology["name"][()])[0]).split(";")

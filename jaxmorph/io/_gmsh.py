@@ -21,7 +21,7 @@ from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, region
 
 from ._format import MeshLike, content_of, faults_of, note_unread, of_grid, patch_faces
 from ._places import Labels, Stream
-from ._text import Section, blanked, decoded
+from ._text import Section, blank_out, decoded
 
 NAME = "gmsh"
 NODE_SECTIONS = ("Nodes", "ParametricNodes", "NOD")
@@ -92,9 +92,9 @@ class _Found:
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
-            self.names = physical_names(section, self.form)
+            self.names = read_names(section, self.form)
         elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
-            self.groups |= entities(self.form.stream(section, np.float64), name != "Entities")
+            self.groups |= read_entities(self.form.stream(section, np.float64), name != "Entities")
         elif name in NODE_SECTIONS:
             if self.content is not None:
                 raise ValueError(
@@ -110,7 +110,7 @@ class _Found:
         elif name not in ("MeshFormat", "Comments"):
             if name == "Periodic":
                 with contextlib.suppress(ValueError):
-                    self.links = list(links(section, self.form))
+                    self.links = list(read_links(section, self.form))
             self.others[f"${name[:40]}"] = None
 
 
@@ -122,7 +122,7 @@ def read(path: pathlib.Path) -> Parts:
     """
     data = path.read_bytes()
     start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
-    found = _Found(_format(path, data, start))
+    found = _Found(_read_format(path, data, start))
     for name, section in cut_sections(path, data, start):
         try:
             found.take(name, section)
@@ -143,7 +143,7 @@ def read(path: pathlib.Path) -> Parts:
             block._replace(corners=labels.find(block.corners, f"a {block.kind}"))
             for block in found.blocks
         ]
-    grid, patches, notes = grid_of(content.points, blocks, found.names)
+    grid, patches, notes = make_grid(content.points, blocks, found.names)
     top = max(DIMENSION.get(kind, 0) for kind, _ in grid.blocks)
     sides = [pairs for level, pairs in found.links if level == top - 1]
     periodic = tuple(_pair_patches(sides, labels.rows.ids, patches))
@@ -153,10 +153,10 @@ def read(path: pathlib.Path) -> Parts:
     return of_grid(path, NAME, content, grid, patches, notes, **known)
 
 
-def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, ndarray]]:
+def read_links(section: Section, form: MeshFormat) -> Iterator[tuple[int, ndarray]]:
     """Yields the dimension of each periodic pair of entities, and tags (k, 2): node, its origin."""
     if form.version <= 4:  # of the transform there are words
-        text = blanked(rb"(?m)^[ \t]*Affine[^\n]*", section.content)
+        text = blank_out(rb"(?m)^[ \t]*Affine[^\n]*", section.content)
         section = section._replace(text=text, start=0, stop=len(text))
     # before version 4 the section is text in a binary file, too
     form = form._replace(is_text=form.is_text or form.version < 4)
@@ -184,7 +184,7 @@ def _pair_patches(sides: list[ndarray], tags: ndarray, patches: list[Patch]) -> 
     return itertools.starmap(Periodic, pairs)
 
 
-def grid_of(
+def make_grid(
     points: ndarray, blocks: list[ElementBlock], names: GroupNames
 ) -> tuple[Grid, list[Patch], tuple[str, ...]]:
     """Makes a grid, patches of the groups of lower dimension, and a note on the others."""
@@ -208,7 +208,7 @@ def _gather_groups(blocks: list[ElementBlock], names: GroupNames) -> Iterator[tu
         yield level, Patch(name, f"{LEVELS[level]}_{tag}", members)
 
 
-def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
+def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place."""
     head, words, rest = (data[start : start + 400] + b"\n\n").split(b"\n", 2)
     if head.strip() == b"$NOD":
@@ -261,7 +261,7 @@ def cut_sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str
         at = stop + 4 + len(name)
 
 
-def physical_names(section: Section, form: MeshFormat) -> GroupNames:
+def read_names(section: Section, form: MeshFormat) -> GroupNames:
     count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
     if count.strip() != b"%d" % len(rows):
         raise section.error(
@@ -276,7 +276,7 @@ def physical_names(section: Section, form: MeshFormat) -> GroupNames:
     return names
 
 
-def entities(stream: Stream, is_partitioned: bool) -> EntityGroups:
+def read_entities(stream: Stream, is_partitioned: bool) -> EntityGroups:
     """Reads the physical groups of entities, or of the pieces into which a partition cuts them."""
     groups: EntityGroups = {}
     if is_partitioned:
@@ -301,13 +301,13 @@ def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
     if stream.version < 4:
         total = stream.announced()
         blocks = (
-            [_with_parameters(stream) for _ in range(total)]
+            [_read_parametric(stream) for _ in range(total)]
             if is_parametric
-            else [_records(stream, total)]
+            else [_read_records(stream, total)]
         )
     else:
         count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
-        blocks = [_of_entity(stream) for _ in range(count)]
+        blocks = [_read_nodes_of_entity(stream) for _ in range(count)]
     stream.end()
     tags = join_ids(tags for tags, _ in blocks)
     places = join_ids(places for _, places in blocks)
@@ -316,27 +316,27 @@ def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
     return tags, places
 
 
-def _entity(stream: Stream) -> tuple[int, int, int]:
+def _read_entity(stream: Stream) -> tuple[int, int, int]:
     """Reads an entity's dimension and tag (in version 4.0 swapped), and a number."""
     first, second, third = stream.take("i", 3).tolist()
     return (first, second, third) if stream.version > 4 else (second, first, third)
 
 
-def _of_entity(stream: Stream) -> TaggedNodes:
+def _read_nodes_of_entity(stream: Stream) -> TaggedNodes:
     """Reads one entity's nodes; as many parameters as its dimension may follow each."""
-    dimension, _, is_parametric = _entity(stream)
+    dimension, _, is_parametric = _read_entity(stream)
     count = stream.one("n")
     if dimension not in range(4) or is_parametric not in (0, 1):
         raise ValueError(f"a block of nodes of dimension {dimension}, parametric {is_parametric}")
     parameters = "d" * dimension * is_parametric
     if stream.version < 4.1:
-        return _records(stream, count, parameters)
+        return _read_records(stream, count, parameters)
     tags = stream.take("n", count)
     width = stream.width(f"ddd{parameters}")
     return tags, stream.skip(count, f"ddd{parameters}") + width * np.arange(count)
 
 
-def _records(stream: Stream, count: int, parameters: str = "") -> TaggedNodes:
+def _read_records(stream: Stream, count: int, parameters: str = "") -> TaggedNodes:
     """Reads nodes of which each has its tag before its coordinates."""
     kinds = f"iddd{parameters}"
     start = stream.at
@@ -345,9 +345,9 @@ def _records(stream: Stream, count: int, parameters: str = "") -> TaggedNodes:
     ) * np.arange(count)
 
 
-def _with_parameters(stream: Stream) -> TaggedNodes:
+def _read_parametric(stream: Stream) -> TaggedNodes:
     """Reads a node: tag, coordinates, entity (dimension, tag), parameters (curve 1, surface 2)."""
-    node = _records(stream, 1)
+    node = _read_records(stream, 1)
     dimension = int(stream.take("i", 2)[0])
     if dimension not in range(4):
         raise ValueError(f"a node on an entity of dimension {dimension}")
@@ -357,14 +357,14 @@ def _with_parameters(stream: Stream) -> TaggedNodes:
 
 def read_elements(stream: Stream, groups: EntityGroups) -> list[ElementBlock]:
     if stream.version < 4:
-        tables = gathered(_element_lines(stream) if stream.rows else _old_blocks(stream))
-        return [_of_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
+        tables = gathered(_read_element_lines(stream) if stream.rows else _read_old_blocks(stream))
+        return [_group_by_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
     count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
     blocks = []
     for _ in range(count):
-        dimension, tag, number = _entity(stream)
+        dimension, tag, number = _read_entity(stream)
         size = stream.one("n")
-        kind, corners = _kind_of_number(number)
+        kind, corners = _find_kind(number)
         if DIMENSION.get(kind, 0) != dimension:
             raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
         rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(
@@ -381,7 +381,7 @@ def read_elements(stream: Stream, groups: EntityGroups) -> list[ElementBlock]:
     return blocks
 
 
-def _kind_of_number(number: int) -> tuple[str, int]:
+def _find_kind(number: int) -> tuple[str, int]:
     """Finds the type of a number, and how many nodes it has."""
     if number not in GMSH_TYPES:
         raise ValueError(
@@ -392,7 +392,7 @@ def _kind_of_number(number: int) -> tuple[str, int]:
     return GMSH_TYPES[number], CORNERS.get(GMSH_TYPES[number], 1)
 
 
-def _element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
+def _read_element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c): of version 2 in text, and of version 1.
 
     Lines are number, type, tags and nodes. In version 2 the number of tags comes before them, in
@@ -416,7 +416,7 @@ def _element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
     types = values[first + 1]
     for number in dict.fromkeys(types.tolist()):
-        kind, corners = _kind_of_number(number)
+        kind, corners = _find_kind(number)
         chosen = np.flatnonzero(types == number)
         start = first[chosen, None]
         tags = values[first[chosen, None] + 2]
@@ -429,7 +429,7 @@ def _element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
 
 
-def _old_blocks(stream: Stream) -> Iterator[tuple[str, ndarray]]:
+def _read_old_blocks(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c), of the blocks of version 2, binary."""
     left = stream.announced()
     numbers = []
@@ -437,7 +437,7 @@ def _old_blocks(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         number, count, tags = stream.take("i", 3).tolist()
         if count < 0 or tags < 0:
             raise ValueError(f"{count} elements with {tags} tags")
-        kind, corners = _kind_of_number(number)
+        kind, corners = _find_kind(number)
         rows = stream.take("i", count * (1 + tags + corners)).reshape(count, 1 + tags + corners)
         numbers.append(rows[:, 0])
         padded = np.pad(rows[:, 1 : 1 + tags], ((0, 0), (0, 2)))
@@ -450,7 +450,7 @@ def _old_blocks(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         Labels(np.concatenate(numbers), "elements")
 
 
-def _of_tags(kind: str, corners: ndarray, table: ndarray) -> ElementBlock:
+def _group_by_tags(kind: str, corners: ndarray, table: ndarray) -> ElementBlock:
     """Finds groups by tags of group (0: none) and entity; elements of two groups are read once."""
     physical = np.abs(table[:, 0])
     tags = np.unique(physical[physical > 0]).tolist()

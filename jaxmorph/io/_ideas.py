@@ -19,7 +19,7 @@ from jaxmorph._host.ragged import heads_of
 from jaxmorph._mesh.exchange import Parts, gathered
 
 from ._format import note_unread, of_grid
-from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
+from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, make_labelled_grid
 from ._text import Section, decoded, parse
 
 NAME = "I-deas"
@@ -58,9 +58,13 @@ def read(path: Path) -> Parts:
     old = [f"{OLD_DATASETS[n]} of dataset {n}" for n, _ in sections if n in OLD_DATASETS]
     if old:
         raise ValueError(f"{', '.join(old)} are not read; those of 2411, 2412 and 2420 are.")
-    content, nodes = _node_tables(text, [section for n, section in sections if n in (2411, 781)])
+    content, nodes = _read_node_tables(
+        text, [section for n, section in sections if n in (2411, 781)]
+    )
     _check_systems(nodes[:, 1], [section for n, section in sections if n == 2420])
-    elements = [each for n, section in sections if n == 2412 for each in _element_blocks(section)]
+    elements = [
+        each for n, section in sections if n == 2412 for each in _read_element_blocks(section)
+    ]
     groups = [
         each for n, section in sections if n in GROUP_DATASETS for each in _read_groups(section, n)
     ]
@@ -69,7 +73,9 @@ def read(path: Path) -> Parts:
         for code, what in ((7, "nodes"), (8, "elements"))
     }
     sets["nodes"] = {name: ids for name, ids in sets["nodes"].items() if len(ids)}
-    grid, notes = labelled_grid(content.points, nodes[:, 0], [cells for cells, _ in elements], sets)
+    grid, notes = make_labelled_grid(
+        content.points, nodes[:, 0], [cells for cells, _ in elements], sets
+    )
     if not groups:
         grid = dataclasses.replace(
             grid, cell_data={"patch": [properties for _, properties in elements]}
@@ -96,7 +102,7 @@ def _read_datasets(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
         yield int(number[1]), Section(path, text, number.end(), end.start())
 
 
-def _node_tables(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]:
+def _read_node_tables(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]:
     """Reads points, and labels and systems of coordinates (n, 2)."""
     parts = []
     tables = [np.zeros((0, 7))]
@@ -115,7 +121,7 @@ def _node_tables(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, nd
     letter = "E" if any(b"E" in section.content[:200] for section in sections) else "D"
     form = {}
     if all(map(_is_fixed, sections)):
-        form = {"form": functools.partial(_in_columns, letter), "columns": IDEAS_COLUMNS}
+        form = {"form": functools.partial(_format_columns, letter), "columns": IDEAS_COLUMNS}
     return PlacedPoints(table[:, 4:].copy(), text, parts, **form), table[:, :2].astype(np.int64)
 
 
@@ -125,7 +131,7 @@ def _is_fixed(section: Section) -> bool:
     return all(len(row) == 3 * IDEAS_COLUMNS and row[24:25].isdigit() for row in rows)
 
 
-def _in_columns(letter: str, values: ndarray) -> bytes:
+def _format_columns(letter: str, values: ndarray) -> bytes:
     rows = "\n".join([f"{value:{IDEAS_COLUMNS}.16E}" for value in values.tolist()])
     return rows.replace("E", letter).encode()
 
@@ -148,7 +154,7 @@ def _check_systems(used: ndarray, sections: list[Section]) -> None:
         )
 
 
-def _element_blocks(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
+def _read_element_blocks(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
     """Yields the elements of each type, and their numbers of properties.
 
     An element is a row of label, type, property, material, colour and its number of nodes. Of a

@@ -25,7 +25,7 @@ def number_block(shape: tuple[int, ...], first: int) -> ndarray:
     return ids.reshape([size for size in shape if size > 1])
 
 
-def block_cells(ids: ndarray) -> tuple[str, ndarray]:
+def make_block_cells(ids: ndarray) -> tuple[str, ndarray]:
     """Makes the cells between the nodes of a block, i running fastest: their type and corners."""
     square = [
         (slice(-1), slice(-1)),
@@ -38,7 +38,7 @@ def block_cells(ids: ndarray) -> tuple[str, ndarray]:
     return "quad" if ids.ndim == 2 else "hexahedron", np.stack(corners, axis=1)
 
 
-def block_sides(ids: ndarray) -> list[ndarray]:
+def make_block_sides(ids: ndarray) -> list[ndarray]:
     """Makes the faces (edges in 2-D) of each side of a block, in the order of `SIDES`."""
     sides = []
     for axis in range(ids.ndim):
@@ -46,14 +46,16 @@ def block_sides(ids: ndarray) -> list[ndarray]:
             side = ids.take(at, axis=axis)
             if side.ndim == 2:
                 sides.append(
-                    block_cells(side)[1] if min(side.shape) > 1 else np.zeros((0, 4), ids.dtype)
+                    make_block_cells(side)[1]
+                    if min(side.shape) > 1
+                    else np.zeros((0, 4), ids.dtype)
                 )
             else:
                 sides.append(np.stack([side[:-1], side[1:]], axis=1))
     return sides
 
 
-def open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[ndarray]:
+def select_open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[ndarray]:
     """Selects the faces that are not inside of a patch: where blocks may meet."""
     covered = [np.zeros(len(corners), bool) for corners in faces]
     inside = np.zeros(n, bool)
@@ -65,7 +67,7 @@ def open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[nda
     return [corners[~mask] for corners, mask in zip(faces, covered, strict=True)]
 
 
-def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
+def find_shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     """Finds each point's first duplicate (see `TOLERANCE`) on `faces`; else its own id."""
     n = len(points)
     size = np.full(n, np.inf)
@@ -105,8 +107,10 @@ def join_zones(
     It raises `ValueError` for coordinates that are not finite.
     """
     check_finite(points)
-    faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
-    node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
+    faces = select_open_faces(
+        faces, [nodes for parts in patches.values() for nodes in parts], len(points)
+    )
+    node = np.unique(find_shared_nodes(points, faces), return_inverse=True)[1]
     first = np.unique(node, return_index=True)[1]
     d = 3 if points.shape[1] == 3 and np.ptp(points[:, 2]) else 2
     whole = gathered((kind, node[corners]) for kind, corners in cells)

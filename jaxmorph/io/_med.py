@@ -11,7 +11,7 @@ from jaxmorph._host.cells.topology import CORNERS, numbers, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import of_grid
-from ._tree import Coordinates, TreePoints, labels_in, opened, read_text, take_only
+from ._tree import Coordinates, TreePoints, open_tree, read_labels, read_text, take_only
 
 NAME = "MED"
 MED_FILE = "a MED file"
@@ -24,9 +24,9 @@ MED_PLACES = pairs_of("tetra 0213 pyramid 03214 wedge 021354 hexahedron 03214765
 
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
-    with opened(path, what=MED_FILE) as file:
-        name, step = _step(file)
-        content = TreePoints.of(path, file, _coordinate_array, MED_FILE)
+    with open_tree(path, what=MED_FILE) as file:
+        name, step = _find_step(file)
+        content = TreePoints.of(path, file, _find_coordinate_array, MED_FILE)
         n = len(content.points)
         blocks = []
         families = []
@@ -41,15 +41,15 @@ def read(path: Path) -> Parts:
             if ours in MED_PLACES:
                 corners = corners[:, *numbers(MED_PLACES[ours])]
             blocks.append((ours, corners))
-            families.append(_families(group, len(corners)))
-        of_nodes = _families(step["NOE"], n)
+            families.append(_read_families(group, len(corners)))
+        of_nodes = _read_families(step["NOE"], n)
         cells = {
             group: [np.flatnonzero(np.isin(family, ids)) for family in families]
-            for group, ids in _families_of_groups(file, name, "ELEME").items()
+            for group, ids in _read_groups_of_families(file, name, "ELEME").items()
         }
         nodes = {
             group: np.flatnonzero(np.isin(of_nodes, ids))
-            for group, ids in _families_of_groups(file, name, "NOEUD").items()
+            for group, ids in _read_groups_of_families(file, name, "NOEUD").items()
         }
         grid = Grid(
             content.points,
@@ -60,28 +60,28 @@ def read(path: Path) -> Parts:
             point_sets=nodes,
             own=("elements", "nodes"),
         )
-        return of_grid(path, NAME, content, grid, labels=labels_in(step["NOE"], "NUM", n))
+        return of_grid(path, NAME, content, grid, labels=read_labels(step["NOE"], "NUM", n))
 
 
-def _coordinate_array(file: Any) -> Iterator[Coordinates]:
-    array = _step(file)[1]["NOE"]["COO"]
+def _find_coordinate_array(file: Any) -> Iterator[Coordinates]:
+    array = _find_step(file)[1]["NOE"]["COO"]
     n = int(array.attrs["NBR"])
     yield Coordinates(array, slice(0, n), slice(0, array.size // n))
 
 
-def _families(group: Any, count: int) -> ndarray:
+def _read_families(group: Any, count: int) -> ndarray:
     families = group["FAM"][()] if "FAM" in group else np.zeros(count, int)
     if len(families) != count:
         raise ValueError("families of other elements than there are")
     return families
 
 
-def _step(file: Any) -> tuple[str, Any]:
+def _find_step(file: Any) -> tuple[str, Any]:
     name, mesh = take_only(file["ENS_MAA"], "meshes")
     return name, mesh if "NOE" in mesh else take_only(mesh, "steps of time")[1]
 
 
-def _families_of_groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
+def _read_groups_of_families(file: Any, name: str, kind: str) -> dict[str, list[int]]:
     families = file["FAS"][name] if "FAS" in file and name in file["FAS"] else {}
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():

@@ -16,7 +16,7 @@ from jaxmorph._mesh.exchange import Grid, Parts
 from ._format import EVERYTHING, MeshLike, check_form, note_unread, of_grid
 from ._gmsh import BYTE_ORDERS
 from ._places import PlacedPoints, Stream
-from ._text import Section, blanked, decoded, sections_between
+from ._text import Section, blank_out, decoded, split_sections
 
 NAME = "Medit"
 MEDIT_CELLS = pairs_of(
@@ -53,7 +53,7 @@ class MeditFile(NamedTuple):
         numbers = stream.take("n", count, after="d" * d)
         stream.check_end("Vertices")
         places = start + stream.width("d" * d + "n") * np.arange(count)
-        plain = _without_comments if self.types is None else bytes
+        plain = _blank_medit_comments if self.types is None else bytes
         is_single = self.types is not None and self.types["d"].endswith("4")
         singles = EVERYTHING if is_single else ()
         return stream.content(places, d, raw=self.raw, plain=plain, singles=singles), numbers
@@ -70,7 +70,7 @@ def read(path: Path) -> Parts:
     """Reads points, cells and patches: references of faces, `medit:ref_3`."""
     raw = path.read_bytes()
     order = BYTE_ORDERS.get(raw[:4])
-    file = _of_text(path, raw) if order is None else _of_binary(path, raw, order)
+    file = _split_text(path, raw) if order is None else _split_binary(path, raw, order)
     missing = [name for name in ("Dimension", "Vertices", "End") if name not in file.sections]
     if missing:
         raise ValueError(f"no {', '.join(missing)}: no mesh of Medit, or one that is cut short.")
@@ -95,15 +95,15 @@ def check(path: Path, mesh: MeshLike) -> None:
     check_form(path, mesh, NAME, ending)
 
 
-_without_comments = functools.partial(blanked, rb"#[^\r\n]*")
+_blank_medit_comments = functools.partial(blank_out, rb"#[^\r\n]*")
 
 
-def _of_text(path: Path, raw: bytes) -> MeditFile:
-    found = sections_between(path, _without_comments(raw), rb"(?<!\S)[A-Za-z]\w*")
-    return _once(raw, ((decoded(word[0]), section) for word, section in found))
+def _split_text(path: Path, raw: bytes) -> MeditFile:
+    found = split_sections(path, _blank_medit_comments(raw), rb"(?<!\S)[A-Za-z]\w*")
+    return _collect_once(raw, ((decoded(word[0]), section) for word, section in found))
 
 
-def _of_binary(path: Path, raw: bytes, order: str) -> MeditFile:
+def _split_binary(path: Path, raw: bytes, order: str) -> MeditFile:
     """Follows the places of keywords: of 8 bytes from version 3 on, of which 4 has long numbers."""
     version = int.from_bytes(raw[4:8], "little" if order == "<" else "big")
     if version not in (1, 2, 3, 4):
@@ -125,10 +125,10 @@ def _of_binary(path: Path, raw: bytes, order: str) -> MeditFile:
             raise ValueError(f"{name} ends at byte {stop} of {len(raw)}: a damaged file.")
         found.append((name, Section(path, raw, stream.at, stop)))
         stream.at = stop
-    return _once(raw, found)._replace(types=types)
+    return _collect_once(raw, found)._replace(types=types)
 
 
-def _once(raw: bytes, found: Iterable[tuple[str, Section]]) -> MeditFile:
+def _collect_once(raw: bytes, found: Iterable[tuple[str, Section]]) -> MeditFile:
     sections = {}
     for name, section in found:
         if name in sections:

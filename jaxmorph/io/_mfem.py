@@ -11,17 +11,17 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.lagrange import inner_places, lagrange_types, node_keys, of_order
 from jaxmorph._host.cells.orders import NodeOrder, reordered
-from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, numbers
+from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, numbers_by_name
 from jaxmorph._host.rows import first_of_equals
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered, regions_note
 
 from ._format import ArraysByName, Source
 from ._places import CoordinatePart, PlacedPoints
-from ._text import Section, blanked, decoded, sections_between
+from ._text import Section, blank_out, decoded, split_sections
 
 MFEM_ORDER = NodeOrder(
-    EDGES | {"tetra": numbers("01 02 03 12 13 23")},
-    {"tetra": numbers("123 032 013 021"), "hexahedron": numbers("3210 0154 1265 2376 3047 4567")},
+    EDGES | numbers_by_name({"tetra": "01 02 03 12 13 23"}),
+    numbers_by_name({"tetra": "123 032 013 021", "hexahedron": "3210 0154 1265 2376 3047 4567"}),
     inner_places,
 )
 """The order in which MFEM numbers edges and faces; a face has its first cell's corners."""
@@ -55,8 +55,8 @@ def number_nodes(
         for each, part in zip(elements, np.split(place, ends), strict=True)
     ]
     # MFEM lists new nodes cell by cell: those of all edges, then of faces, then inside of cells
-    levels = [_levels(each, ids) for each, ids in zip(cells, new, strict=False)]
-    listed = np.concatenate([_in_file_order(cells, level) for level in zip(*levels, strict=True)])
+    levels = [_list_levels(each, ids) for each, ids in zip(cells, new, strict=False)]
+    listed = np.concatenate([_sort_as_file(cells, level) for level in zip(*levels, strict=True)])
     first = np.sort(np.unique(listed, return_index=True)[1])
     number = np.full(place.max() + 1, -1)
     number[listed[first]] = count + np.arange(len(first))
@@ -67,7 +67,7 @@ def number_nodes(
     return nodes, count + len(first)
 
 
-def _levels(cells: AttributedCells, new: ndarray) -> list[ndarray]:
+def _list_levels(cells: AttributedCells, new: ndarray) -> list[ndarray]:
     """Lists new nodes of order 2 in MFEM's order: on edges, on faces, inside."""
     size = cells.corners.shape[1]
     every = np.concatenate([cells.corners, new], axis=1)
@@ -77,7 +77,7 @@ def _levels(cells: AttributedCells, new: ndarray) -> list[ndarray]:
     return np.split(listed, [edges, listed.shape[1] - inside], axis=1)
 
 
-def _in_file_order(cells: list[AttributedCells], tables: Iterable[ndarray]) -> ndarray:
+def _sort_as_file(cells: list[AttributedCells], tables: Iterable[ndarray]) -> ndarray:
     """Joins the rows (k, m) of several types, as these take turns in the file."""
     tables = list(tables)
     rows = [np.repeat(each.rows, table.shape[1]) for each, table in zip(cells, tables, strict=True)]
@@ -137,7 +137,7 @@ def read(path: Path) -> Parts:
     """Reads cells, nodes, and patches: attributes of boundary elements, `boundary_3`, and sets."""
     text = path.read_bytes()
     parts = _name_sections(path, text)
-    space = _space_of(parts)
+    space = _read_space(parts)
     cells, sides = (
         _read_attributed(parts[name], space.vertices) for name in ("elements", "boundary")
     )
@@ -154,12 +154,12 @@ def read(path: Path) -> Parts:
         tables = [
             rows[:, np.lexsort(lagrange_types()[kind].lattice.T)] for kind, rows in nodes.items()
         ]
-        node = _in_file_order(cells, tables)
+        node = _sort_as_file(cells, tables)
     content = space.content(text, node, total)
     points = content.points[np.unique(node, return_index=True)[1]]
     if points.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(points[:, 2]):
         points = points[:, :2]
-    patches = _patches_by_attribute(sides, ids[len(cells) :])
+    patches = _gather_attributes(sides, ids[len(cells) :])
     source = Source(
         path,
         NAME,
@@ -172,7 +172,7 @@ def read(path: Path) -> Parts:
     return checked_parts(points.copy(), nodes, patches, source)
 
 
-_blank_hash_lines = functools.partial(blanked, rb"(?m)^[ \t]*#[^\r\n]*")
+_blank_hash_lines = functools.partial(blank_out, rb"(?m)^[ \t]*#[^\r\n]*")
 
 
 def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
@@ -182,7 +182,7 @@ def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
     words = rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$"
     parts = {
         word[1].decode(): section
-        for word, section in sections_between(path, _blank_hash_lines(text), words)
+        for word, section in split_sections(path, _blank_hash_lines(text), words)
     }
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
     missing += ["line mfem_mesh_end"] * (
@@ -209,7 +209,7 @@ def _read_attributed(section: Section, count: int) -> list[AttributedCells]:
     ]
 
 
-def _space_of(parts: dict[str, Section]) -> Space:
+def _read_space(parts: dict[str, Section]) -> Space:
     vertices = parts["vertices"]
     section = parts.get("nodes")
     count, *rest = [*map(int, vertices.rows(np.float64).values[:2])] or [-1]
@@ -234,7 +234,7 @@ def _space_of(parts: dict[str, Section]) -> Space:
     return Space(numbers, count, int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
 
 
-def _patches_by_attribute(sides: list[AttributedCells], nodes: list[ndarray]) -> ArraysByName:
+def _gather_attributes(sides: list[AttributedCells], nodes: list[ndarray]) -> ArraysByName:
     found = gathered(
         (attribute, ids[each.attributes == attribute].ravel())
         for each, ids in zip(sides, nodes, strict=True)
@@ -244,7 +244,7 @@ def _patches_by_attribute(sides: list[AttributedCells], nodes: list[ndarray]) ->
 
 
 def _group_patches(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    sets = _named_sets(section)
+    sets = _read_named_sets(section)
     names = [name for name, _ in sets]
     again = next((name for name in names if names.count(name) > 1), None)
     if again is not None:
@@ -255,13 +255,13 @@ def _group_patches(section: Section | None, patches: Iterable[str]) -> dict[str,
     return {name: listed for name, listed in members.items() if listed}
 
 
-def _named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
+def _read_named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
     text = "" if section is None else decoded(section.content)
     return [(name, words.split()[1:]) for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)]
 
 
 def _note_regions(cells: list[AttributedCells], parts: dict[str, Section]) -> Iterator[str]:
     attributes = np.unique(np.concatenate([each.attributes for each in cells])).tolist()
-    names = [name for name, _ in _named_sets(parts.get("attribute_sets"))]
+    names = [name for name, _ in _read_named_sets(parts.get("attribute_sets"))]
     if len(attributes) > 1 or names:
         yield from regions_note([*(f"attribute {number}" for number in attributes), *names])

@@ -85,13 +85,13 @@ class PlacedPoints(FilePoints):
                 copy = bytearray(memoryview(self.raw)[done : part.stop])
                 width = values.shape[1] * part.dtype.itemsize
                 new = np.ascontiguousarray(values.astype(part.dtype)).view(f"V{width}")
-                windows(copy, width)[part.at + part.start - done] = new.ravel()
+                view_windows(copy, width)[part.at + part.start - done] = new.ravel()
                 yield copy
             done = part.stop
         yield self.raw[done:]
 
 
-def windows(data: Any, width: int) -> ndarray:
+def view_windows(data: Any, width: int) -> ndarray:
     """Views `width` bytes, at every byte where they may begin, as one element each."""
     return ndarray((max(memoryview(data).nbytes - width + 1, 0),), f"V{width}", data, strides=(1,))
 
@@ -209,7 +209,7 @@ class Stream:
     def points(self, places: ndarray, d: int = 3) -> ndarray:
         """Reads the coordinates (n, d) that begin at each of the places."""
         dtype = self.types["d"]
-        found = windows(self.data, d * dtype.itemsize)[places]
+        found = view_windows(self.data, d * dtype.itemsize)[places]
         return found.view(dtype).reshape(-1, d).astype(float)
 
     def content(
@@ -242,7 +242,7 @@ class LabelledCells(NamedTuple):
     corners: ndarray
 
 
-def labelled_grid(
+def make_labelled_grid(
     points: ndarray, labels: ndarray, cells: Sequence[LabelledCells], sets: Mapping[str, ByName]
 ) -> tuple[Grid, tuple[str, ...]]:
     """Makes a grid of what has labels, and notes on members of `sets` that it has not.

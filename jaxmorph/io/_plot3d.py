@@ -13,7 +13,7 @@ from numpy import ndarray
 from jaxmorph._mesh.exchange import Parts
 
 from ._format import EVERYTHING, FilePoints, Source
-from ._joined import BLOCK_SIDES, block_cells, block_sides, join_zones, number_block
+from ._joined import BLOCK_SIDES, join_zones, make_block_cells, make_block_sides, number_block
 from ._text import Pieces, line_chunks, parse, replace_numbers
 
 NAME = "PLOT3D"
@@ -100,7 +100,9 @@ def read(path: Path) -> Parts:
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
     numbers = _read_bytes(data, is_text)
     forms = TEXTS if is_text else BINARIES
-    layout = next(itertools.chain.from_iterable(_layouts(numbers, form) for form in forms), None)
+    layout = next(
+        itertools.chain.from_iterable(_find_layouts(numbers, form) for form in forms), None
+    )
     if layout is None:
         form = "text" if is_text else "binary"
         raise ValueError(
@@ -132,7 +134,7 @@ def _read_bytes(data: bytes, is_text: bool) -> ndarray:
     return np.concatenate(parts).view(np.uint8)
 
 
-def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
+def _find_layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
     """Yields sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark = form.mark
     head = form.head
@@ -143,8 +145,8 @@ def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
         (False, 2),
     ):  # does a count of blocks come first?
         start = mark + (head.itemsize + 2 * mark) * is_multiple
-        count = _view(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
-        shapes = _shapes(count, _view(numbers[start:], head), d)
+        count = _view_as(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
+        shapes = _read_shapes(count, _view_as(numbers[start:], head), d)
         first = [float(head.itemsize)] * is_multiple + [head.itemsize * d * len(shapes)]
         nodes = np.array([*map(math.prod, shapes)], float)
         for dtype, blank in form.types if shapes else []:
@@ -167,11 +169,11 @@ def _has_marks(
     return bool((numbers[places].view(form.head)[..., 0] == sizes[:, None]).all())
 
 
-def _view(numbers: ndarray, dtype: np.dtype) -> ndarray:
+def _view_as(numbers: ndarray, dtype: np.dtype) -> ndarray:
     return numbers[: len(numbers) // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
-def _shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
+def _read_shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
     """Reads the sizes of so many blocks; returns none if the numbers cannot be sizes."""
     if not len(count) or not 0 < count[0] <= len(sizes) // d or count[0] != np.floor(count[0]):
         return ()
@@ -191,8 +193,8 @@ def _make_zones(path: Path, shapes: Shapes) -> tuple[list, dict, list[ndarray], 
     first = 0
     for block, shape in enumerate(shapes, start=1):
         ids = number_block(shape, first)
-        cells.append(block_cells(ids))
-        faces += block_sides(ids)
+        cells.append(make_block_cells(ids))
+        faces += make_block_sides(ids)
         sides = [side for k, side in enumerate(BLOCK_SIDES[: 2 * len(shape)]) if shape[k // 2] > 1]
         names += [side if len(shapes) == 1 else f"block{block}_{side}" for side in sides]
         first += ids.size

@@ -17,7 +17,7 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
-from ._displacement import labels_of, read_named, read_table, sort_by_id
+from ._displacement import read_named, read_table, sort_by_id, take_labels
 from ._format import faults_of, source_of
 from ._text import PathLike
 from .openfoam.case import NAME
@@ -69,7 +69,7 @@ def read_sensitivity(
             ids, values = read_table(path, d, NAMES)
         wanted = np.arange(n) if moving is None or len(ids) >= n else moving
         known = (np.arange(n), f"the mesh, 0 to {n - 1}")
-        return sort_by_id(ids, values, d, wanted, known, labels_of(mesh, wanted))
+        return sort_by_id(ids, values, d, wanted, known, take_labels(mesh, wanted))
 
 
 @checked

@@ -21,13 +21,13 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from ._format import ArraysByName, MeshLike, Source, faults_of, patch_faces, source_of
 from ._places import CoordinatePart, PlacedPoints
 from ._registry import check_nodes, check_output
-from ._text import PathLike, Pieces, Section, blanked, decoded
+from ._text import PathLike, Pieces, Section, blank_out, decoded
 
 NAME = "SU2"
 SU2_TYPES = {number: kind for kind, number in VTK.items()}
 SU2_SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
 """Corners of SU2's types of elements, VTK's numbers; 1 is a SEND_RECEIVE marker's node."""
-blank_comments = functools.partial(blanked, rb"%[^\r\n]*")
+blank_comments = functools.partial(blank_out, rb"%[^\r\n]*")
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
 """Variants of keywords."""
 ROWS_TOGETHER = 1 << 16
@@ -60,7 +60,7 @@ def read(path: Path) -> Parts:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
-    zones = by_zones(path, text)
+    zones = split_zones(path, text)
     if len(zones) > 1:
         raise ValueError(
             f"the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads "
@@ -68,10 +68,10 @@ def read(path: Path) -> Parts:
             "writes some of them, other zones as they are. On the command line --zone 1 is the "
             "first."
         )
-    return mesh_of_zone(path, text, zones[0])
+    return make_zone_mesh(path, text, zones[0])
 
 
-def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
+def split_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
     keywords = list(_read_keywords(path, blank_comments(text)))
     cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
@@ -98,14 +98,14 @@ def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
         )
 
 
-def mesh_of_zone(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
+def make_zone_mesh(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     dimension, rows = (_find_only(keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
     table = _read_points(rows, d)
     points = np.ascontiguousarray(table[:, :d])
     elements = _find_only(keywords, "NELEM")
-    tables = gathered(_element_tables(elements, elements.section, len(points), "elements"))
+    tables = gathered(_read_element_tables(elements, elements.section, len(points), "elements"))
     if 1 in tables:
         raise elements.section.error(
             "NELEM= holds elements of type 1 (a single node); these are no cells."
@@ -113,7 +113,7 @@ def mesh_of_zone(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     cells = {SU2_TYPES[number]: corners for number, corners in tables.items()}
     part = CoordinatePart.in_columns(rows.section, table.shape, slice(d))
     content = PlacedPoints(points.copy(), text, [part], blank_comments)
-    patches = _marker_nodes(keywords, len(points))
+    patches = _read_marker_nodes(keywords, len(points))
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
@@ -198,7 +198,7 @@ def _read_points(keyword: Keyword, d: int) -> ndarray:
     return table
 
 
-def _marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
+def _read_marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
     tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
     found = []
     for at in tags:
@@ -208,7 +208,7 @@ def _marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
         section = rest[
             -1 if rest[-1].name == "SEND_TO" else 0
         ].section  # of SEND_RECEIVE, it stands before the rows
-        tables = _element_tables(rest[0], section, n, f"elements of marker {tag.value!r}")
+        tables = _read_element_tables(rest[0], section, n, f"elements of marker {tag.value!r}")
         found += [
             (tag.value, np.zeros(0, np.int64)),
             *((tag.value, corners.ravel()) for _, corners in tables),
@@ -221,7 +221,7 @@ def _marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
     return gathered(found)
 
 
-def _element_tables(
+def _read_element_tables(
     keyword: Keyword, section: Section, n: int, what: str
 ) -> Iterator[tuple[int, ndarray]]:
     """Yields types by SU2's number and corners (k, corners), in order of first appearance."""
@@ -246,16 +246,16 @@ def new(mesh: MeshLike) -> Pieces:
     markers = patch_faces(mesh)
     n, d = points.shape
     yield f"NDIME= {d}\nNELEM= {sum(map(len, mesh.cells.values()))}\n".encode()
-    yield from _element_rows(mesh.cells)
+    yield from _format_elements(mesh.cells)
     yield f"NPOIN= {n}\n".encode()
     yield from _format_rows(" ".join(["%r"] * d), points)
     yield f"NMARK= {len(markers)}\n".encode()
     for name, faces in markers.items():
         yield f"MARKER_TAG= {name}\nMARKER_ELEMS= {sum(map(len, faces.values()))}\n".encode()
-        yield from _element_rows(faces)
+        yield from _format_elements(faces)
 
 
-def _element_rows(cells: Mapping[str, Any]) -> Pieces:
+def _format_elements(cells: Mapping[str, Any]) -> Pieces:
     for kind, corners in cells.items():
         yield from _format_rows(
             " ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners)
@@ -291,7 +291,7 @@ def read_zones(path: PathLike) -> tuple[Mesh, ...]:
         )
     text = path.read_bytes()
     with faults_of(path):
-        meshes = [mesh_of_zone(path, text, zone) for zone in by_zones(path, text)]
+        meshes = [make_zone_mesh(path, text, zone) for zone in split_zones(path, text)]
     for mesh in meshes:
         check_nodes(path, mesh)
     return tuple(Mesh(*mesh) for mesh in meshes)

@@ -56,7 +56,7 @@ WIDEST = 64
 """Bytes of a text that are one row of a table at most."""
 
 
-def spliced(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
+def splice(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
     """Replaces what stands between `starts` and `ends` of a text by `lines`, without line ends.
 
     Pieces of text and lines alternate. Each is a row of a table as wide as the widest of its kind,
@@ -201,12 +201,12 @@ class NumberRows(NamedTuple):
             yield kind, rows, table
 
 
-def blanked(pattern: bytes, text: bytes) -> bytes:
+def blank_out(pattern: bytes, text: bytes) -> bytes:
     """Puts blanks in the place of what matches, byte for byte: comments."""
     return re.sub(pattern, lambda found: b" " * len(found[0]), text)
 
 
-def sections_between(path: Path, text: bytes, pattern: bytes) -> Iterator[tuple[Any, Section]]:
+def split_sections(path: Path, text: bytes, pattern: bytes) -> Iterator[tuple[Any, Section]]:
     """Yields each match of a pattern, and the section up to the next one, or to the end."""
     heads = list(re.finditer(pattern, text))
     stops = [*(head.start() for head in heads[1:]), len(text)]
@@ -265,7 +265,7 @@ def replace_numbers(
         changed = np.flatnonzero(new != parse(numbers, np.float64)[chosen].astype(new.dtype))
         last = ends[chosen[changed]]
         first = np.minimum(starts[chosen[changed]], last - columns)
-        yield spliced(chunk, first, last, form(new[changed])) if len(changed) else chunk
+        yield splice(chunk, first, last, form(new[changed])) if len(changed) else chunk
         words = words + len(starts)
         done = done + len(chosen)
     yield memoryview(text)[part.stop :]

@@ -34,7 +34,7 @@ CGNS_FILE = "a CGNS file in HDF5 or ADF"
 
 
 @contextlib.contextmanager
-def opened(path: Path, writes: bool = False, what: str = CGNS_FILE) -> Iterator[Any]:
+def open_tree(path: Path, writes: bool = False, what: str = CGNS_FILE) -> Iterator[Any]:
     """Yields the root of a file's tree as h5py has it: groups with `label`, arrays as " data".
 
     `what` names the format in messages. Raises `ValueError` for another format, and for a file that
@@ -92,7 +92,7 @@ def take_only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
     return next(iter(groups.items()))
 
 
-def labels_in(group: Any, name: str, n: int) -> ndarray | None:
+def read_labels(group: Any, name: str, n: int) -> ndarray | None:
     """Reads the file's own numbers of its n nodes; None where it has none."""
     if name not in group:
         return None
@@ -138,11 +138,11 @@ class TreePoints(FilePoints):
             width = columns.stop - columns.start
             points[rows, columns] = array[()] if by_rows else array[()].reshape(width, -1).T
         singles = [each[1:3] for each in coordinates if each.array.dtype.itemsize < 8]
-        return cls(points, path, find, what, _stamp(path), singles=singles)
+        return cls(points, path, find, what, _read_stamp(path), singles=singles)
 
     @property
     def is_current(self) -> bool:
-        return _stamp(self.path) == self.stamp
+        return _read_stamp(self.path) == self.stamp
 
     def write(self, path: Path, points: ndarray) -> None:
         """Copies the file, and puts the mesh's points into the copy.
@@ -150,13 +150,13 @@ class TreePoints(FilePoints):
         NumPy rounds them, since HDF5 rounds ties otherwise. A file with data in another one is
         refused before it is copied.
         """
-        with opened(self.path, what=self.what):
+        with open_tree(self.path, what=self.what):
             pass
         shutil.copyfile(self.path, path)
         points = self.in_file(points)
         if np.array_equal(points, self.points):
             return
-        with opened(path, writes=True, what=self.what) as tree:
+        with open_tree(path, writes=True, what=self.what) as tree:
             for array, rows, columns, by_rows in self.find(tree):
                 new = points[rows, columns]
                 if not np.array_equal(new, self.points[rows, columns]):
@@ -164,7 +164,7 @@ class TreePoints(FilePoints):
                     array[...] = (new if by_rows else new.T).reshape(shape).astype(array.dtype)
 
 
-def _stamp(path: Path) -> tuple[int, int]:
+def _read_stamp(path: Path) -> tuple[int, int]:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
@@ -232,7 +232,7 @@ def check_spans(spans: list[tuple[int, int]], size: int) -> None:
         raise ValueError("parts of the file lie in one another, or beyond its end")
 
 
-def hexadecimal(digits: bytes) -> int:
+def parse_hexadecimal(digits: bytes) -> int:
     if not re.fullmatch(rb"[0-9A-Fa-f]+", digits):
         raise ValueError(f"{digits!r} where hexadecimal digits should stand")
     return int(digits, 16)
@@ -250,7 +250,7 @@ class Reader:
         self._tagged(head, _HEADER_TAGS)
         self.is_old = head[25:26] != b"B"
         code = head[100:101]
-        long = hexadecimal(head[112:114])
+        long = parse_hexadecimal(head[112:114])
         if code not in _ADF_ORDERS:
             raise ValueError(
                 f"{path}: an ADF file with numbers of format {code.decode(errors='replace')!r}; "
@@ -295,7 +295,7 @@ class Reader:
 
     def _integer(self, raw: bytes) -> int:
         return (
-            hexadecimal(raw)
+            parse_hexadecimal(raw)
             if self.is_old
             else int(np.frombuffer(raw, f"{self.order}u{len(raw)}")[0])
         )
@@ -312,7 +312,7 @@ class Reader:
         name, label, children, below, kind, dimensions, sizes, chunks, data = _NODE.unpack(raw)
         node = Node(decoded(name.rstrip(b" \0")), label.rstrip())
         code = decoded(kind.strip(b" \0")).upper()
-        pieces = self._pieces(hexadecimal(chunks), data)
+        pieces = self._pieces(parse_hexadecimal(chunks), data)
         if code == "LK":
             target = b"".join(self._read(first, count) for first, count in pieces)[:200].decode(
                 errors="replace"
@@ -325,14 +325,14 @@ class Reader:
         # HDF5 has the last number of ADF's sizes first
         shape = tuple(
             self._integer(sizes[8 * k : 8 * k + 8])
-            for k in reversed(range(hexadecimal(dimensions)))
+            for k in reversed(range(parse_hexadecimal(dimensions)))
         )
         if code in self.kinds and pieces and shape:
             need = math.prod(shape) * self.kinds[code].itemsize
             if need > sum(count for _, count in pieces):
                 raise ValueError(f"{place}/{node.name} has less data than its shape {shape} says")
             node[" data"] = Array(self.file, self.kinds[code], shape, pieces)
-        entries = self._table(below, (b"sntb", b"snte"), ENTRY, hexadecimal(children))
+        entries = self._table(below, (b"sntb", b"snte"), ENTRY, parse_hexadecimal(children))
         return node, [self._pointer(entry[-POINTER:]) for entry in entries]
 
     def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:

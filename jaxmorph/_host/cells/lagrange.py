@@ -21,19 +21,21 @@ import numpy as np
 from numpy import ndarray
 from numpy.polynomial import legendre
 
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, numbers
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, numbers_by_name
 
 ORDERS = (1, 2, 3, 4)
 
-PLACES = {  # corners of the reference cells
-    "line": numbers("0 1"),
-    "triangle": numbers("00 10 01"),
-    "quad": numbers("00 10 11 01"),
-    "tetra": numbers("000 100 010 001"),
-    "pyramid": numbers("000 100 110 010 001"),
-    "wedge": numbers("000 100 010 001 101 011"),
-    "hexahedron": numbers("000 100 110 010 001 101 111 011"),
-}
+PLACES = numbers_by_name(
+    {  # corners of the reference cells
+        "line": "0 1",
+        "triangle": "00 10 01",
+        "quad": "00 10 11 01",
+        "tetra": "000 100 010 001",
+        "pyramid": "000 100 110 010 001",
+        "wedge": "000 100 010 001 101 011",
+        "hexahedron": "000 100 110 010 001 101 111 011",
+    }
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -204,16 +206,16 @@ def jacobian_samples(kind: str) -> Pair:
 
 def derivatives(kind: str, places: ndarray) -> ndarray:
     """Derivatives (s, nodes, d) of the shape functions of a type at places (s, d)."""
-    (_, slopes), inverse, completion = _expanded(kind, places)
+    (_, slopes), inverse, completion = _expand(kind, places)
     return np.einsum("skd,kn,nm->smd", slopes, inverse, completion, optimize=True)
 
 
 def values(kind: str, places: ndarray) -> ndarray:
-    (at_places, _), inverse, completion = _expanded(kind, places)
+    (at_places, _), inverse, completion = _expand(kind, places)
     return at_places @ inverse @ completion
 
 
-def _expanded(kind: str, places: ndarray) -> tuple[Pair, ndarray, ndarray]:
+def _expand(kind: str, places: ndarray) -> tuple[Pair, ndarray, ndarray]:
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     at_nodes, _ = _basis(complete, collapsed(name, complete.reference))

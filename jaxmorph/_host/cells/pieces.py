@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from .adjacency import columns_of, is_single, sorted_columns, unpaired
 from .lagrange import collapsed, depth, lagrange_types, of_order, values
-from .topology import CORNERS, NODES, SHAPES, ByType, Pair, numbers
+from .topology import CORNERS, NODES, SHAPES, ByType, Pair, numbers, numbers_by_name
 
 
 def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[str, Any]:
@@ -122,19 +122,25 @@ def steps_of(shape: str, m: int) -> dict[str, ndarray]:
 
 
 ON_EDGES = {
-    "quad8": {"triangle": numbers("047 154 265 376"), "quad": numbers("4567")},
-    "pyramid13": {
-        "tetra": numbers("0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9"),
-        "pyramid": numbers("9abc4 56789"),
-    },
-    "wedge15": {
-        "tetra": numbers("068c 176d 287e 3b9c 49ad 5abe 678a 68ca 76da 87ea b9ca"),
-        "pyramid": numbers("c9d6a ebc8a"),
-    },
-    "hexahedron20": {
-        "tetra": numbers("08bg 198h 2a9i 3baj 4fcg 5cdh 6dei 7efj 8bge 98he a9ie baje fcge cdhe"),
-        "pyramid": numbers("89abe gch8e hdi9e jfgbe"),
-    },
+    "quad8": numbers_by_name({"triangle": "047 154 265 376", "quad": "4567"}),
+    "pyramid13": numbers_by_name(
+        {
+            "tetra": "0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9",
+            "pyramid": "9abc4 56789",
+        }
+    ),
+    "wedge15": numbers_by_name(
+        {
+            "tetra": "068c 176d 287e 3b9c 49ad 5abe 678a 68ca 76da 87ea b9ca",
+            "pyramid": "c9d6a ebc8a",
+        }
+    ),
+    "hexahedron20": numbers_by_name(
+        {
+            "tetra": "08bg 198h 2a9i 3baj 4fcg 5cdh 6dei 7efj 8bge 98he a9ie baje fcge cdhe",
+            "pyramid": "89abe gch8e hdi9e jfgbe",
+        }
+    ),
 }
 """Pieces of cells without inner nodes; a is node 10. Each corner is cut off, with the middles of
 its edges. The rest goes from one of its nodes to its sides: inner polygons of the faces, and

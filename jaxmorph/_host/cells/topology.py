@@ -75,37 +75,47 @@ def numbers(words: str) -> Any:
     return tuple(tuple(int(digit, 36) for digit in word) for word in words.split())
 
 
-FACES: dict[str, tuple[tuple[int, ...], ...]] = {
-    "line": numbers(""),
-    "triangle": numbers("01 12 20"),
-    "quad": numbers("01 12 23 30"),
-    "tetra": numbers("013 123 203 021"),
-    "pyramid": numbers("0321 014 124 234 304"),
-    "wedge": numbers("021 345 0143 1254 2035"),
-    "hexahedron": numbers("0321 4567 0154 1265 2376 3047"),
-}
+def numbers_by_name(table: Mapping[str, str]) -> dict[str, Any]:
+    return {name: numbers(words) for name, words in table.items()}
+
+
+FACES: dict[str, tuple[tuple[int, ...], ...]] = numbers_by_name(
+    {
+        "line": "",
+        "triangle": "01 12 20",
+        "quad": "01 12 23 30",
+        "tetra": "013 123 203 021",
+        "pyramid": "0321 014 124 234 304",
+        "wedge": "021 345 0143 1254 2035",
+        "hexahedron": "0321 4567 0154 1265 2376 3047",
+    }
+)
 FACES |= {kind: FACES[SHAPES[kind]] for kind in HIGH_ORDER}
 """Corners of the faces by type (edges of a 2-D cell), counterclockwise as seen from outside."""
 
-EDGES: dict[str, tuple[tuple[int, int], ...]] = {
-    "line": numbers("01"),
-    "triangle": numbers("01 12 20"),
-    "quad": numbers("01 12 23 30"),
-    "tetra": numbers("01 12 20 03 13 23"),
-    "pyramid": numbers("01 12 23 30 04 14 24 34"),
-    "wedge": numbers("01 12 20 34 45 53 03 14 25"),
-    "hexahedron": numbers("01 12 23 30 45 56 67 74 04 15 26 37"),
-}
+EDGES: dict[str, tuple[tuple[int, int], ...]] = numbers_by_name(
+    {
+        "line": "01",
+        "triangle": "01 12 20",
+        "quad": "01 12 23 30",
+        "tetra": "01 12 20 03 13 23",
+        "pyramid": "01 12 23 30 04 14 24 34",
+        "wedge": "01 12 20 34 45 53 03 14 25",
+        "hexahedron": "01 12 23 30 45 56 67 74 04 15 26 37",
+    }
+)
 
-FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
-    "line": numbers("01"),
-    "triangle": numbers("012"),
-    "quad": numbers("013 120 231 302"),
-    "tetra": numbers("0123"),
-    "pyramid": numbers("0134 1204 2314 3024"),
-    "wedge": numbers("0123 1204 2015 3540 4351 5432"),
-    "hexahedron": numbers("0134 1205 2316 3027 4750 5461 6572 7643"),
-}
+FRAMES: dict[str, tuple[tuple[int, ...], ...]] = numbers_by_name(
+    {
+        "line": "01",
+        "triangle": "012",
+        "quad": "013 120 231 302",
+        "tetra": "0123",
+        "pyramid": "0134 1204 2314 3024",
+        "wedge": "0123 1204 2015 3540 4351 5432",
+        "hexahedron": "0134 1205 2316 3027 4750 5461 6572 7643",
+    }
+)
 """Corners with the ends of their edges, right-handed, for corner Jacobians; a simplex has one."""
 
 SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}

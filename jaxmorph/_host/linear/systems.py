@@ -81,14 +81,16 @@ def _make_inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Ope
             root = sparse.diags(masses**-0.5) @ _select_matrix(
                 pairs, values, diagonal, np.arange(n)
             )
-            parts.append((rows, columns, _of_square(root[:, rows])))
+            parts.append((rows, columns, _solve_square(root[:, rows])))
         elif len(rows):
             used = free[rows].ravel() if values.ndim == 3 else np.ones(len(rows), dtype=bool)
             parts.append(
                 (
                     rows,
                     columns,
-                    _of_matrix(_select_matrix(pairs, values, diagonal, rows), used, d, multigrid),
+                    _solve_matrix(
+                        _select_matrix(pairs, values, diagonal, rows), used, d, multigrid
+                    ),
                 )
             )
 
@@ -114,7 +116,7 @@ def _select_matrix(pairs, values, diagonal, rows) -> Any:
     return kind((entries[chosen.data - 1], chosen.indices, chosen.indptr))
 
 
-def _of_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
+def _solve_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
     """The solver of the `used` unknowns for right sides; other unknowns are zero."""
     diagonal = np.where(used, matrix.diagonal(), 1)
     if not (diagonal > 0).all():
@@ -123,7 +125,7 @@ def _of_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
     _scale_in_place(matrix, scale)
     factors = functools.cache(lambda: Factors(matrix))
     multigrid &= not (is_direct := is_factored(len(scale), d))
-    cycle = _cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid else None
+    cycle = _make_cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid else None
     may_factor = is_direct or (multigrid and len(scale) <= RESORT)
 
     def apply(right):
@@ -172,7 +174,7 @@ def iterate_to_accuracy(
     return x if is_solved else np.full_like(right, np.nan)
 
 
-def _cycle(matrix: Any, mode: ndarray) -> Operator:
+def _make_cycle(matrix: Any, mode: ndarray) -> Operator:
     """A matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
     d = len(mode) // (len(matrix.indptr) - 1)
     cycles = []
@@ -190,7 +192,7 @@ def _cycle(matrix: Any, mode: ndarray) -> Operator:
     return cycle
 
 
-def _of_square(root: Any) -> Operator:
+def _solve_square(root: Any) -> Operator:
     """The solver of B^T B x = right for a sparse B (n, k), without squaring its condition."""
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))

@@ -199,11 +199,11 @@ class Graded(AbstractSeparated):
     def _near(self, points: ndarray, others: ndarray) -> ndarray:
         share = DEFAULT_SHARES[points.shape[1]] if self.share is None else self.share
         return farthest(
-            points, self.most, self.closest(points), reach=share * _room(points, others)
+            points, self.most, self.closest(points), reach=share * _measure_room(points, others)
         )
 
 
-def _room(points: ndarray, others: ndarray) -> ndarray:
+def _measure_room(points: ndarray, others: ndarray) -> ndarray:
     """Measures distances (n,) from the nearest of the `others`, at least their spacing there."""
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)

@@ -18,6 +18,7 @@ from ..package.rounding import (
     ranked,
     roundoff,
 )
+from ..ragged import Ragged
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 
@@ -54,7 +55,7 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
         ]  # the first of equals is written last
         nearest[near[closer]] = node[closer]
 
-    approach(*_pairs_of_equals(images[rank]))
+    approach(*_pair_equals(images[rank]))
     start = place[earlier]
     if not len(earlier):
         start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])
@@ -98,7 +99,7 @@ class Share(AbstractReduction):
         return FarthestPoints(count)(points) if count else np.zeros(0, dtype=np.int64)
 
 
-def _pairs_of_equals(numbers: ndarray) -> Pair:
+def _pair_equals(numbers: ndarray) -> Pair:
     """All pairs of two different rows (k,) with equal numbers, both ways."""
     groups = np.unique(numbers, return_inverse=True)[1]
     member = sparse.csr_array((np.ones(len(numbers), bool), (np.arange(len(numbers)), groups)))
@@ -122,7 +123,7 @@ def overlaps(points: ndarray, centres: ndarray, radius: ndarray, targets: ndarra
     return target[order], centres[rank[order]]
 
 
-def _places_in_runs(*keys: ndarray) -> ndarray:
+def _count_in_runs(*keys: ndarray) -> ndarray:
     """The place of each entry (e,) in its run of entries with equal keys."""
     row = np.arange(len(keys[0]))
     begins = np.logical_or.reduce([np.diff(key, prepend=-1) != 0 for key in keys])
@@ -131,12 +132,9 @@ def _places_in_runs(*keys: ndarray) -> ndarray:
 
 def padded(target: ndarray, centre: ndarray, count: int) -> Pair:
     """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs."""
-    column = _places_in_runs(target)
-    rows = np.zeros((count, 1 + column.max(initial=0)), dtype=np.int32)
-    used = np.zeros(rows.shape, dtype=bool)
-    rows[target, column] = centre
-    used[target, column] = True
-    return rows, used
+    rows = Ragged.of(centre.astype(np.int32), np.bincount(target, minlength=count))
+    table = rows.padded(0, 1)
+    return table, np.arange(table.shape[1]) < rows.sizes[:, None]
 
 
 def sweeps(row: ndarray, column: ndarray, count: int) -> tuple[Pair, Pair]:
@@ -150,10 +148,12 @@ def sweeps(row: ndarray, column: ndarray, count: int) -> tuple[Pair, Pair]:
         if (deeper == level).all():
             break
         level = deeper
-    return _sweep(row, level[row]), _sweep(column, level.max(initial=0) - level[column])
+    return _lay_out_sweep(row, level[row]), _lay_out_sweep(
+        column, level.max(initial=0) - level[column]
+    )
 
 
-def _sweep(owner: ndarray, level: ndarray) -> Pair:
+def _lay_out_sweep(owner: ndarray, level: ndarray) -> Pair:
     """Lays entries (e,), by level and owner, into s steps of r rows, each of up to `WIDTH` entries
     of its owner. Returns positions (s, r, WIDTH), -1 for padding, and owners (s, r).
     """
@@ -165,14 +165,14 @@ def _sweep(owner: ndarray, level: ndarray) -> Pair:
     order = np.lexsort((owner, level))
     level = level[order]
     owner = owner[order]
-    within = _places_in_runs(level, owner)
+    within = _count_in_runs(level, owner)
     begins = within % ROW_WIDTH == 0
     level_of_row = level[begins]
     rows_of_level = np.bincount(level_of_row)
     rows = -(-len(level_of_row) // (4 * len(rows_of_level)))
     last_step = np.cumsum(-(-rows_of_level // rows))
     first_slot = rows * np.append(0, last_step)[level_of_row]
-    slot = (first_slot + _places_in_runs(level_of_row))[np.cumsum(begins) - 1]
+    slot = (first_slot + _count_in_runs(level_of_row))[np.cumsum(begins) - 1]
     entries = np.full((last_step[-1] * rows, ROW_WIDTH), -1, dtype=np.int32)
     owners = np.zeros(last_step[-1] * rows, np.int32)
     entries[slot, within % ROW_WIDTH] = order

@@ -230,7 +230,7 @@ class KDTree(AbstractSeparated):
             is_wanted &= sides.max() > max(self.smallest_box * (1 + SAME), same)
             if len(members) > 1 and is_wanted:
                 longest = first_largest(sides, same)
-                for half in _halves(points, members, longest):
+                for half in _halve(points, members, longest):
                     heapq.heappush(heap, (-len(half), next(counter), half))
             else:
                 done.append(members)
@@ -239,7 +239,7 @@ class KDTree(AbstractSeparated):
         )
 
 
-def _halves(points: ndarray, members: ndarray, axis: int) -> Pair:
+def _halve(points: ndarray, members: ndarray, axis: int) -> Pair:
     """Splits members at the median along an axis; points at one coordinate stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]

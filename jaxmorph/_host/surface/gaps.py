@@ -81,7 +81,9 @@ def _closest_of_block(
     simplices = []
     for group, tree, _ in trees:
         near = group[tree.query(x, k=range(1, min(NEAR_SIMPLICES, len(group)) + 1))[1]]
-        distance = _nearest_places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[1]
+        distance = _find_nearest_places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[
+            1
+        ]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
     for group, tree, radius in trees:
         row, member = tree.within(x, (bound + radius) * (1 + 1e-9))
@@ -89,13 +91,13 @@ def _closest_of_block(
         simplices.append(group[member])
     row = np.concatenate(rows)
     simplex = np.concatenate(simplices)
-    weights, distance = _nearest_places(corners[simplex], x[row])
+    weights, distance = _find_nearest_places(corners[simplex], x[row])
     order = np.lexsort((simplex, distance, row))
     best = order[np.unique(row[order], return_index=True)[1]]
     return simplex[best], weights[best], distance[best]
 
 
-def _nearest_places(corners: ndarray, x: ndarray) -> Pair:
+def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
     """Weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
     choices = []
     for i, j in itertools.combinations(range(corners.shape[1]), 2):
@@ -145,9 +147,9 @@ def crossing_faces(points: ndarray, moved: ndarray, faces: ndarray, place: ndarr
         both = pairs[start : start + TOGETHER]
         first, second = place[faces[both]].swapaxes(0, 1)
         both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
-        where = _meeting(moved[faces[both]], AFTER)
+        where = _find_meeting(moved[faces[both]], AFTER)
         met = np.flatnonzero(np.isfinite(where[:, 0]))
-        new = met[np.isnan(_meeting(points[faces[both[met]]], BEFORE)[:, 0])]
+        new = met[np.isnan(_find_meeting(points[faces[both[met]]], BEFORE)[:, 0])]
         found.append(both[new])
         places.append(where[new])
     return np.concatenate(found), np.concatenate(places)
@@ -166,7 +168,7 @@ def overlapping_boxes(
     # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
     states = [corners] if after is None else [corners, after]
     order = morton_order(corners.mean(axis=1))
-    levels = [np.stack([_bounding_boxes(x, ~is_moving[:, None])[order].T for x in states])]
+    levels = [np.stack([_bound_faces(x, ~is_moving[:, None])[order].T for x in states])]
     while levels[-1].shape[2] > 1:
         levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[2], 2), axis=2))
     pairs = np.zeros((1, 2), np.int64)
@@ -181,7 +183,7 @@ def overlapping_boxes(
     return order[pairs[pairs[:, 0] != pairs[:, 1]]]
 
 
-def _bounding_boxes(corners: ndarray, is_still: ndarray) -> ndarray:
+def _bound_faces(corners: ndarray, is_still: ndarray) -> ndarray:
     slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
     low = corners.min(axis=1) - slack
     return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
@@ -228,13 +230,13 @@ def passages(
         both = np.concatenate([both, both[:, ::-1]])
         node = faces[both[:, 0]]
         row, corner = np.nonzero(is_solid[node] & is_solid[node].all(axis=1, keepdims=True))
-        found.append(_passed(before, after, faces, both[row], node[row, corner]))
+        found.append(_find_passed(before, after, faces, both[row], node[row, corner]))
     every = Passages.joined(found)
     keys = np.stack([every.nodes, every.pairs[:, 1], every.shares])
     return every.at(np.unique(keys, axis=1, return_index=True)[1])
 
 
-def _passed(
+def _find_passed(
     before: ndarray, after: ndarray, faces: ndarray, pairs: ndarray, node: ndarray
 ) -> Passages:
     near = _come_near(before, after, faces[pairs[:, 1]], node)
@@ -242,9 +244,11 @@ def _passed(
     node = node[near]
     corners = faces[pairs[:, 1]]
     times = np.linspace(0, 1, SPLIT + 1)
-    sides = np.stack([_side(*_place_on_way(before, after, t, corners, node), 0.0) for t in times])
+    sides = np.stack(
+        [_find_side(*_place_on_way(before, after, t, corners, node), 0.0) for t in times]
+    )
     for k in (0, -1):
-        sides[k] = _side(*_place_on_way(before, after, times[k], corners, node))
+        sides[k] = _find_side(*_place_on_way(before, after, times[k], corners, node))
     for k in range(1, SPLIT):  # a node on a face on the way is still on the side it came from
         sides[k] = np.where(sides[k] == 0, sides[k - 1], sides[k])
     part, some = np.nonzero(sides[:-1] * sides[1:] < 0)
@@ -256,11 +260,11 @@ def _passed(
     high = times[part + 1]
     for _ in range(HALVES):
         share = (low + high) / 2
-        is_before = _side(*_place_on_way(before, after, share, corners, node), 0.0) * sense < 0
+        is_before = _find_side(*_place_on_way(before, after, share, corners, node), 0.0) * sense < 0
         low = np.where(is_before, share, low)
         high = np.where(is_before, high, share)
     face, where = _place_on_way(before, after, low, corners, node)
-    hit = _nearest_places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
+    hit = _find_nearest_places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
     return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
 
 
@@ -285,7 +289,7 @@ def _place_on_way(
     return face, before[node] + share * (after[node] - before[node])
 
 
-def _side(corners: ndarray, x: ndarray, slack: float = BEFORE) -> ndarray:
+def _find_side(corners: ndarray, x: ndarray, slack: float = BEFORE) -> ndarray:
     """The side (k,) of faces on which points (k, d) lie: 1 outside, -1 inside, 0 on the face."""
     normal = outward(corners)
     height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
@@ -295,7 +299,7 @@ def _side(corners: ndarray, x: ndarray, slack: float = BEFORE) -> ndarray:
     return np.where(np.abs(height) > slack * size, np.sign(height), 0)
 
 
-def _meeting(corners: ndarray, slack: float) -> ndarray:
+def _find_meeting(corners: ndarray, slack: float) -> ndarray:
     """Where pairs (k, 2, c, d) of faces meet (k, d); NaN for none, or in one plane."""
     where = np.full((len(corners), corners.shape[3]), np.nan)
     for pairs in (corners, corners[:, ::-1]):
@@ -303,12 +307,12 @@ def _meeting(corners: ndarray, slack: float) -> ndarray:
         for start, end in zip(
             edges.swapaxes(0, 1), np.roll(edges, -1, axis=1).swapaxes(0, 1), strict=True
         ):
-            share = _share_of_segment(start, end - start, others, slack)[:, None]
+            share = _measure_share(start, end - start, others, slack)[:, None]
             where = np.where(np.isfinite(share), start + share * (end - start), where)
     return where
 
 
-def _share_of_segment(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
+def _measure_share(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
     """The share (k,) of a segment up to where it meets a simplex (k, d, d); NaN if it does not."""
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
     rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])

@@ -114,7 +114,7 @@ def _triangulate(nodes: ndarray, flat: float) -> Delaunay:
     snapped = np.floor(nodes / step + BETWEEN) * step
     for phase in range(TRIALS):
         with contextlib.suppress(QhullError):
-            graph = _Graph(_jittered(snapped, phase), qhull_options=QHULL_OPTIONS)
+            graph = _Graph(_jitter(snapped, phase), qhull_options=QHULL_OPTIONS)
             break
     if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
         raise ValueError(
@@ -125,7 +125,7 @@ def _triangulate(nodes: ndarray, flat: float) -> Delaunay:
     return graph
 
 
-def _jittered(nodes: ndarray, phase: int) -> ndarray:
+def _jitter(nodes: ndarray, phase: int) -> ndarray:
     """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
     Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
@@ -167,7 +167,9 @@ def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
         simplex[poor], smallest[poor] = _repair(graph, targets[poor], simplex[poor])
         still = poor[~(smallest[poor] >= -WEIGHT_TOLERANCE)]
         _check_inside(
-            points, wanted[still], _beyond_hull(graph, targets[still]) * graph.size - graph.slack
+            points,
+            wanted[still],
+            _measure_beyond_hull(graph, targets[still]) * graph.size - graph.slack,
         )
         simplex[still], beyond = _search_all(graph, targets[still])
         beyond[beyond <= graph.flat + JITTER] = 0
@@ -212,7 +214,7 @@ def _search_all(graph: Graph, points: ndarray) -> Pair:
     return simplex, beyond
 
 
-def _beyond_hull(graph: Graph, targets: ndarray) -> ndarray:
+def _measure_beyond_hull(graph: Graph, targets: ndarray) -> ndarray:
     """Measures how far points surely lie beyond the plane of a facet of the hull: 0 or less inside.
     A small facet says little about a distant point: jitter and round-off may have turned it.
     """

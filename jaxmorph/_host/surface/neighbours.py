@@ -53,12 +53,14 @@ def near_walls(
     order = morton_order(
         points
     )  # a tree is searched three times faster for neighbours one after the other
-    distance, first = _nearest(surface, _by_reach(wall, reach), points[order], once, reach)
+    distance, first = _search_nearest(
+        surface, _divide_by_reach(wall, reach), points[order], once, reach
+    )
     hit = np.flatnonzero(distance < np.inf)
     near = order[hit]
     first = first[hit]
     distance = distance[hit]
-    around = once(("around", digest(wall), count), lambda: _around(surface, wall, 2 * count))
+    around = once(("around", digest(wall), count), lambda: _find_around(surface, wall, 2 * count))
     rows = np.empty((len(near), count + 1), dtype=np.int32)
 
     def compare(part: slice) -> None:
@@ -80,14 +82,14 @@ def near_walls(
         if others.size:
             far = 8 * (1 + SAME) * reach[wall == label].max()
             bounded = [(members, far) for members in searched_together(wall, others)]
-            closest, other = _nearest(surface, bounded, points[near[here]], once)
+            closest, other = _search_nearest(surface, bounded, points[near[here]], once)
             close = np.flatnonzero(closest < np.inf)
             rows[here[close], count] = other[close]
             is_nearest[here[close]] = distance[here[close]] <= closest[close]
     return near[is_nearest], rows[is_nearest]
 
 
-def _by_reach(wall: ndarray, reach: ndarray) -> list[tuple[ndarray, float]]:
+def _divide_by_reach(wall: ndarray, reach: ndarray) -> list[tuple[ndarray, float]]:
     # nodes of similar reach are searched together: too large a bound costs ten times as much
     size = np.frexp(reach)[1]
     bounded = []
@@ -117,7 +119,7 @@ def searched_together(wall: ndarray, rows: ndarray) -> list[ndarray]:
     return [rows[labels == label] for label in walls] if len(walls) <= WALLS_APART else [rows]
 
 
-def _nearest(
+def _search_nearest(
     surface: ndarray,
     bounded: list[tuple[ndarray, float]],
     points: ndarray,
@@ -128,7 +130,7 @@ def _nearest(
     `reach` (b,), a node counts only within its own reach. Ties go to the first list.
     """
     trees = [
-        once(("tree", digest(members)), lambda members=members: _tree(surface[members]))
+        once(("tree", digest(members)), lambda members=members: _make_tree(surface[members]))
         for members, _ in bounded
     ]
     distance = np.full(len(points), np.inf)
@@ -157,7 +159,7 @@ def _nearest(
     def search_all(part: slice) -> None:
         # A tree is searched only for points whose answer so far is farther than the tree's box. The
         # tree with the nearest box comes first: it holds the answer of most points.
-        away = np.stack([_to_box(points[part], tree) for tree in trees])
+        away = np.stack([_measure_to_box(points[part], tree) for tree in trees])
         away[away > (1 + SAME) * np.array([[bound] for _, bound in bounded])] = np.inf
         first = away.argmin(axis=0)
         for is_first, k in itertools.product((True, False), range(len(trees))):
@@ -170,18 +172,18 @@ def _nearest(
     return distance, nearest
 
 
-def _to_box(points: ndarray, tree: Tree) -> ndarray:
+def _measure_to_box(points: ndarray, tree: Tree) -> ndarray:
     """Distances (n,) of points from the box of a tree's points."""
     box = zip(points.T, tree.mins, tree.maxes, strict=True)
     return np.sqrt(sum(np.maximum(np.maximum(low - x, x - high), 0) ** 2 for x, low, high in box))
 
 
-def _tree(points: ndarray) -> Tree:
+def _make_tree(points: ndarray) -> Tree:
     """A tree for many searches: cells cut in the middle are faster than at the median."""
     return Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
-def _around(surface: ndarray, wall: ndarray, count: int) -> ndarray:
+def _find_around(surface: ndarray, wall: ndarray, count: int) -> ndarray:
     """The (b, count) nearest nodes on the wall: the node itself first, and as padding."""
     around = np.empty((len(surface), count), dtype=np.int32)
     for label in np.unique(wall):

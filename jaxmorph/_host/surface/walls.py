@@ -42,12 +42,12 @@ def walls(
         in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)
     ]
     if groups:
-        label = _by_faces(points, moving, groups)
+        label = _label_by_faces(points, moving, groups)
     else:
         others = np.arange(moving, len(points))
         others = others if in_planes is None else others[~in_planes[others]]
-        label[:moving] = _by_chains(points[:moving])
-        label[others] = _by_chains(points[others]) + 1 + label.max()
+        label[:moving] = _label_by_chains(points[:moving])
+        label[others] = _label_by_chains(points[others]) + 1 + label.max()
     known = np.flatnonzero(label >= 0)
     left = np.flatnonzero(label < 0)
     if left.size:
@@ -82,7 +82,7 @@ def ordered_rows(points: ndarray, moving: int, faces: ByType | None) -> ndarray:
     return np.lexsort([*columns[::-1], is_still])
 
 
-def _by_faces(points: ndarray, moving: int, groups: list[ndarray]) -> ndarray:
+def _label_by_faces(points: ndarray, moving: int, groups: list[ndarray]) -> ndarray:
     """The wall of every node (b,) by its faces; -1 for a node without faces."""
     normal = np.concatenate([outward(points[group]) for group in groups])
     middle = np.concatenate([points[group].mean(axis=1) for group in groups])
@@ -133,7 +133,7 @@ def _pair_neighbours(groups: list[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
     return owner[before], owner[after], turned[before] != turned[after]
 
 
-def _by_chains(points: ndarray) -> ndarray:
+def _label_by_chains(points: ndarray) -> ndarray:
     """The wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
     first, inverse = distinct(points)
     unique = points[first]
@@ -144,12 +144,12 @@ def _by_chains(points: ndarray) -> ndarray:
     near = distance <= REACH * (1 + SAME) * distance[:, count, None]
     label = parts_of(np.nonzero(near)[0], nearest[near], len(unique))
     if points.shape[1] == 3 and label.max() > 0:
-        first_part, second_part = _next_to_curves(unique, label, distance[:, 1]).T
+        first_part, second_part = _join_curves(unique, label, distance[:, 1]).T
         label = parts_of(first_part, second_part, int(label.max()) + 1)[label]
     return label[inverse]
 
 
-def _next_to_curves(points: ndarray, label: ndarray, spacing: ndarray) -> ndarray:
+def _join_curves(points: ndarray, label: ndarray, spacing: ndarray) -> ndarray:
     """Pairs (p, 2) of every part that is a curve and the next part of its wall, on both sides."""
     pairs = []
     for curve in range(label.max() + 1):
@@ -164,14 +164,14 @@ def _next_to_curves(points: ndarray, label: ndarray, spacing: ndarray) -> ndarra
             near = others[
                 np.sort(tree.query(sample, k=range(1, min(count, len(others)) + 1))[1], axis=1)
             ]
-            parts = _parts_beside(members, points[near] - sample[:, None], label[near])
+            parts = _vote_for_parts(members, points[near] - sample[:, None], label[near])
             if parts:
                 break
         pairs += [(curve, part) for part in parts]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _parts_beside(curve: ndarray, offsets: ndarray, label: ndarray) -> list[int]:
+def _vote_for_parts(curve: ndarray, offsets: ndarray, label: ndarray) -> list[int]:
     """The part next to a curve on either side, if most nodes of a sample of the curve find it.
     `offsets` (s, k, d) lead from the sample to other nodes, whose parts are `label` (s, k).
     """

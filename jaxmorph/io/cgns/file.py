@@ -20,16 +20,16 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._format import Source, faults_of
 from .._joined import join_zones
-from .._tree import Coordinates, TreePoints, opened
+from .._tree import Coordinates, TreePoints, open_tree
 from .conditions import (
     Connection,
-    connections,
     describe_conditions,
+    find_connections,
     find_patches,
-    left_interfaces,
+    list_left_interfaces,
     name_patches,
 )
-from .zone import CGNS_DIMENSIONS, CGNS_TYPES, Zone, data, find_children, find_first, word
+from .zone import CGNS_DIMENSIONS, CGNS_TYPES, Zone, find_children, find_first, read_data, read_word
 
 NAME = "CGNS"
 PatchLists = dict[str, list[ndarray]]
@@ -42,15 +42,15 @@ def read(path: pathlib.Path) -> Parts:
     `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Other
     outer faces are the patch `unnamed`, `boundary` in a file without any.
     """
-    with opened(path) as file:
+    with open_tree(path) as file:
         zones, dimension = open_zones(path, file)
-        content = TreePoints.of(path, file, functools.partial(_zone_coordinates, path))
+        content = TreePoints.of(path, file, functools.partial(_find_zone_coordinates, path))
         _take_cells(zones, dimension, content.points)
-        notes = [*_others(file, zones, dimension), *name_patches(zones)]
+        notes = [*_note_others(file, zones, dimension), *name_patches(zones)]
         of_patch, faces, regions = _gather_patches(zones)
-        found = list(connections(zones))
+        found = list(find_connections(zones))
         notes += [*regions_note(regions), *_note_sections(zones, found, of_patch)]
-        pairs = _pairs(found, of_patch)
+        pairs = _pair_connections(found, of_patch)
         known = describe_conditions(file, zones, of_patch)
     with faults_of(path):
         blocks = [block[:2] for zone in zones for block in zone.content.blocks]
@@ -63,15 +63,15 @@ def read(path: pathlib.Path) -> Parts:
         )
 
 
-def _zone_coordinates(path: pathlib.Path, file: Any) -> Iterator[Coordinates]:
+def _find_zone_coordinates(path: pathlib.Path, file: Any) -> Iterator[Coordinates]:
     for zone in open_zones(path, file)[0]:
         yield from zone.coordinates()
 
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     """Lists the zones of the base of the highest dimension, and this dimension of its cells."""
-    most = max((level for *_, level in _bases(file)), default=0)
-    bases = {name: base for name, base, level in _bases(file) if level == most}
+    most = max((level for *_, level in _list_bases(file)), default=0)
+    bases = {name: base for name, base, level in _list_bases(file) if level == most}
     if len(bases) > 1:
         raise ValueError(
             f"{path}: {len(bases)} bases of {most}-D cells in this file ({', '.join(bases)}); one "
@@ -80,8 +80,8 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     zones = []
     start = 0
     for name, group in find_children(next(iter(bases.values()), {}), "Zone_t"):
-        is_structured = word(find_first(group, "ZoneType_t"), "Structured") == "Structured"
-        sizes = np.atleast_2d(data(group))[0]
+        is_structured = read_word(find_first(group, "ZoneType_t"), "Structured") == "Structured"
+        sizes = np.atleast_2d(read_data(group))[0]
         shape = tuple(map(int, sizes if is_structured else sizes[:1]))
         zones.append(Zone(path, name, group, shape, is_structured, start))
         start += zones[-1].count
@@ -90,10 +90,10 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     return zones, most
 
 
-def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
+def _list_bases(file: Any) -> Iterator[tuple[str, Any, int]]:
     for name, base in find_children(file, "CGNSBase_t"):
         if any(find_children(base, "Zone_t")):
-            yield name, base, int(data(base)[0])
+            yield name, base, int(read_data(base)[0])
 
 
 def _take_cells(zones: list[Zone], dimension: int, points: ndarray) -> None:
@@ -123,8 +123,8 @@ def _gather_patches(zones: list[Zone]) -> tuple[PatchLists, list[ndarray], list[
     return of_patch, faces, regions
 
 
-def _others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
-    for name, _, level in _bases(file):
+def _note_others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
+    for name, _, level in _list_bases(file):
         if level < dimension:
             yield f"the base {name} of {level}-D cells is not read, and stays in the file."
     steps = [
@@ -144,12 +144,14 @@ def _note_sections(
     if outside and any(zone.conditions for zone in zones):
         names = ", ".join(dict.fromkeys(outside))
         yield f"no boundary condition has all faces of the sections {names}: they are in unnamed."
-    interfaces = list(itertools.chain(*(left_interfaces(zone, found) for zone in zones)))
+    interfaces = list(itertools.chain(*(list_left_interfaces(zone, found) for zone in zones)))
     if interfaces:
         yield f"interfaces without equal nodes on both sides are not read: {', '.join(interfaces)}."
 
 
-def _pairs(found: list[Connection], patches: PatchLists) -> list[tuple[str, str, Connection]]:
+def _pair_connections(
+    found: list[Connection], patches: PatchLists
+) -> list[tuple[str, str, Connection]]:
     names = {}
     counts = collections.Counter(each.name for each in found)
     for each in found:

@@ -16,7 +16,7 @@ from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
-from .._joined import block_cells, block_sides, number_block
+from .._joined import make_block_cells, make_block_sides, number_block
 from .._text import decoded
 from .._tree import Coordinates, read_text
 
@@ -33,7 +33,7 @@ class Block(NamedTuple):
     cell: ndarray | None = None
 
 
-def _cells_beside(numbers: ndarray, cells: list[Ragged]) -> ndarray:
+def _find_cells_beside(numbers: ndarray, cells: list[Ragged]) -> ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
     cell = Ragged.of(used, np.concatenate([rows.sizes for rows in cells])).row
@@ -92,12 +92,12 @@ def find_first(group: Any, *labels: str) -> Any:
     return next((child for _, child in find_children(group, *labels)), None)
 
 
-def data(group: Any) -> ndarray:
+def read_data(group: Any) -> ndarray:
     return group[" data"][()]
 
 
-def word(group: Any, default: str = "") -> str:
-    return read_text(data(group)) if group is not None and " data" in group else default
+def read_word(group: Any, default: str = "") -> str:
+    return read_text(read_data(group)) if group is not None and " data" in group else default
 
 
 class ElementSection(NamedTuple):
@@ -135,7 +135,7 @@ class Condition:
 
     @property
     def kind(self) -> str:
-        return word(self.node)
+        return read_word(self.node)
 
 
 @dataclasses.dataclass(eq=False)
@@ -154,7 +154,7 @@ class Zone:
     def conditions(self) -> list[Condition]:
         found = []
         for name, node in find_children(self.group, "ZoneBC_t", "BC_t"):
-            family = word(find_first(node, "FamilyName_t"))
+            family = read_word(find_first(node, "FamilyName_t"))
             found.append(Condition(self.name, name, node, family, family or name))
         return found
 
@@ -184,7 +184,7 @@ class Zone:
         sets = [
             names[f"Coordinate{axis}"][" data"] for axis in "XYZ" if f"Coordinate{axis}" in names
         ]
-        if len(sets) < 2 or any(data(rind).any() for _, rind in find_children(grid, "Rind_t")):
+        if len(sets) < 2 or any(read_data(rind).any() for _, rind in find_children(grid, "Rind_t")):
             raise self.error(
                 f"Cartesian coordinates without rind planes expected, found {', '.join(names)}"
             )
@@ -203,7 +203,7 @@ class Zone:
                 raise self.error(
                     f"a block of {' x '.join(map(str, self.shape))} vertices has no cells"
                 )
-            return ZoneContent([Block(*block_cells(ids))], {}, block_sides(ids))
+            return ZoneContent([Block(*make_block_cells(ids))], {}, make_block_sides(ids))
         blocks = []
         elements = {}
         polygons: dict[int, tuple[Ragged, ndarray]] = {}
@@ -249,7 +249,7 @@ class Zone:
         numbers = [first + np.arange(len(own)) for first, (own, _) in polygons.items()]
         try:
             if volumes:
-                sides = _cells_beside(np.concatenate(numbers), volumes)
+                sides = _find_cells_beside(np.concatenate(numbers), volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
                 place = np.unique(np.append(0, parents), return_inverse=True)[1][1:]
                 sides = place.reshape(parents.shape).T - 1
@@ -274,11 +274,11 @@ class _Section:
         self.zone = zone
         self.name = name
         self.node = node
-        self.kind = int(data(node)[0])
-        ends = data(node["ElementRange"]).astype(np.int64).ravel()
+        self.kind = int(read_data(node)[0])
+        ends = read_data(node["ElementRange"]).astype(np.int64).ravel()
         self.start = int(ends[0])
         self.count = int(ends[-1] - ends[0]) + 1
-        self.values = data(node["ElementConnectivity"]).astype(np.int64).ravel()
+        self.values = read_data(node["ElementConnectivity"]).astype(np.int64).ravel()
 
     def error(self, message: str) -> ValueError:
         return self.zone.error(f"section {self.name} {message}")
@@ -294,7 +294,9 @@ class _Section:
         """
         values = self.values
         if "ElementStartOffset" in self.node:
-            rows = Ragged(values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
+            rows = Ragged(
+                values, read_data(self.node["ElementStartOffset"]).astype(np.int64).ravel()
+            )
             fault = (
                 f"the offsets of section {self.name} do not cut its {len(values)} numbers into "
                 f"{self.count} rows"
@@ -316,7 +318,7 @@ class _Section:
     def parents(self, count: int) -> ndarray:
         """Reads the numbers (count, 2) of the cells on both sides of each face, 0 for none."""
         cells = (
-            data(self.node["ParentElements"])
+            read_data(self.node["ParentElements"])
             if "ParentElements" in self.node
             else np.zeros((2, count), np.int64)
         )

@@ -25,7 +25,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of
 from .._text import replace_numbers
 from .file import PARENTHESES, Boundary, FoamFile, load_faces, load_file, read_patches
-from .plane import Front, cells_in_front, check_cyclic, cyclic_pairs, find_layer, find_sector
+from .plane import Front, check_cyclic, find_layer, find_sector, list_cyclic_pairs, make_front_cells
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
@@ -115,14 +115,14 @@ def read(path: pathlib.Path) -> Parts:
     `processorXtoY` is no patch. Faces of a cyclic patch whose partners are on another processor
     stay in their cyclic patch.
     """
-    here, folder = _folders(path)
+    here, folder = _find_folders(path)
     boundary = read_patches(load_file(folder, "boundary"))
-    planes = _planes(path, boundary)
+    planes = _select_planes(path, boundary)
     file, points = _load_points(here)
     faces = load_faces(folder, boundary, len(points))
-    nodes = _nodes_of_patches(faces, boundary)
+    nodes = _gather_nodes(faces, boundary)
     with faults_of(path):
-        mesh, ids, whole, plane = (_mesh_in_plane if planes else _mesh_in_space)(
+        mesh, ids, whole, plane = (_make_in_plane if planes else _make_in_space)(
             faces, points, nodes, planes
         )
     to_others = [patch.faces for patch in boundary if patch.is_between]
@@ -152,7 +152,7 @@ def read(path: pathlib.Path) -> Parts:
     return mesh._replace(source=source)
 
 
-def _nodes_of_patches(faces: Faces, boundary: Boundary) -> PatchNodes:
+def _gather_nodes(faces: Faces, boundary: Boundary) -> PatchNodes:
     """Lists nodes of patches, copied: views would keep all labels.
 
     Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to.
@@ -163,7 +163,7 @@ def _nodes_of_patches(faces: Faces, boundary: Boundary) -> PatchNodes:
     )
 
 
-def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
+def _select_planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
     planes = [patch for patch in boundary if patch.type in PLANE_TYPES]
     kinds = [patch.type for patch in planes if patch.size]
     if "wedge" in kinds and kinds != ["wedge"] * 2:
@@ -196,7 +196,9 @@ def _list_periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     return (
         ()
         if is_cut
-        else tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
+        else tuple(
+            Periodic(a.name, b.name) for a, b in list_cyclic_pairs(own) if a.size == b.size > 0
+        )
     )
 
 
@@ -243,7 +245,7 @@ def check_new_folder(path: pathlib.Path, case: pathlib.Path, remedy: str) -> Non
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
     content = content_of(mesh, NAME)
-    points = file_points(mesh)
+    points = compute_file_points(mesh)
     case = content.case
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
     if parts:
@@ -255,7 +257,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     write_points(path, content, points)
 
 
-def file_points(mesh: MeshLike) -> ndarray:
+def compute_file_points(mesh: MeshLike) -> ndarray:
     """Computes the file's points (N, 3) of a mesh, in 2-D both planes'; checks cyclic patches."""
     content = content_of(mesh, NAME)
     points = content.in_file(np.asarray(mesh.points))
@@ -343,7 +345,7 @@ Found = tuple[Parts, PatchNodes, Polyhedra | None, Front | None]
 """A mesh, the case's number of each cell by type, whole cells if some are cut, and planes."""
 
 
-def _mesh_in_space(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
+def _make_in_space(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
     cells, ids = standard_cells(faces)
     whole = None
     if "polyhedron" in ids:
@@ -354,7 +356,7 @@ def _mesh_in_space(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Bou
     return checked_parts(points, cells, nodes), ids, whole, None
 
 
-def _mesh_in_plane(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
+def _make_in_plane(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
     kinds = {patch.type for patch in planes if patch.size}
     sides = [
@@ -374,11 +376,11 @@ def _mesh_in_plane(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Bou
                 "boundary."
             )
         own["axis"] = axis
-    cells, ids, whole = cells_in_front(faces, points, chosen, plane)
+    cells, ids, whole = make_front_cells(faces, points, chosen, plane)
     return checked_parts(plane.in_plane(points), cells, own), ids, whole, plane
 
 
-def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
+def _find_folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     places = [path / "constant" / "polyMesh", path / "polyMesh"]
     here = (
         path
@@ -400,11 +402,13 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
 
 
 def _note_zones(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
-    sizes = {name: _size(topology, name) for name in ("cellZones", "faceZones", "pointZones")}
+    sizes = {
+        name: _count_zones(topology, name) for name in ("cellZones", "faceZones", "pointZones")
+    }
     zones = [f"{size} {name}" for name, size in sizes.items() if size > 0]
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
-    if topology.parent.name == "constant" and (others := regions(topology.parent)):
+    if topology.parent.name == "constant" and (others := list_regions(topology.parent)):
         names = ", ".join(others)
         first = topology.parent / others[0]
         yield f"the regions {names} have meshes of their own: {first} is the first."
@@ -431,28 +435,28 @@ def _note_other_times(content: CaseContent) -> Iterator[str]:
         )
 
 
-def _size(topology: pathlib.Path, name: str) -> int:
+def _count_zones(topology: pathlib.Path, name: str) -> int:
     with contextlib.suppress(OSError, ValueError):
         file = load_file(topology, name)
         return file.list_at(file.end).size
     return 0
 
 
-def regions(folder: pathlib.Path) -> list[str]:
+def list_regions(folder: pathlib.Path) -> list[str]:
     return sorted(mesh.parent.name for mesh in folder.glob("*/polyMesh") if mesh.is_dir())
 
 
 def _hint_at_parts(path: pathlib.Path) -> str:
     here = path if _is_time(path) else path / "constant"
     parts = sorted(path.glob("processor*"))
-    if found := regions(here):
+    if found := list_regions(here):
         return (
             f" Its regions, {', '.join(found)}, have meshes of their own, each read by itself: "
             f"{here / found[0]}."
         )
     if not parts:
         return ""
-    inner = regions(parts[0] / "constant")
+    inner = list_regions(parts[0] / "constant")
     names = f", and has the regions {', '.join(inner)}" if inner else ""
     place = pathlib.Path("constant", *inner[:1]) if inner else pathlib.Path()
     return (

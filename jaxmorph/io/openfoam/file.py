@@ -177,7 +177,10 @@ def load_file(folder: pathlib.Path, name: str) -> FoamFile:
     match = _FOAM_HEADER.search(data, 0, 1 << 14)
     if match is None:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
-    header = {key: " ".join(values).strip('"') for key, *values in _statements(_nested(match[1]))}
+    header = {
+        key: " ".join(values).strip('"')
+        for key, *values in _split_statements(_parse_nested(match[1]))
+    }
     return FoamFile(path, raw, data, header, match.end())
 
 
@@ -216,7 +219,7 @@ Boundary = list[FoamPatch]
 
 def read_patches(file: FoamFile) -> Boundary:
     """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
-    tree = _nested(file.data[file.end :])
+    tree = _parse_nested(file.data[file.end :])
     _refuse_directives(file, tree)
     stated = int(tree.pop(0)) if re.fullmatch(r"\d{1,19}", str(*tree[:1])) else None
     if tree[:1] != ["("]:
@@ -248,7 +251,7 @@ def _refuse_directives(file: FoamFile, words: list[Any]) -> None:
             )
 
 
-def _nested(data: bytes) -> list[Any]:
+def _parse_nested(data: bytes) -> list[Any]:
     """Lists the words of a text; those between braces are a list of their own."""
     stack: list[list[Any]] = [[]]
     for word in _WORD.findall(_COMMENT.sub(" ", decoded(data))):
@@ -262,7 +265,7 @@ def _nested(data: bytes) -> list[Any]:
     return stack[0]
 
 
-def _statements(words: list[Any]) -> Iterator[list[str]]:
+def _split_statements(words: list[Any]) -> Iterator[list[str]]:
     """Yields the words of each entry `key word word;`, and the key of each dictionary."""
     statement: list[str] = []
     for word in words:
@@ -278,7 +281,7 @@ def _read_patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
         raise file.error(
             f"patch {name[:80]} has no entries between {{ and }}; is the file cut short?"
         )
-    entries = {key: words for key, *words in _statements(body)}
+    entries = {key: words for key, *words in _split_statements(body)}
     firsts = {key: words[0].strip('"') for key, words in entries.items() if words}
     _refuse_directives(
         file, [*entries, *(firsts.get(key) for key in ("type", "nFaces", "startFace"))]

@@ -21,9 +21,17 @@ from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, content_of
-from .case import NAME, check_new_folder, copy_case, file_points, read, regions, write_points
+from .case import (
+    NAME,
+    check_new_folder,
+    compute_file_points,
+    copy_case,
+    list_regions,
+    read,
+    write_points,
+)
 from .file import load_file, read_patches
-from .plane import cyclic_pairs
+from .plane import list_cyclic_pairs
 
 PLAN = "jaxmorph.plan"
 """The file of a plan, which `native/openfoam` reads in `constant`."""
@@ -92,7 +100,7 @@ class Decomposed:
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
         self.count = _count_parts(self.path)
-        found = regions(self.path / "processor0" / "constant")
+        found = list_regions(self.path / "processor0" / "constant")
         is_there = (
             self.region in found
             if self.region
@@ -152,7 +160,7 @@ class Decomposed:
             {kind: ids[rows] for kind, rows in corners.items()},
             {name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
             mesh.source.groups,
-            tuple((a.name, b.name) for a, b in cyclic_pairs(boundary)),
+            tuple((a.name, b.name) for a, b in list_cyclic_pairs(boundary)),
             mesh.source.symmetry,
             mesh.kinds,
         )
@@ -180,7 +188,7 @@ class Decomposed:
         faces = _join_sides(sides, "faces", nodes)
         members = _join_sides(sides, "patches", nodes)
         cells = {kind: corners for kind, corners in faces.items() if len(corners)}
-        known = _common_facts(sides, members)
+        known = _join_facts(sides, members)
         return Mesh(
             points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known)
         )
@@ -264,7 +272,7 @@ def _join_sides(sides: Sequence[Side], name: str, nodes: ndarray) -> dict[str, n
     )
 
 
-def _common_facts(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[str, Any]:
+def _join_facts(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[str, Any]:
     """Lists what the sides know; parts have the same patches, of which some are empty."""
     pairs = [Periodic(*pair) for pair in sides[0].pairs if all(len(members[name]) for name in pair)]
     symmetry = dict.fromkeys(itertools.chain(*(side.symmetry for side in sides)))
@@ -332,7 +340,7 @@ class Writer(NamedTuple):
             if k in self.written:
                 raise ValueError(f"part {k} was written already.")
             self.written.add(k)
-            return content.shared, file_points(moved), content.point_ids[content.shared]
+            return content.shared, compute_file_points(moved), content.point_ids[content.shared]
 
         rows, points, ids = together(self.ranks, shared)
         points = np.array(points)
@@ -415,7 +423,7 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     root = place.parent.parent if region else place
     files = [root / "constant" / region / PLAN]
     with name_errors_by(files[0]):
-        export(plan, files[0], layer=_layer_of_plan(content))
+        export(plan, files[0], layer=_make_layer(content))
     if not (root / "processor0").is_dir():
         return files
     case = Decomposed(path)
@@ -425,11 +433,11 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
         rows = ids if content.plane is None else content.plane.file_nodes()[ids]
         _check_part(case.folder(k), np.asarray(part.points), np.asarray(plan.points), rows)
         files.append(case.folder(k) / "constant" / region / PLAN)
-        export(plan, files[-1], nodes=rows, layer=_layer_of_plan(content_of(part, NAME)))
+        export(plan, files[-1], nodes=rows, layer=_make_layer(content_of(part, NAME)))
     return files
 
 
-def _layer_of_plan(content: Any) -> Layer | None:
+def _make_layer(content: Any) -> Layer | None:
     if content.plane is None:
         return None
     first, second = np.abs(content.plane.axes[0]).argmax(axis=1).tolist()

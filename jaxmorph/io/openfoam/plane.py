@@ -196,7 +196,7 @@ def find_layer(faces: Faces, points: ndarray, empty: ndarray) -> Front:
     return _pair_planes("empty", faces, points, planes, np.stack([axes, axes]), np.zeros(3))
 
 
-def cells_in_front(
+def make_front_cells(
     faces: Faces, points: ndarray, chosen: ndarray, plane: Front
 ) -> tuple[dict[str, ndarray], dict[str, ndarray], Polyhedra | None]:
     """Makes triangles and quads of the front in cell order; larger faces become triangles.
@@ -228,12 +228,12 @@ def cells_in_front(
             )
         pieces, piece_of = triangles(faces, cut, points)
         parts.append(("triangle", pieces, faces.owner[cut][piece_of]))
-        whole = Polyhedra(_edges_of_front(faces, chosen, is_front, plane), faces.owner[cut])
+        whole = Polyhedra(_make_front_edges(faces, chosen, is_front, plane), faces.owner[cut])
     cells = gathered((kind, Rows(plane.front).of(rows)) for kind, rows, _ in parts if len(rows))
     return cells, gathered((kind, cell) for kind, _, cell in parts), whole
 
 
-def _edges_of_front(faces: Faces, chosen: ndarray, is_front: ndarray, plane: Front) -> Faces:
+def _make_front_edges(faces: Faces, chosen: ndarray, is_front: ndarray, plane: Front) -> Faces:
     """Makes the front's edges, one a face across the layer, with its cell on the left."""
     across = np.delete(np.arange(len(faces.owner)), chosen)
     corners = faces.corners(across, 4)
@@ -255,7 +255,7 @@ MATCH = 1e-4
 """Distance of paired faces, relative to their size: OpenFOAM's own `matchTolerance`."""
 
 
-def cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
+def list_cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
     """Lists the pairs of cyclic patches, without cyclicAMI and cyclicACMI: these need not match."""
     pairs = itertools.combinations(boundary, 2)
     return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.neighbour == b.name]
@@ -263,7 +263,7 @@ def cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
 
 def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
     """Raises `ValueError` where cyclic patches matched with `old` points, but not with `new`."""
-    every = cyclic_pairs(read_patches(load_file(topology, "boundary")))
+    every = list_cyclic_pairs(read_patches(load_file(topology, "boundary")))
     pairs = [(a, b) for a, b in every if a.size == b.size > 0]
     if not pairs or np.array_equal(old, new):
         return
@@ -273,8 +273,8 @@ def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
             [_measure_faces(points, faces.take(patch.faces)) for patch in (first, second)]
             for points in (old, new)
         )
-        turns = bool((_misses(*before, turned=False) > MATCH).any())
-        wrong = _misses(*after, turned=turns) - _misses(*before, turned=turns)
+        turns = bool((_measure_mismatch(*before, turned=False) > MATCH).any())
+        wrong = _measure_mismatch(*after, turned=turns) - _measure_mismatch(*before, turned=turns)
         if (wrong > MATCH).any():
             face = int(wrong.argmax())
             raise ValueError(
@@ -296,7 +296,7 @@ def _measure_faces(points: ndarray, faces: Ragged) -> tuple[ndarray, ndarray]:
     return middles, np.sqrt(np.linalg.norm(areas, axis=1))
 
 
-def _misses(first: tuple, second: tuple, turned: bool) -> ndarray:
+def _measure_mismatch(first: tuple, second: tuple, turned: bool) -> ndarray:
     """Measures how far (k,) faces miss partners, by size, after the best transform."""
     middles, sizes = first
     partners, others = second
