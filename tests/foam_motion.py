@@ -270,6 +270,5 @@ def met(case, patch):
     (entry,) = (
         entry for entry in read_patches(load_file(folder, "boundary")) if entry.name == patch
     )
-    corners, starts = load_file(folder, "faces").faces()
-    used = corners[starts[entry.start] : starts[entry.start + entry.size]]
+    used = load_file(folder, "faces").faces().take(entry.faces).values
     return used[np.sort(np.unique(used, return_index=True)[1])]
