@@ -43,9 +43,7 @@ CHANGING_KEYWORDS = "SYSTEM INCLUDE NGEN NFILL NCOPY NMAP ELGEN ELCOPY PARAMETER
 QUIET_KEYWORDS = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
 LEVEL_NAMES = ("PART", "INSTANCE", "ASSEMBLY")
 
-_CARD = re.compile(
-    rb"^[ \t]*\*(?!\*)((?:[^\n]*,[ \t\r]*\n(?=[ \t]*[A-Za-z]))*[^\n]*)", re.MULTILINE
-)
+_CARD = rb"(?m)^[ \t]*\*(?!\*)((?:[^\n]*,[ \t\r]*\n(?=[ \t]*[A-Za-z]))*[^\n]*)"
 _EMPTY = re.compile(rb",[ \t]*,|^[ \t]*,", re.MULTILINE)
 
 

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
-from jaxmorph._host.cells.topology import DIMENSION, codes, invert_table
+from jaxmorph._host.cells.topology import DIMENSION, Pair, codes, invert_table
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
@@ -49,7 +49,7 @@ GroupNames = dict[tuple[int | None, int], str]
 """Names of physical groups by dimension and tag; None: of any dimension."""
 EntityGroups = dict[tuple[int, int], list[int]]
 """Tags of the physical groups of an entity, by its dimension and tag."""
-TaggedNodes = tuple[ndarray, ndarray]
+TaggedNodes = Pair
 """Tags of nodes, and the place of each one's x."""
 
 

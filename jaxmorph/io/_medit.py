@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import CORNERS, codes, invert_table, pairs_of
+from jaxmorph._host.cells.topology import CORNERS, Pair, codes, invert_table, pairs_of
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
@@ -58,7 +58,7 @@ class MeditFile(NamedTuple):
         singles = EVERYTHING if is_single else ()
         return stream.content(places, d, raw=self.raw, plain=plain, singles=singles), numbers
 
-    def elements(self, name: str) -> tuple[ndarray, ndarray]:
+    def elements(self, name: str) -> Pair:
         """Reads ids of corners (k, c), and the reference of each element."""
         stream = Stream(self.sections[name], self.types)
         rows = stream.table(stream.one("n"), CORNERS[MEDIT_CELLS[name]] + 1)

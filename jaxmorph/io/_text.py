@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.text import decoded as decoded
 
 PathLike = str | os.PathLike[str]
@@ -79,7 +80,7 @@ def splice(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
     return table[inside].tobytes() + text[ends[-1] :]
 
 
-def _gather_bytes(text: bytes, starts: ndarray, sizes: ndarray) -> tuple[ndarray, ndarray]:
+def _gather_bytes(text: bytes, starts: ndarray, sizes: ndarray) -> Pair:
     """Gathers bytes from each of `starts`, as wide as the longest; a mask marks own bytes."""
     width = max(int(sizes.max()), 1)
     windows = ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))

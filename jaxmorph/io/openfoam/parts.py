@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from jaxmorph import Layer, Mesh, Periodic, Plan, export
 from jaxmorph._boundary.outer_faces import outer_faces
+from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.arguments import checked, shown
 from jaxmorph._host.package.files import complete, name_errors_by, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
@@ -193,7 +194,7 @@ class Decomposed:
             points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known)
         )
 
-    def _common_points(self, sides: Sequence[Side]) -> tuple[ndarray, ndarray]:
+    def _common_points(self, sides: Sequence[Side]) -> Pair:
         everywhere = np.concatenate([side.nodes for side in sides])
         places = np.concatenate([side.points for side in sides])
         first, back = first_of_equals(everywhere)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.errors import place_of
 from jaxmorph._host.ragged import Ragged
 from jaxmorph._host.rows import Rows
@@ -140,7 +141,7 @@ def _pair_planes(
     return Front(kind, front, partner, axes, origin)
 
 
-def _find_axis(patches: Sequence[ndarray], points: ndarray) -> tuple[ndarray, ndarray]:
+def _find_axis(patches: Sequence[ndarray], points: ndarray) -> Pair:
     """Finds the axis of two planes: unit vectors (2, 2, 3) along and away from it, and a point."""
     size = np.ptp(points, axis=0).max()
     middles = np.stack([points[nodes].mean(axis=0) for nodes in patches])
@@ -286,7 +287,7 @@ def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
             )
 
 
-def _measure_faces(points: ndarray, faces: Ragged) -> tuple[ndarray, ndarray]:
+def _measure_faces(points: ndarray, faces: Ragged) -> Pair:
     """Computes middles (k, 3) and sizes (k,), roots of areas, of faces."""
     corners = points[faces.values]
     begins = faces.starts[:-1]
