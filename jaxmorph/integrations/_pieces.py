@@ -117,9 +117,8 @@ def gather_surface(
     """
     x = boundary.points
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
-    extent = np.concatenate(
-        [x, *comm.allgather(x[ends])]
-    )  # a plane holds nodes to a share of the whole mesh's size
+    # a plane holds nodes to a share of the whole mesh's size
+    extent = np.concatenate([x, *comm.allgather(x[ends])])
     guided = np.isin(ids, np.concatenate([ids[:0], *map(np.ravel, (faces or {}).values())]))
     for plane in _parallel(boundary.planes):
         guided |= plane.holds(extent)[: len(x)]

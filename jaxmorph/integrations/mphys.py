@@ -70,9 +70,8 @@ class VolumeBuilder(Builder):
         self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True
     ):
         super().__init__()
-        Volume(
-            plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted
-        )  # OpenMDAO refuses values of other types
+        # OpenMDAO refuses values of other types
+        Volume(plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted)
         if plan.points.shape[1] != 3:
             raise ValueError(
                 f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D."

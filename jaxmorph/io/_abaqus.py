@@ -1,6 +1,5 @@
 """Input decks of Abaqus and CalculiX, .inp, of one flat part: nodes, elements, sets, surfaces."""
 
-import dataclasses
 import functools
 import re
 from collections.abc import Iterator
@@ -63,22 +62,22 @@ class Card(NamedTuple):
             yield words if words[-1] else words[:-1]
 
 
-@dataclasses.dataclass
 class _Deck:
     """What the keywords say: nodes and where they stand, elements, sets by kind and name.
 
     `part` are the sets from before an *ASSEMBLY, which may have others of their names.
     """
 
-    labels: list[ndarray] = dataclasses.field(default_factory=list)
-    points: list[ndarray] = dataclasses.field(default_factory=list)
-    parts: list[CoordinatePart] = dataclasses.field(default_factory=list)
-    cells: list[LabelledCells] = dataclasses.field(default_factory=list)
-    sets: dict[tuple[str, str], tuple[str, ndarray]] = dataclasses.field(default_factory=dict)
-    part: set[tuple[str, str]] = dataclasses.field(default_factory=set)
-    level: str = ""
-    seen: set[str] = dataclasses.field(default_factory=set)
-    left: dict[str, None] = dataclasses.field(default_factory=dict)
+    def __init__(self):
+        self.labels = []
+        self.points = []
+        self.parts = []
+        self.cells = []
+        self.sets = {}
+        self.part = set()
+        self.level = ""
+        self.seen = set()
+        self.left = {}
 
     def take(self, card: Card) -> None:
         name = card.name

@@ -21,9 +21,8 @@ def run_apart(path: Path, size: int, folder: str) -> bytes:
     most = MEMORY_OF_A_FILE + MEMORY_OF_A_BYTE * size
     script = Path(__file__).with_name("_apart_script.py")
     python = os.fsdecode(multiprocessing.spawn.get_executable() or "")
-    if (
-        "py" not in Path(python).name.lower()
-    ):  # this process may be another program that has Python in it
+    # this process may be another program that has Python in it
+    if "py" not in Path(python).name.lower():
         python = shutil.which("python3") or "python3"
     words = [python, "-P", str(script), str(path.absolute()), folder, str(most)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

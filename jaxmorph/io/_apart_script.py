@@ -40,9 +40,8 @@ def read_data_sets(file: str, where: str, most: str) -> None:
         write_data(folder / f"{len(names)}.xml", data)
         names.append(name)
     text = said.GetOutput()
-    text = (
-        text if isinstance(text, str) else text.decode(errors="replace")
-    )  # it may quote bytes of the file
+    # it may quote bytes of the file
+    text = text if isinstance(text, str) else text.decode(errors="replace")
     print(json.dumps([names, text]))
 
 

@@ -21,7 +21,7 @@ from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import gathered
 
 from ._format import Source, faults_of, source_of
-from ._su2 import NAME, Keyword, split_zones
+from ._su2 import NAME, Keyword, find_all, split_zones
 from ._text import PathLike, Section, decoded
 from ._vtk import Encoding, file_bytes
 
@@ -187,9 +187,9 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
     keywords = (
         [] if source is None or b"FFD_NBOX" not in source.content.raw else _find_keywords(source)
     )
-    if "FFD_NBOX" not in [keyword.name for keyword in keywords]:
+    if not find_all(keywords, "FFD_NBOX"):
         return ()
-    starts = [k for k, keyword in enumerate(keywords) if keyword.name == "FFD_TAG"]
+    starts = find_all(keywords, "FFD_TAG")
     return tuple(
         _read_section(keywords[a:b], *mesh.points.shape)
         for a, b in itertools.pairwise([*starts, None])

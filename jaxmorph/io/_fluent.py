@@ -74,16 +74,16 @@ class NodeSection(NamedTuple):
         return slice(self.first - 1, self.first - 1 + len(self.points))
 
 
-@dataclasses.dataclass
 class _FluentText:
     """What sections say: counts by kind, nodes, faces behind their heads, and zones by number."""
 
-    dimension: int = 0
-    counts: dict[int, int] = dataclasses.field(default_factory=dict)
-    nodes: list[NodeSection] = dataclasses.field(default_factory=list)
-    faces: list[tuple[list[int], FaceTable]] = dataclasses.field(default_factory=list)
-    regions: list[int] = dataclasses.field(default_factory=list)
-    names: dict[int, tuple[str, str]] = dataclasses.field(default_factory=dict)
+    def __init__(self):
+        self.dimension = 0
+        self.counts = {}
+        self.nodes = []
+        self.faces = []
+        self.regions = []
+        self.names = {}
 
     def take(self, number: int, section: Section) -> None:
         kind = number % 1000

@@ -250,8 +250,9 @@ class FilePoints:
     """
 
     points: ndarray
-    node: ndarray | None = dataclasses.field(default=None, kw_only=True)
-    singles: Sequence[tuple[slice, Any]] = dataclasses.field(default=(), kw_only=True)
+    _: dataclasses.KW_ONLY
+    node: ndarray | None = None
+    singles: Sequence[tuple[slice, Any]] = ()
 
     @property
     def is_flat(self) -> bool:

@@ -398,20 +398,16 @@ def _read_element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     Lines are number, type, tags and nodes. In version 2 the number of tags comes before them, in
     version 1 that of nodes behind two tags.
     """
-    rows = stream.rows
-    assert rows is not None
-    if not len(rows.counts) or rows.counts[0] != 1 or rows.values[0] != len(rows.counts) - 1:
-        raise stream.section.error(
-            f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0
-        )
+    assert stream.rows is not None
+    count = len(stream.rows.counts) - 1
+    rows = stream.rows.behind_count(f"{count} lines of elements, not as many as announced.")
     values = rows.values
-    counts = rows.counts[1:]
-    first = rows.first[1:]
+    counts = rows.counts
+    first = rows.first
     message = "an element has a number, a type, and numbers of tags or of nodes."
-    rows.refuse(1 + np.flatnonzero(counts < (5 if stream.version < 2 else 4)), lambda k: message)
-    if (
-        stream.version < 2
-    ):  # two tags and the number of nodes become the number of tags and two tags
+    rows.refuse(counts < (5 if stream.version < 2 else 4), message)
+    # two tags and the number of nodes become the number of tags and two tags
+    if stream.version < 2:
         places = first[:, None] + np.arange(2, 5)
         values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
     types = values[first + 1]
@@ -423,7 +419,7 @@ def _read_element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         stop = (first + counts)[chosen, None]
         wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
         rows.refuse(
-            1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags."
+            chosen[wrong], lambda k: f"{counts[k]} numbers, not those of its type and tags."
         )
         table = values[np.minimum(start + np.arange(3, 5), len(values) - 1)] * (np.arange(2) < tags)
         yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
@@ -462,9 +458,8 @@ def _group_by_tags(kind: str, corners: ndarray, table: ndarray) -> ElementBlock:
     keys = np.column_stack([table[:, 1], corners, physical])
     first, which = first_of_equals(keys[:, :-1])
     if len(first) == len(keys) or len(np.unique(keys, axis=0)) < len(keys):
-        return ElementBlock(
-            kind, corners, groups
-        )  # what stands twice in one group is told as a fault
+        # what stands twice in one group is told as a fault
+        return ElementBlock(kind, corners, groups)
     order = np.sort(first)
     new_rows = Rows(order).of(first)[which]
     return ElementBlock(kind, corners[order], {tag: new_rows[at] for tag, at in groups.items()})

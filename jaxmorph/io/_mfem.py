@@ -195,12 +195,8 @@ def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
 
 def _read_attributed(section: Section, count: int) -> list[AttributedCells]:
     """Reads rows of attribute, type and corners, type by type; points of a boundary are none."""
-    table = section.rows(np.int64)
-    if not len(table.counts) or table.counts[0] != 1 or table.values[0] != len(table.counts) - 1:
-        raise section.error(
-            "a number of elements expected, and as many rows of attribute, type and corners."
-        )
-    rows = table._replace(values=table.values[1:], counts=table.counts[1:], row=1)
+    message = "a number of elements expected, and as many rows of attribute, type and corners."
+    rows = section.rows(np.int64).behind_count(message)
     found = sorted(rows.by_kind(1, MFEM_SIZES, count), key=lambda kind: kind[0])
     return [
         AttributedCells(GEOMETRIES[kind], each[:, 2:], at, each[:, 0])

@@ -138,12 +138,8 @@ def _find_layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
     """Yields sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark = form.mark
     head = form.head
-    for is_multiple, d in (
-        (True, 3),
-        (False, 3),
-        (True, 2),
-        (False, 2),
-    ):  # does a count of blocks come first?
+    # does a count of blocks come first?
+    for is_multiple, d in ((True, 3), (False, 3), (True, 2), (False, 2)):
         start = mark + (head.itemsize + 2 * mark) * is_multiple
         count = _view_as(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
         shapes = _read_shapes(count, _view_as(numbers[start:], head), d)

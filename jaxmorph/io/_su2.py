@@ -74,7 +74,7 @@ def read(path: Path) -> Parts:
 def split_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
     keywords = list(_read_keywords(path, blank_comments(text)))
-    cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
+    cuts = find_all(keywords, "IZONE")
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
     _check_zones(head, zones)
     zones = sorted(zones, key=lambda zone: zone[0].number())
@@ -83,6 +83,10 @@ def split_zones(path: Path, text: bytes) -> list[list[Keyword]]:
         for zone in zones
     ]
     return found or [head]
+
+
+def find_all(keywords: Sequence[Keyword], name: str) -> list[int]:
+    return [place for place, keyword in enumerate(keywords) if keyword.name == name]
 
 
 def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
@@ -199,7 +203,7 @@ def _read_points(keyword: Keyword, d: int) -> ndarray:
 
 
 def _read_marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
-    tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
+    tags = find_all(keywords, "MARKER_TAG")
     found = []
     for at in tags:
         tag, *rest = keywords[at : at + 3]

@@ -175,6 +175,12 @@ class NumberRows(NamedTuple):
                 message if isinstance(message, str) else message(row), self.row + row
             )
 
+    def behind_count(self, message: str) -> "NumberRows":
+        """Returns all lines but the first, which has their number; else raises `ValueError`."""
+        if not len(self.counts) or self.counts[0] != 1 or self.values[0] != len(self.counts) - 1:
+            raise self.section.error(message, 0)
+        return self._replace(values=self.values[1:], counts=self.counts[1:], row=1)
+
     def by_kind(
         self, column: int, sizes: Mapping[int, int], n: int, more: int = 0
     ) -> Iterator[tuple[int, ndarray, ndarray]]:

@@ -436,9 +436,8 @@ class _Header:
         }
         pieces = [(at, at + size) for array in arrays.values() for at, size in array.pieces]
         check_spans([(0, self.file.tell()), *pieces], self.size)
-        arrays = {
-            name: array for name, array in arrays.items() if array.shape[0]
-        }  # a record has none
+        # a record has none
+        arrays = {name: array for name, array in arrays.items() if array.shape[0]}
         return {
             name: Array(self.file, np.dtype("i1"), (n,), []) for name, n in lengths.items()
         } | arrays

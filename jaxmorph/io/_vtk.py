@@ -143,9 +143,8 @@ def _xml_writer(data: Any, encoding: Encoding) -> Any:
 
 
 def _legacy_writer(data: Any, encoding: Encoding) -> Any:
-    kind = data.GetClassName().removeprefix(
-        "vtk"
-    )  # a writer of any kind does not take the precision
+    # a writer of any kind does not take the precision
+    kind = data.GetClassName().removeprefix("vtk")
     writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write

@@ -160,9 +160,8 @@ class Curves:
         edges = self.edges[self.kinds == kind]
         if edges.shape[1] == 1 or not len(edges):
             return []
-        own = len(self.points) + np.arange(edges.size).reshape(
-            edges.shape
-        )  # a corner joins no edges
+        # a corner joins no edges
+        own = len(self.points) + np.arange(edges.size).reshape(edges.shape)
         ends = np.where(np.isin(edges, self.corners), own, edges)
         links = coo_array((np.ones(len(ends)), tuple(ends.T)), (len(self.points) + edges.size,) * 2)
         part = connected_components(links, directed=False)[1][ends[:, 0]]

@@ -115,9 +115,8 @@ class Lagrange:
         for side, nodes in (
             self.sides if self.dimension == 3 else [(self.name, np.arange(len(self.lattice)))]
         ):
-            if (
-                side == "quad8"
-            ):  # in its middle functions of corners are -1/4, functions of edges 1/2
+            # in its middle functions of corners are -1/4, functions of edges 1/2
+            if side == "quad8":
                 matrix[next(middles), nodes] = np.repeat([-0.25, 0.5], 4)
         for row in middles:  # of a hexahedron
             matrix[row] = np.repeat([-0.25, 0.25], [8, 12])
@@ -261,9 +260,8 @@ def node_keys(ids: ndarray, cell: Lagrange) -> ndarray:
     """Ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
     places = collapsed(cell.shape, cell.reference[cell.corners :])
     weights = np.rint(12**3 * values(cell.shape, places)).astype(np.int64)  # of corners, linear
-    weights = (
-        weights // np.gcd.reduce(weights, axis=1)[:, None]
-    )  # alike in cells of all types that share a face
+    # alike in cells of all types that share a face
+    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]
     corners = np.where(weights > 0, ids[:, None], -1)
     order = np.argsort(corners, axis=2, kind="stable")
     both = np.stack([np.maximum(corners, 0), np.broadcast_to(weights, corners.shape)], axis=3)

@@ -9,12 +9,8 @@ from scipy import sparse
 
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
-DAMPING = (
-    1e-2,
-    1e-1,
-    1.0,
-    10.0,
-)  # damping terms of the diagonal, tried in turn until a matrix is positive
+# damping terms of the diagonal, tried in turn until a matrix is positive
+DAMPING = (1e-2, 1e-1, 1.0, 10.0)
 ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 
 
@@ -33,9 +29,8 @@ def pattern(cells: list[ndarray], n: int, dimension: int) -> Pattern:
     """
     starts, columns, block = _compressed_rows(cells, n)
     order = np.arange(n)
-    if is_factored(
-        n * dimension, dimension
-    ):  # ordering nodes takes half the time of ordering components
+    # ordering nodes takes half the time of ordering components
+    if is_factored(n * dimension, dimension):
         graph = sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(n, n))
         order = Factors(graph + sparse.diags(np.diff(starts) + 1.0)).order
         rank = np.argsort(order)

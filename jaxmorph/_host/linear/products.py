@@ -42,9 +42,8 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
 def smallest_height(corners: ndarray) -> ndarray:
     """Least heights (k,) of simplices (k, d + 1, d)."""
     edges = list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
-    rows = cofactor_rows(
-        edges
-    )  # area vectors of all sides but the first, whose area vector is minus their sum
+    # area vectors of all sides but the first, whose area vector is minus their sum
+    rows = cofactor_rows(edges)
     largest = np.max([np.linalg.norm(side, axis=1) for side in (*rows, sum(rows))], axis=0)
     return np.abs(np.einsum("kd,kd->k", rows[0], edges[0])) / np.where(largest > 0, largest, 1)
 

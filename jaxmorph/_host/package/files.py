@@ -91,10 +91,8 @@ def real_values(path: pathlib.Path, arrays: dict[str, ndarray], name: str) -> nd
     return arrays[name].astype(float)
 
 
-UNPACKED = (
-    2 * 10**8,
-    100,
-)  # bytes that a packed file may become in any case, and that a byte of it may become
+# bytes that a packed file may become in any case, and that a byte of it may become
+UNPACKED = (2 * 10**8, 100)
 
 
 @contextlib.contextmanager
@@ -205,9 +203,8 @@ def _is_of_another(error: Exception) -> bool:
 
 
 def _make_partial(target: pathlib.Path, folder: bool) -> pathlib.Path:
-    room = (
-        255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")
-    )  # of a file system's 255 bytes
+    # of a file system's 255 bytes
+    room = 255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")
     stem = os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
     while True:
         partial = target.with_name(f".{stem}.{secrets.token_hex(4)}.partial{target.suffix}")

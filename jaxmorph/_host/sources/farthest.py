@@ -147,10 +147,11 @@ def _lower(
     np.minimum(distance, total, out=distance)
 
 
+# default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
 DEFAULT_SHARES = {
     2: 0.25,
     3: 0.5,
-}  # default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
+}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -94,9 +94,8 @@ def _by_error(
                 break
             added.append(worst)
             away = np.linalg.norm(points - points[worst], axis=1)
-            missed = missed * np.minimum(
-                away / distance[worst], 1
-            )  # without the part that this source will mend
+            # without the part that this source will mend
+            missed = missed * np.minimum(away / distance[worst], 1)
             distance = np.minimum(distance, away)
             missed[distance <= closest] = 0
         chosen = np.concatenate([chosen, added])
@@ -109,9 +108,8 @@ def _measure_misses(kernel: ndarray, tail: ndarray, chosen: ndarray, values: nda
     terms = tail.shape[1]
     matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])
     rhs = np.concatenate([values[chosen], np.zeros((terms, values.shape[1]))])
-    weights = np.linalg.lstsq(matrix, rhs)[
-        0
-    ]  # points in one plane leave the polynomial undetermined
+    # points in one plane leave the polynomial undetermined
+    weights = np.linalg.lstsq(matrix, rhs)[0]
     return np.abs(values - np.concatenate([kernel, tail], axis=1) @ weights).max(axis=1)
 
 

@@ -50,9 +50,8 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
         closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
         np.minimum.at(distance, near[closer], gap[closer])
         closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
-        closer = closer[
-            np.argsort(-node[closer], kind="stable")
-        ]  # the first of equals is written last
+        # the first of equals is written last
+        closer = closer[np.argsort(-node[closer], kind="stable")]
         nearest[near[closer]] = node[closer]
 
     approach(*_pair_equals(images[rank]))
@@ -73,9 +72,8 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
         gaps = np.where(
             np.tri(len(batch), k=-1, dtype=bool), cdist(ordered[batch], ordered[batch]), np.inf
         )
-        picked = batch[
-            gaps.min(axis=1) >= distance[batch] * (1 - SAME)
-        ]  # no earlier node of the batch comes nearer
+        # no earlier node of the batch comes nearer
+        picked = batch[gaps.min(axis=1) >= distance[batch] * (1 - SAME)]
         radius[picked] = distance[picked]
         distance[picked] = 0
         node, near = tree.within(ordered[picked], (1 - SAME) * radius[picked])

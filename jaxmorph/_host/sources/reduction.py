@@ -283,9 +283,8 @@ def drop_close(points: ndarray, ids: ndarray, closest: float) -> ndarray:
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
     pairs = Tree(points[ids]).query_pairs(_with_noise(points, closest), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
-    for first, second in pairs[
-        np.lexsort((pairs[:, 1], pairs[:, 0]))
-    ]:  # pairs come as first < second
+    # pairs come as first < second
+    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
         if keep[first]:
             keep[second] = False
     return ids[keep]

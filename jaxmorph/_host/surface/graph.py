@@ -67,9 +67,8 @@ def graph_of(surface: ndarray) -> Graph:
     centre = surface.min(axis=0)
     size = np.ptp(surface, axis=0).max() or 1.0
     unit = (surface - centre) / size
-    unique = drop_close(
-        unit, np.arange(len(unit)), roundoff(surface) / size
-    )  # of coincident nodes a moving one
+    # of coincident nodes a moving one
+    unique = drop_close(unit, np.arange(len(unit)), roundoff(surface) / size)
     unique = unique[canonical_order(unit[unique])]
     nodes = unit[unique]
     if len(nodes) <= dimension:

@@ -50,9 +50,8 @@ def near_walls(
     # point. Then the points of a wall are compared with the nodes of all other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
-    order = morton_order(
-        points
-    )  # a tree is searched three times faster for neighbours one after the other
+    # a tree is searched three times faster for neighbours one after the other
+    order = morton_order(points)
     distance, first = _search_nearest(
         surface, _divide_by_reach(wall, reach), points[order], once, reach
     )

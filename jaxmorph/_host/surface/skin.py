@@ -23,16 +23,15 @@ from ..package.rounding import (
 )
 from ..sources.farthest import farthest
 
-RINGS = (
-    40,
-    80,
-)  # radii of rings at which a body's field comes to rest, relative to the body's radius
+# radii of rings at which a body's field comes to rest, relative to the body's radius
+RINGS = (40, 80)
 PAST_RINGS = 1.1  # least distance of a far field with rings, relative to the last ring
 HULL_SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
+# distance of the points of a ring, relative to its radius: about 8 on a circle
 RING_STEP = {
     2: 0.6,
     3: 0.8,
-}  # distance of the points of a ring, relative to its radius: about 8 on a circle
+}
 
 
 def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
@@ -185,14 +184,10 @@ def has_free_faces(points: ndarray, faces: ByType, is_held: ndarray) -> bool:
     return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
 
 
-SHARP_TIP = np.cos(
-    np.deg2rad(60)
-)  # cosine of the angle between a tip's edges below which the wall is sharp there
-NEARBY = (
-    0.002,
-    0.008,
-    0.032,
-)  # distances of sources from a tip over the mean chord: waves invert cells at tips
+# cosine of the angle between a tip's edges below which the wall is sharp there
+SHARP_TIP = np.cos(np.deg2rad(60))
+# distances of sources from a tip over the mean chord: waves invert cells at tips
+NEARBY = (0.002, 0.008, 0.032)
 # least distance of a place behind a tip from the wall, relative to its distance from the tip
 AWAY = 0.7
 

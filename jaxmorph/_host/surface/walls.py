@@ -9,9 +9,8 @@ from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked, resolution
 from ..sources.farthest import farthest
 
-CONCAVE = np.cos(
-    np.deg2rad(45)
-)  # cosine of a concave corner's angle from which on its faces are two walls
+# cosine of a concave corner's angle from which on its faces are two walls
+CONCAVE = np.cos(np.deg2rad(45))
 # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
 REACH = 1.5
 # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
@@ -178,9 +177,8 @@ def _vote_for_parts(curve: ndarray, offsets: ndarray, label: ndarray) -> list[in
     distance = np.linalg.norm(offsets, axis=2)
     parts = []
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
-    across = axes[
-        -1
-    ]  # the normal of the curve's plane, or the way from a straight curve to the nearest node
+    # the normal of the curve's plane, or the way from a straight curve to the nearest node
+    across = axes[-1]
     if not size[1] > 0.01 * size[0]:
         nearest = tuple(np.argwhere(distance <= (1 + SAME) * distance.min())[0])
         across = offsets[nearest] / distance[nearest]

@@ -347,9 +347,8 @@ def _fixed_planes(
         planes = (
             set(options.numbers(f"FFD_FIX_{'IJK'[direction]}")) if word == "USER_INPUT" else set()
         )
-        depth = (
-            0 if PLANES_BEHIND[word] == 3 and count <= 2 else PLANES_BEHIND[word]
-        )  # a second derivative needs a degree of 2
+        # a second derivative needs a degree of 2
+        depth = 0 if PLANES_BEHIND[word] == 3 and count <= 2 else PLANES_BEHIND[word]
         is_mirror = (direction, d, is_symmetric) == (1, 3, True)
         for last, behind in ((0, range(depth)), (-1, range(count - depth, count))):
             if depth and not is_mirror and _crosses(segments, _face(lattice, direction, last)):

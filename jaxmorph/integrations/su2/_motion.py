@@ -133,9 +133,8 @@ def _chord_of_walls(
 
 
 def _file(options: Options, mesh: Mesh, moving: PatchNamesOfMotion) -> Float[ndarray, "m d"]:
-    name = options.text(
-        "DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat")
-    )  # the older name
+    # the older name
+    name = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))
     return io.read_displacement(options.beside(name), mesh, mesh.patch(*moving))
 
 

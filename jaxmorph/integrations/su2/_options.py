@@ -383,7 +383,6 @@ def _variable(options: Options, name: str, kind: str, words: Words, scale: float
     words = options.taken(name, kind, words, count)
     box, start = (words[0], 1) if sort == "box" else ("", 0)
     numbers = tuple(options.number(name, word) for word in words[start:])
-    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(
-        numbers[len(indices) :]
-    )  # a value for each direction
+    # a value for each direction
+    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(numbers[len(indices) :])
     return Variable(kind, box, numbers, len(indices) if is_free else 1, scale)

@@ -82,10 +82,8 @@ def find_children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, An
         if inner:
             yield from find_children(child, *inner)
         else:
-            yield (
-                (decoded(name) if isinstance(name, bytes) else name),
-                child,
-            )  # h5py: bytes unless UTF-8
+            # h5py: bytes unless UTF-8
+            yield ((decoded(name) if isinstance(name, bytes) else name), child)
 
 
 def find_first(group: Any, *labels: str) -> Any:

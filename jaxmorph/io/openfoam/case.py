@@ -359,9 +359,8 @@ def _make_in_space(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Bou
 def _make_in_plane(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
     kinds = {patch.type for patch in planes if patch.size}
-    sides = [
-        ids for patch in planes if len(ids := nodes.pop(patch.name))
-    ]  # no patches of the mesh in one of them
+    # no patches of the mesh in one of them
+    sides = [ids for patch in planes if len(ids := nodes.pop(patch.name))]
     plane = (
         find_sector(faces, points, sides)
         if kinds == {"wedge"}
