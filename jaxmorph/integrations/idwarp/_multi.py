@@ -11,7 +11,7 @@ from numpy import ndarray
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.extend import rows_of, together
-from jaxmorph.io.cgns.file import open_zones, opened
+from jaxmorph.io.cgns.file import open_tree, open_zones
 
 from ._grid import (
     DistributedGrid,
@@ -220,7 +220,7 @@ class MultiUSMesh_C(MultiUSMesh):
 
 def _read_grids(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], ndarray, ndarray]]:
     """Reads a mesh and its grids: names, and by zone its grid, or -1, and its number of nodes."""
-    with opened(pathlib.Path(path)) as file:
+    with open_tree(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
         counts = [zone.count for zone in zones]
         grids = [zone.name.rsplit(".", 1)[0] for zone in zones]
