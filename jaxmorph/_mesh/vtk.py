@@ -216,7 +216,7 @@ def _polyhedral(
     faces = whole.faces
     cells = np.concatenate([cell for *_, cell in blocks])
     rows = np.flatnonzero(faces.neighbour < 0)
-    outer = np.unique(Ragged(faces.labels, faces.starts).take(rows).values)
+    outer = np.unique(faces.rows.take(rows).values)
     of_grid = [(kind, corners, solid[cell]) for kind, corners, cell in blocks]
     return of_grid, (whole if len(whole.cut) else None, cells), outer
 
@@ -237,8 +237,7 @@ def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) 
     labels = rows.values.astype(np.int64)
     _check_ids("a face of a polyhedron", labels, len(points))
     faces = Faces(labels, rows.starts, cells[own.row], np.full(len(rows), -1))
-    turned = Ragged(labels, rows.starts).turned(_inward(faces, points))
-    return dataclasses.replace(faces, labels=turned.values)
+    return dataclasses.replace(faces, labels=faces.rows.turned(_inward(faces, points)).values)
 
 
 def _inward(faces: Faces, points: np.ndarray) -> np.ndarray:

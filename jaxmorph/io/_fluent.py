@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.topology import SIDE_TYPES, codes, invert_table
-from jaxmorph._host.ragged import Ragged, heads_of, spread
+from jaxmorph._host.ragged import Ragged
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
@@ -210,26 +210,20 @@ def _find_closing(text: bytes, at: int) -> int:
 
 
 def _cut_table(words: ndarray, kind: int) -> FaceTable:
-    if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
-        first = heads_of(words, _measure_face) + 1
-        sizes = words[first - 1]
-        if (first[-1:] + sizes[-1:] + 2 != len(words)).any():
-            raise ValueError("faces that are cut short")
+    # a row is a face: its nodes, behind their count where faces differ in size, and its two cells
+    if kind in (0, 5):
+        rows = Ragged.counted(words, more=2)
+    elif kind < 2 or len(words) % (kind + 2):
+        raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
     else:
-        rows, rest = divmod(len(words), kind + 2)
-        if rest or kind < 2:
-            raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
-        first = (kind + 2) * np.arange(rows)
-        sizes = np.full(rows, kind)
-    places, _ = spread(first, first + sizes)
-    cells = words[(first + sizes)[:, None] + np.arange(2)]
-    return FaceTable(Ragged.of(words[places], sizes), cells)
-
-
-def _measure_face(count: int) -> int:
-    if count < 2:
-        raise ValueError(f"a face of {count} nodes")
-    return count + 3
+        rows = Ragged.of(words, np.full(len(words) // (kind + 2), kind + 2))
+    if rows.sizes.min(initial=4) < 4:
+        raise ValueError(f"a face of {rows.sizes.min() - 2} nodes")
+    if rows.starts[-1] != len(rows.values):
+        raise ValueError("faces that are cut short")
+    last = rows.starts[1:, None] - np.array([2, 1])
+    nodes = Ragged.of(np.delete(rows.values, last), rows.sizes - 2)
+    return FaceTable(nodes, rows.values[last])
 
 
 def make_mesh_of_faces(
@@ -259,8 +253,7 @@ def make_mesh_of_faces(
 def _list_zone_patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
     for number, name, kind, rows in zones:
         if kind != ZONE_KINDS[INTERIOR]:
-            own = Ragged(faces.labels, faces.starts).take(rows)
-            yield Patch(name, f"zone_{number}", own.values)
+            yield Patch(name, f"zone_{number}", faces.rows.take(rows).values)
 
 
 def _note_unpaired(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
@@ -312,7 +305,7 @@ def _orient_faces(table: FaceTable, points: ndarray) -> Faces:
         size = np.einsum("fi,fi->f", areas, here[starts[:-1]])[is_outer].sum()
     if not np.isfinite(size):
         raise ValueError("coordinates of its nodes are not finite.")
-    turned = rows.turned(np.full(len(first), size < 0))
+    turned = faces.rows.turned(np.full(len(first), size < 0))
     return dataclasses.replace(faces, labels=turned.values)
 
 
