@@ -22,7 +22,7 @@ class Rows:
 
     def of(self, wanted: Any) -> ndarray:
         """Finds the row of each id, in an array of any shape; -1 for one that is not listed."""
-        wanted = np.asarray(wanted)
+        wanted = np.asarray(wanted, np.int64)
         if not len(self.ids):
             return np.full(wanted.shape, -1)
         near = np.clip(wanted, self._least, self._most)
