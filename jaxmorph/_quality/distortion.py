@@ -26,8 +26,8 @@ from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
 from .vector import ValuesByType, Vector, corners, determinant_of, dot, total
 
-Scalar = Float[Array, "s k"]
-PerCell = Float[Array, " k"]
+AtSamples = Float[Array, "s k"]
+DistortionOfCells = Float[Array, " k"]
 Some = Float[Array, "*shape"]
 
 _HEIGHT = 3**0.5 / 2
@@ -49,9 +49,9 @@ NEAR_AFFINE = 0.1  # least volume of an affine target cell, over that of an idea
 class Target(NamedTuple):
     """Inverse target matrices W^-1 by row, and samples that count: a sign beyond round-off."""
 
-    inverse: tuple[tuple[Scalar, ...], ...]
-    determinant: Scalar
-    counts: Scalar
+    inverse: tuple[tuple[AtSamples, ...], ...]
+    determinant: AtSamples
+    counts: AtSamples
 
 
 def targets(
@@ -123,7 +123,7 @@ def stretch(kind: str, x: Vector, goal: Target) -> list[Vector]:
     ]
 
 
-def samples(kind: str, x: Vector, goal: Target) -> tuple[Scalar, Scalar]:
+def samples(kind: str, x: Vector, goal: Target) -> tuple[AtSamples, AtSamples]:
     """|T|^2 / d and det T at each sample."""
     columns = stretch(kind, x, goal)
     squared: Any = sum(dot(column, column) for column in columns)
@@ -162,7 +162,7 @@ def stiffened(energy: Some, tau: Some, bounds: Bounds) -> Some:
 
 def energy_of_cells(
     kind: str, x: Vector, goal: Target, softness: Any, size: float, bounds: Bounds | None = None
-) -> PerCell:
+) -> DistortionOfCells:
     squared, tau = samples(kind, x, goal)
     values = energy(squared, tau, softness, size, len(goal.inverse))
     if bounds is None:
@@ -200,7 +200,7 @@ def distortion(
     ideal: bool = False,
     size_weight: float = 0.5,
     softness: float = 1e-3,
-) -> PerCell:
+) -> DistortionOfCells:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
     It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. There it

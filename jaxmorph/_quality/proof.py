@@ -21,10 +21,10 @@ from .quality import check_solid, places, signs_of
 from .report import Report, place_of_cell
 from .vector import PerCell, Points, ValuesByType, by_place, in_blocks, join_values
 
-Values = Float[np.ndarray, " k"]
-Mask = Bool[np.ndarray, " k"]
-Places = Float[np.ndarray, "k d"]
-Numbers = Int[np.ndarray, " k"]
+Bounds = Float[np.ndarray, " k"]
+IsDecided = Bool[np.ndarray, " k"]
+ReferencePlaces = Float[np.ndarray, "k d"]
+CellNumbers = Int[np.ndarray, " k"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,30 +62,30 @@ class Proof(Report):
     measures = ("margin", "lower", "upper", "size")
     rank = "_least"
 
-    lower: Values
-    upper: Values
-    size: Values
-    is_valid: Mask
-    is_invalid: Mask
-    is_flat: Mask
-    reference: Places
-    near: Places
-    time: Values | None
-    counted: Mask
-    ids: Numbers
+    lower: Bounds
+    upper: Bounds
+    size: Bounds
+    is_valid: IsDecided
+    is_invalid: IsDecided
+    is_flat: IsDecided
+    reference: ReferencePlaces
+    near: ReferencePlaces
+    time: Bounds | None
+    counted: IsDecided
+    ids: CellNumbers
     types: tuple[tuple[str, int], ...]
     depth: int
 
     @property
-    def is_inverted(self) -> Mask:
+    def is_inverted(self) -> IsDecided:
         return self.is_invalid
 
     @property
-    def volume(self) -> Values:
+    def volume(self) -> Bounds:
         return self.size
 
     @property
-    def centroid(self) -> Places:
+    def centroid(self) -> ReferencePlaces:
         return self.near
 
     @property
@@ -105,11 +105,11 @@ class Proof(Report):
         return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
 
     @property
-    def is_unknown(self) -> Mask:
+    def is_unknown(self) -> IsDecided:
         return self.counted & ~self.is_valid & ~self.is_invalid
 
     @property
-    def margin(self) -> Values:
+    def margin(self) -> Bounds:
         return self.lower / self._unit
 
     @property
@@ -117,15 +117,15 @@ class Proof(Report):
         return self.min("margin")
 
     @property
-    def _unit(self) -> Values:
+    def _unit(self) -> Bounds:
         return np.where(self.size > 0, self.size, 1)
 
     @property
-    def _least(self) -> Values:
+    def _least(self) -> Bounds:
         return np.where(self.is_invalid, self.upper, self.lower) / self._unit
 
     @property
-    def _levels(self) -> Numbers:
+    def _levels(self) -> CellNumbers:
         return np.where(self.is_invalid, 0, np.where(self.is_valid, 2, 1))
 
     def raise_if_unproven(self) -> None:

@@ -13,8 +13,8 @@ from .._host.package.arguments import whole
 from .._kernels.module import Module
 from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
-PerCell = Float[Array, " k"]
-Mask = Bool[Array, " k"]
+CellValues = Float[Array, " k"]
+CellMarks = Bool[Array, " k"]
 
 MEASURES = (
     "skewness",
@@ -202,17 +202,17 @@ class QualityReport(Report, Module):
     measures = MEASURES
     rank = "skewness"
 
-    volume: PerCell
-    skewness: PerCell
-    aspect_ratio: PerCell
-    jacobian: PerCell
-    non_orthogonality: PerCell
-    volume_ratio: PerCell
-    jacobian_ratio: PerCell
-    is_inverted: Mask
-    is_degenerate: Mask
+    volume: CellValues
+    skewness: CellValues
+    aspect_ratio: CellValues
+    jacobian: CellValues
+    non_orthogonality: CellValues
+    volume_ratio: CellValues
+    jacobian_ratio: CellValues
+    is_inverted: CellMarks
+    is_degenerate: CellMarks
     centroid: Float[Array, "k d"]
-    was_inverted: Mask
+    was_inverted: CellMarks
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
 
@@ -225,7 +225,7 @@ class QualityReport(Report, Module):
         return self._over_cells(_add_flags, self.is_degenerate)
 
     @property
-    def is_spoilt(self) -> Mask:
+    def is_spoilt(self) -> CellMarks:
         if self.relative:
             return self.is_inverted & ~self.was_inverted
         return self.is_inverted | self.is_degenerate

@@ -207,7 +207,7 @@ class Judged:
         return Gate(name, limit, extreme, len(rows), worst, before), self.counted[rows]
 
     @property
-    def rows(self) -> "Rows":
+    def rows(self) -> "RowsOfReport":
         report = self.report
         rows = {}
         keys = {}
@@ -305,7 +305,7 @@ class Gate:
         return row, worst and [f"worst cells by {self.label}", *worst]
 
 
-Rows = dict[tuple[str, str], Number]
+RowsOfReport = dict[tuple[str, str], Number]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -333,7 +333,7 @@ class Verdict:
     rule: str
     spoilt: int
     worst: Number | None
-    rows: Rows
+    rows: RowsOfReport
     gates: tuple[Gate, ...]
     before: "Verdict | None" = None
     parts: int = 0

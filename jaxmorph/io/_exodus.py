@@ -93,7 +93,7 @@ def read(path: Path) -> Parts:
         patches += [
             patch for what, number in _SETS for patch in _read_sets(file, what, number, blocks)
         ]
-        notes = _note_unread(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
+        notes = _note_unread_sets(file, [block for *_, block in grid.of_blocks(blocks, full=True)])
         labels = read_labels(file, "node_num_map", n)
         return of_grid(path, NAME, content, grid, patches, notes, labels=labels)
 
@@ -149,7 +149,7 @@ def _list_sides(kind: str, is_shell: bool) -> list[ndarray]:
     ]
 
 
-def _note_unread(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
+def _note_unread_sets(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
     if len(solid) > 1 or any(block.name != block.own for block in solid):
         yield from regions_note(block.name for block in solid)
     for dimension, what in UNREAD_SETS.items():

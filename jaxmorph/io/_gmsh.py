@@ -39,7 +39,7 @@ GMSH_TYPES = invert_table(GMSH_NUMBERS)
 BYTE_ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 
-_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"(?:\s[^"]*)?|(\S+))\s*')
+_GROUP_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"(?:\s[^"]*)?|(\S+))\s*')
 _VERSION_LINE = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
 _COMMENTS = re.compile(
     rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE
@@ -269,7 +269,7 @@ def read_names(section: Section, form: MeshFormat) -> GroupNames:
         )
     names: GroupNames = {}
     for k, row in enumerate(rows, start=1):
-        match = _NAME.fullmatch(row)
+        match = _GROUP_NAME.fullmatch(row)
         if match is None or (form.has_levels and match[1] is None):
             raise section.error("a dimension, a tag and a name expected.", k)
         names[int(match[1]) if match[1] else None, int(match[2])] = decoded(match[4] or match[3])

@@ -9,7 +9,7 @@ from numpy import ndarray
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
-from .._host.package.errors import check_finite
+from .._host.package.errors import check_all_finite
 from .._host.package.rounding import Tree
 
 BLOCK_SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
@@ -106,7 +106,7 @@ def join_zones(
 
     It raises `ValueError` for coordinates that are not finite.
     """
-    check_finite(points)
+    check_all_finite(points)
     faces = select_open_faces(
         faces, [nodes for parts in patches.values() for nodes in parts], len(points)
     )

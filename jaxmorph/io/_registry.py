@@ -17,7 +17,7 @@ from jaxmorph._host.cells.adjacency import repeated_cells
 from jaxmorph._host.cells.topology import HIGH_ORDER
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.errors import check_finite, place_of, warn
+from jaxmorph._host.package.errors import check_all_finite, place_of, warn
 from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
@@ -361,7 +361,7 @@ def _check_path(name: PathLike, mesh: Mesh) -> Format:
             codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
         else:
             own_source(mesh, chosen.name)
-        check_finite(np.asarray(mesh.points))
+        check_all_finite(np.asarray(mesh.points))
     return chosen
 
 

@@ -15,13 +15,13 @@ from jaxmorph.extend import Module, finite_array, is_known
 from jaxmorph.extend import rows_of as listed_rows
 
 M = TypeVar("M", bound=Module)
-Number = Real[ArrayLike, ""]
+ShapeNumber = Real[ArrayLike, ""]
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 Scalar = Float[Array, ""]
 Column = Float[Array, " m"]
 Vector = Float[Array, " d"]
 Positions = Float[Array, "m d"]
-Weights = Float[Array, "m k"]
+ShapeWeights = Float[Array, "m k"]
 
 
 def positions(x: Numbers, name: str = "x", like: tuple[int, ...] | None = None) -> Positions:
@@ -123,7 +123,7 @@ def axis_for(values: Any, like: Positions) -> Float[Array, " 3"]:
     return direction("axis", values, like)
 
 
-def piecewise(t: Column, breaks: Any, coefficients: Sequence[Any]) -> Weights:
+def piecewise(t: Column, breaks: Any, coefficients: Sequence[Any]) -> ShapeWeights:
     """Evaluates polynomials between breaks; coefficients (pieces, k) by rising power."""
     breaks = jnp.asarray(breaks, t.dtype)
     piece = jnp.clip(jnp.searchsorted(breaks, t, side="right") - 1, 0, len(breaks) - 2)

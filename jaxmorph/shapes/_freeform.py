@@ -23,8 +23,8 @@ from ._arguments import (
     Column,
     Numbers,
     Positions,
+    ShapeWeights,
     Vector,
-    Weights,
     check_known,
     known_positions,
     piecewise,
@@ -43,7 +43,7 @@ Degree = int | Sequence[int | None] | None
 SLAB = 8192  # points in a block: intermediate sums are larger than the result
 
 
-def splines(t: Column, count: int, degree: int) -> Weights:
+def splines(t: Column, count: int, degree: int) -> ShapeWeights:
     """B-splines on clamped, equal knots in [0, 1]; Bernstein polynomials at the highest degree."""
     if degree == count - 1:
         return bernstein(t, degree)
@@ -56,7 +56,7 @@ def splines(t: Column, count: int, degree: int) -> Weights:
     )
 
 
-def bernstein(t: Column, degree: int) -> Weights:
+def bernstein(t: Column, degree: int) -> ShapeWeights:
     return jnp.stack(
         [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)], axis=1
     )

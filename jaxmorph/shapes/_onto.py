@@ -42,7 +42,7 @@ SETTLED = 4  # steps from one to the other, and at the last
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
 # weight of edges, corners and planes over the stiffness; of staying, against sliding away
 HARD = 100.0
-STILL = 1e-4
+STAYING = 1e-4
 
 
 class Onto(Module):
@@ -197,7 +197,7 @@ class Onto(Module):
                 is_last, _rotated(shape, area_vectors(shape), area_vectors(y[faces])), shape
             )
         off = off.at[faces].add(_times(local, shape - y[faces]))
-        weights = weights + STILL * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
+        weights = weights + STAYING * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
 
         def product(v):
             return _times(weights, v).at[faces].add(_times(local, v[faces]))

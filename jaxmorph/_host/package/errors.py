@@ -62,7 +62,7 @@ def place_of(point: ndarray) -> str:
     return ", ".join(f"{x:.6g}" for x in point)
 
 
-def check_finite(points: ndarray) -> None:
+def check_all_finite(points: ndarray) -> None:
     """Raises `ValueError` for points (n, d) that are not finite, with the first one."""
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):

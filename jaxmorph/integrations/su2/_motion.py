@@ -147,7 +147,7 @@ def _translation_of_length(x, values, numbers: MotionNumbers, data):
     return _translation(x, values, along / np.linalg.norm(along, axis=1, keepdims=True), data)
 
 
-def _rotate(x, values, numbers: MotionNumbers, data):
+def _rotate_walls(x, values, numbers: MotionNumbers, data):
     """Turns about an axis by degrees; the numbers have its two ends."""
     d = x.shape[1]
     ends = np.array(numbers)
@@ -228,10 +228,10 @@ def _parabolic(x, values, numbers: MotionNumbers, signs):
 
 MOVES: dict[str, tuple[Callable[..., Any], Callable[..., Any] | None]] = {
     "TRANSLATION": (_translation, None),
-    "ROTATION": (_rotate, None),
+    "ROTATION": (_rotate_walls, None),
     "SCALE": (_scale_about, None),
     "TRANSLATE_GRID": (_translation_of_length, None),
-    "ROTATE_GRID": (_rotate, None),
+    "ROTATE_GRID": (_rotate_walls, None),
     "SCALE_GRID": (_scale_about, None),
     "HICKS_HENNE": (_hicks_henne, _signs),
     "HICKS_HENNE_CAMBER": (_camber, _chord_of_walls),

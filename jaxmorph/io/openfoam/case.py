@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
-from jaxmorph._host.package.errors import check_finite, warn
+from jaxmorph._host.package.errors import check_all_finite, warn
 from jaxmorph._host.package.files import complete, is_same
 from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
@@ -276,7 +276,7 @@ def write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> N
             shutil.copytree(content.topology, folder, dirs_exist_ok=True)
             for old in ("points", "points.gz"):
                 (folder / old).unlink(missing_ok=True)
-            _write_points(folder / name, content, points)
+            _write_file(folder / name, content, points)
         return
     file = path / content.place / name
     # the first of the folders that is not there yet appears complete, else the file does
@@ -292,7 +292,7 @@ def write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> N
     with complete(target, folder=target != file) as partial:
         inner = partial / file.relative_to(target)
         inner.parent.mkdir(parents=True, exist_ok=True)
-        _write_points(inner, content, points)
+        _write_file(inner, content, points)
     file.with_name({"points": "points.gz", "points.gz": "points"}[name]).unlink(missing_ok=True)
 
 
@@ -302,7 +302,7 @@ def copy_case(case: pathlib.Path, folder: pathlib.Path, **options: Any) -> None:
             shutil.copytree(case / name, folder / name, **options)
 
 
-def _write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> None:
+def _write_file(path: pathlib.Path, content: CaseContent, points: ndarray) -> None:
     file = content.file
     if np.array_equal(points, content.points):
         path.write_bytes(file.raw)
@@ -337,7 +337,7 @@ def _load_points(folder: pathlib.Path) -> tuple[FoamFile, ndarray]:
     if not len(points):
         raise file.error("no points")
     with faults_of(file.path):
-        check_finite(points)
+        check_all_finite(points)
     return file, points
 
 
