@@ -13,7 +13,7 @@ import pytest
 
 from jaxmorph import native
 from jaxmorph.cli import main
-from jaxmorph.io.openfoam.file import load, patches
+from jaxmorph.io.openfoam.file import load_file, read_patches
 
 
 def build(folder):
@@ -150,12 +150,14 @@ def airfoil(case, mover, library, degrees, **control):
 
 def points_of(case, time="constant"):
     """The points of a time."""
-    return load(pathlib.Path(case, time, "polyMesh"), "points").numbers("scalar", 3)
+    return load_file(pathlib.Path(case, time, "polyMesh"), "points").numbers("scalar", 3)
 
 
 def whole_points(case, time):
     """The points of a decomposed case, after those of each part are found equal bit for bit where it shares them."""
-    files = [load(part / "constant" / "polyMesh", "pointProcAddressing") for part in parts_of(case)]
+    files = [
+        load_file(part / "constant" / "polyMesh", "pointProcAddressing") for part in parts_of(case)
+    ]
     ids = [file.numbers("label").ravel() for file in files]
     points = np.full((max(map(np.max, ids)) + 1, 3), np.nan)
     for part, mine in zip(parts_of(case), ids, strict=True):
@@ -265,7 +267,8 @@ def channel(case, library):
 def met(case, patch):
     """The points of a patch in OpenFOAM's order: as they are met in its faces."""
     folder = case / "constant" / "polyMesh"
-    (entry,) = (entry for entry in patches(load(folder, "boundary")) if entry.name == patch)
-    corners, starts = load(folder, "faces").faces()
-    used = corners[starts[entry.start] : starts[entry.start + entry.size]]
+    (entry,) = (
+        entry for entry in read_patches(load_file(folder, "boundary")) if entry.name == patch
+    )
+    used = load_file(folder, "faces").faces().take(entry.faces).values
     return used[np.sort(np.unique(used, return_index=True)[1])]

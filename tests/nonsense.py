@@ -223,7 +223,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "io.export_case": {"path": FOLDER / "case", "mesh": Lazy(lambda: decomposed().read(0))},
     "io.Decomposed.surface": {"sides": Lazy(lambda: [decomposed().side(k) for k in (0, 1)])},
     **each("io.Decomposed.check_output io.Decomposed.writing", {"path": FOLDER / "new"}),
-    **each("io.check_gradient_output io.check_sensitivity_output", {"path": FOLDER / "a.csv"}),
     "io.global_nodes": {"mesh": Lazy(lambda: decomposed().read(0))},
     "io.read_box": {"source": {"low": [0, 0], "high": [1, 1], "points": [2, 2], "moved": []}},
     "io.read_displacement": {"path": FOLDER / "moves.npz"},

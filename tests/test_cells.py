@@ -207,7 +207,7 @@ def test_a_missing_solver_is_told(monkeypatch):
 def test_a_solve_that_does_not_converge_is_factored_or_no_answer(monkeypatch):
     pytest.importorskip("pyamg")
     monkeypatch.setattr(solves, "DIRECT", 0)
-    monkeypatch.setattr(linear, "LIMIT", 1)
+    monkeypatch.setattr(linear, "MOST_STEPS", 1)
     rng = np.random.default_rng(0)
     pairs, values = np.array([[0, 1], [1, 2]]), rng.normal(size=(2, 3, 3))
     right, free = rng.normal(size=(3, 3)), np.ones((3, 3), bool)
@@ -253,8 +253,8 @@ def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
     root = np.sqrt(matrix.diagonal())
     scaled = (sparse.diags(1 / root) @ matrix @ sparse.diags(1 / root)).tocsr()
     right = np.random.default_rng(0).normal(size=len(root))
-    monkeypatch.setattr(linear, "LIMIT", 25)
-    x = linear.iterated(scaled, right, solves.hierarchy(scaled, root), 1 / root)
+    monkeypatch.setattr(linear, "MOST_STEPS", 25)
+    x = linear.iterate_to_accuracy(scaled, right, solves.hierarchy(scaled, root), 1 / root)
     np.testing.assert_allclose(scaled @ x, right, rtol=0, atol=1e-7)
 
 
@@ -265,8 +265,8 @@ def test_a_dense_system_is_solved_without_multigrid(monkeypatch):
     apart = np.linalg.norm(points[:, None] - points[None], axis=2) / 1.2
     matrix = np.maximum(1 - apart, 0) ** 4 * (4 * apart + 1)  # Wendland's C2 on a sphere
     right = np.sin(3 * points[:, 0])
-    monkeypatch.setattr(linear, "LIMIT", 120)  # 240 without a cycle
-    x = linear.iterated(matrix, right, None, np.ones(1000))
+    monkeypatch.setattr(linear, "MOST_STEPS", 120)  # 240 without a cycle
+    x = linear.iterate_to_accuracy(matrix, right, None, np.ones(1000))
     np.testing.assert_allclose(matrix @ x, right, rtol=0, atol=1e-8)
 
 
@@ -433,9 +433,9 @@ def test_kept_factors_belong_to_one_system(other, monkeypatch):
     }
     given = {"pairs": pairs, "masses": masses, "free": free}
     values, diagonal, right = -rng.uniform(0.1, 1, n - 1), np.full(n, 12.0), rng.normal(size=(n, 2))
-    inverse = linear._inverse
+    inverse = linear._make_inverse
     monkeypatch.setattr(
-        linear, "_inverse", lambda *system: factored.append(system) or inverse(*system)
+        linear, "_make_inverse", lambda *system: factored.append(system) or inverse(*system)
     )
     for system in 2 * [given, given | {other: changed[other]}]:
         i, j = system["pairs"].T
@@ -455,10 +455,12 @@ def test_kept_factors_belong_to_one_system(other, monkeypatch):
 
 def test_one_solve_moves_and_one_pulls_back(monkeypatch):
     """With the factors of `prepare`: nothing is factored after it."""
-    solved, inverse, factored, calls = linear.solve, linear._inverse, [], []
+    solved, inverse, factored, calls = linear.solve, linear._make_inverse, [], []
     plan = planned_slab(2, jm.LinearElasticity())
     monkeypatch.setattr(linear, "solve", lambda *a, **k: calls.append(1) or solved(*a, **k))
-    monkeypatch.setattr(linear, "_inverse", lambda *system: factored.append(1) or inverse(*system))
+    monkeypatch.setattr(
+        linear, "_make_inverse", lambda *system: factored.append(1) or inverse(*system)
+    )
     rng = np.random.default_rng(4)
     u, w = rng.normal(size=(5, 2)), rng.normal(size=plan.points.shape)
     jax.block_until_ready(jm.deform(plan, u))

@@ -419,6 +419,8 @@ SIZES = {
     *("AROUND", "AT_ONCE", "BATCH", "BLOCK", "CACHED", "CELLS", "CLOSEST", "COARSEST", "DIRECT"),
     *("FEW", "KERNEL_BLOCK", "LEAST", "MANY", "MOST", "NEIGHBOURS", "RESORT", "ROOM", "ROWS"),
     *("SAMPLE", "SIDES", "SQUARE", "STEP", "TOGETHER", "WALLS", "WIDER", "WIDTH"),
+    *("CANDIDATES", "CURVE_SAMPLE", "FEW_POINTS", "HULL_SIDES", "LEAP_NEIGHBOURS", "VOTERS"),
+    *("POINTS_TOGETHER", "ROWS_OF_A_CORE", "ROWS_TOGETHER", "ROW_WIDTH", "WALLS_APART"),
 }
 """Names of constants that divide work into blocks, or decide how many of many are looked at."""
 

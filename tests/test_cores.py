@@ -49,8 +49,8 @@ def fine():
 def few_points(monkeypatch):
     """Slabs, searches by threads and blocks of few points, faces and cells."""
     monkeypatch.setattr(slabs, "LEAST", 1024)
-    monkeypatch.setattr(rounding, "FEW", 64)
-    monkeypatch.setattr(cores, "BLOCK", 512)
+    monkeypatch.setattr(rounding, "FEW_POINTS", 64)
+    monkeypatch.setattr(cores, "ROWS_OF_A_CORE", 512)
     monkeypatch.setattr(face_quality, "FACES_AT_ONCE", 512)
     monkeypatch.setattr(vector, "CACHED", 512)
 

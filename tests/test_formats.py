@@ -96,7 +96,7 @@ HELD |= {
 }
 HELD |= {
     f"mfem {name}": (".mesh", lambda path, name=name: path.write_text(getattr(mfem_meshes, name)))
-    for name in ("SOLID", "FLAT", "TORN", "SOLID2")
+    for name in ("SOLID", "FLAT", "TORN")
 }
 
 

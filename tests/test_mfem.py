@@ -10,8 +10,8 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._host.cells.lagrange import PLACES, lagrange_types
 
-FILES = {name: getattr(mfem_meshes, name) for name in ("SOLID", "FLAT", "TORN", "SOLID2")}
-DATA = "FiniteElementCollection: H1_2D_P4"
+FILES = {name: getattr(mfem_meshes, name) for name in ("SOLID", "FLAT", "TORN")}
+DATA = "FiniteElementCollection: H1_2D_P2"
 
 
 def saved(folder, text: str, name: str = "a.mesh"):
@@ -31,7 +31,6 @@ def corners_of(text: str) -> dict[int, list[list[int]]]:
 
 @pytest.mark.parametrize("name", FILES)
 def test_nodes_are_where_the_map_takes_them(tmp_path, name):
-    """The nodes of MFEM's cells are at Gauss-Lobatto places. Those here are at equal steps, of the same curved cell."""
     mesh = io.read(saved(tmp_path, FILES[name]))
     d = mesh.points.shape[1]
     places, seen = np.array(mfem_meshes.CORNER_PLACES[d], float), 0
@@ -101,8 +100,8 @@ def test_comments_between_vertices_stay(tmp_path):
 def test_patches_are_attributes_and_named_sets(tmp_path):
     mesh = io.read(saved(tmp_path, mfem_meshes.SOLID))
     assert list(mesh.patches) == ["boundary_3", "boundary_5", "boundary_9"]
-    assert len(mesh.patch("boundary_5")) == 16  # a quad of order 3
-    assert len(mesh.patch("boundary_3")) == 16 + 10 - 4  # with a triangle beside it
+    assert len(mesh.patch("boundary_5")) == 9  # a quad of order 2
+    assert len(mesh.patch("boundary_3")) == 9 + 6 - 3  # with a triangle beside it
     text = mfem_meshes.straight(bricks(2), "floor")
     straight = io.read(saved(tmp_path, text))
     np.testing.assert_array_equal(straight.points, bricks(2).points)
@@ -122,10 +121,10 @@ def test_patches_are_attributes_and_named_sets(tmp_path):
 
 
 def test_older_names_of_the_spaces(tmp_path):
-    text = mfem_meshes.SOLID2.replace("H1_3D_P2", "Quadratic")
-    assert text != mfem_meshes.SOLID2
+    text = mfem_meshes.SOLID.replace("H1_3D_P2", "Quadratic")
+    assert text != mfem_meshes.SOLID
     mesh = io.read(saved(tmp_path, text))
-    np.testing.assert_array_equal(mesh.points, io.read(saved(tmp_path, mfem_meshes.SOLID2)).points)
+    np.testing.assert_array_equal(mesh.points, io.read(saved(tmp_path, mfem_meshes.SOLID)).points)
 
 
 def test_a_mesh_in_space_that_lies_in_a_plane_has_two_coordinates(tmp_path):
@@ -141,14 +140,14 @@ def test_a_mesh_in_space_that_lies_in_a_plane_has_two_coordinates(tmp_path):
     ("change", "words"),
     [
         (
-            ("H1_2D_P4", "H1_2D_P5"),
-            "nodes of H1_2D_P5 are not read; H1 and L2_T1 of order 1 to 4 are",
+            ("H1_2D_P2", "H1_2D_P3"),
+            "nodes of H1_2D_P3 are not read; H1 and L2_T1 of order 1 and 2 are",
         ),
-        (("H1_2D_P4", "H1Pos_2D_P4"), "nodes of H1Pos_2D_P4 are not read"),
-        (("H1_2D_P4", "NURBS"), "nodes of NURBS are not read"),
+        (("H1_2D_P2", "H1Pos_2D_P4"), "nodes of H1Pos_2D_P4 are not read"),
+        (("H1_2D_P2", "NURBS"), "nodes of NURBS are not read"),
         (
-            ("H1_2D_P4", "H1_2D_P3"),
-            "28 nodes of 2 or 3 coordinates expected, found 90 numbers for 2",
+            ("H1_2D_P2", "H1_2D_P1"),
+            "6 nodes of 2 or 3 coordinates expected, found 30 numbers for 2",
         ),
         (
             ("v1.0", "v2.0"),

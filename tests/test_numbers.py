@@ -8,8 +8,8 @@ import pytest
 from runs import over
 
 from jaxmorph.io import _text
-from jaxmorph.io._text import spliced
-from jaxmorph.io.openfoam.file import load
+from jaxmorph.io._text import splice
+from jaxmorph.io.openfoam.file import load_file
 
 
 def as_python_reads(words):
@@ -93,9 +93,9 @@ def hard_values():
 @pytest.mark.parametrize("enough", [1, 1 << 30])
 def test_written_numbers_read_back_bit_for_bit(monkeypatch, enough):
     """With as few digits as Python's own."""
-    monkeypatch.setattr(_text, "ENOUGH", enough)
+    monkeypatch.setattr(_text, "LONG_TEXT", enough)
     values = hard_values()
-    lines = _text.lines(values).split(b"\n")
+    lines = _text.number_lines(values).split(b"\n")
     assert np.array([float(line) for line in lines]).tobytes() == values.tobytes()
     mantissa = lambda text: len(text.lower().split("e")[0].strip("-").replace(".", "").strip("0"))  # noqa: E731
     assert [mantissa(line.decode()) for line in lines] == [
@@ -112,7 +112,7 @@ def test_pieces_are_replaced_where_they_stand():
         new = ["".join(rng.choice("xyz") for _ in range(rng.randint(0, 12))) for _ in range(50)]
         text = "".join(a + b for a, b in zip(blanks, [*words, ""], strict=True)).encode()
         starts, ends, _ = _text.scan(text)
-        found = spliced(text, starts, ends, "\n".join(new).encode())
+        found = splice(text, starts, ends, "\n".join(new).encode())
         assert found.decode() == "".join(a + b for a, b in zip(blanks, [*new, ""], strict=True))
 
 
@@ -134,9 +134,9 @@ def test_faces_of_one_size_and_of_several(tmp_path, monkeypatch, faces, chunk):
     ]
     head = "FoamFile { format ascii; class faceList; object faces; }\n"
     (tmp_path / "faces").write_text(f"{head}2\n(\n{faces})\n")
-    labels, starts = load(tmp_path, "faces").faces()
-    assert [labels[a:b].tolist() for a, b in itertools.pairwise(starts)] == expected
+    rows = load_file(tmp_path, "faces").faces()
+    assert [rows.values[a:b].tolist() for a, b in itertools.pairwise(rows.starts)] == expected
     for bad in (faces.replace("(", "(9 ", 1), faces.replace("2", "x", 1)):
         (tmp_path / "faces").write_text(f"{head}2\n(\n{bad})\n")
         with pytest.raises(ValueError, match="2 faces expected, each as"):
-            load(tmp_path, "faces").faces()
+            load_file(tmp_path, "faces").faces()

@@ -9,7 +9,7 @@ import pytest
 from foam import PATCHES, mixed
 
 from jaxmorph import io
-from jaxmorph.io.openfoam.file import FoamPatch, load, patches
+from jaxmorph.io.openfoam.file import FoamPatch, load_file, read_patches
 
 FILES = ("points", "faces", "owner", "neighbour", "boundary")
 
@@ -138,7 +138,7 @@ def test_patches_with_comments_dictionaries_and_groups(case):
         2 ( /* a wall */ "the wall" { type wall; coupling { type none; nFaces 9; } inGroups List<word> 2(wall all);
         nFaces 3; startFace 8; } outlet { inGroups (all); startFace 11; type patch; nFaces 0; } ) // end"""
     )
-    wall, outlet = patches(load(file.parent, "boundary"))
+    wall, outlet = read_patches(load_file(file.parent, "boundary"))
     assert wall == FoamPatch("the wall", "wall", 8, 3, ("wall", "all"))
     assert outlet == FoamPatch("outlet", "patch", 11, 0, ("all",))
 

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.adjacency import parts_of
-from .._host.package.rounding import Tree, rows_in
+from .._host.package.rounding import Tree
+from .._host.rows import Rows
 from .._kernels.values import Either, as_jax
 from .boundary import Boundary
 from .outer_faces import mask, row_of
@@ -123,7 +124,7 @@ class Copies:
         faces = faces.reshape(-1, corners.shape[1])
         place = self.places[self.kind, self.rows]
         first = np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])
-        return rows_in(place, faces[first]).astype(np.int32)
+        return Rows(place).of(faces[first]).astype(np.int32)
 
 
 def images_of(boundary: Boundary, order: np.ndarray) -> tuple[Images, Copies]:

@@ -11,6 +11,7 @@ from scipy import sparse
 
 from .._host.cells.adjacency import columns_of, sorted_columns, twins
 from .._host.cells.topology import CORNERS, FACES, Pair
+from .._host.ragged import Ragged
 
 BLOCK = 1 << 13
 
@@ -32,6 +33,10 @@ class Faces:
     starts: np.ndarray
     owner: np.ndarray
     neighbour: np.ndarray
+
+    @property
+    def rows(self) -> Ragged:
+        return Ragged(self.labels, self.starts)
 
     @property
     def sizes(self) -> np.ndarray:
@@ -62,18 +67,12 @@ class Faces:
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Gathers ids (..., size) of faces of `size` corners; `~f` is f seen by its neighbour."""
-        rows = self.labels[
-            self.starts[np.where(faces < 0, ~faces, faces)][..., None] + np.arange(size)
-        ]
+        rows = self.rows.table(np.where(faces < 0, ~faces, faces), size)
         return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
 
     def padded(self, faces: np.ndarray) -> np.ndarray:
         """Gathers node ids (k, c) of faces of several sizes, with -1 behind the last corner."""
-        sizes = self.sizes[faces]
-        corners = np.full((len(faces), int(sizes.max(initial=4))), -1, self.labels.dtype)
-        for size in np.unique(sizes).tolist():
-            corners[sizes == size, :size] = self.corners(faces[sizes == size], size)
-        return corners
+        return self.rows.take(faces).padded(-1, 4)
 
     def nodes(self, first: int, last: int) -> np.ndarray:
         return self.labels[self.starts[first] : self.starts[last]]
@@ -104,7 +103,7 @@ def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
     parts = [corners[:, list(face)] for face in FACES[kind]]
     labels = np.concatenate([part.ravel() for part in parts])
     sizes = np.repeat([part.shape[1] for part in parts], len(corners))
-    starts = np.concatenate([[0], np.cumsum(sizes)])
+    starts = Ragged.of(labels, sizes).starts
     return Faces(labels, starts, np.tile(cell, len(parts)), np.full(len(sizes), -1))
 
 
@@ -116,7 +115,7 @@ def joined_faces(parts: list[Faces]) -> Faces:
     labels, sizes, owner, neighbour = (
         np.concatenate([getattr(part, name) for part in parts]) for name in fields
     )
-    faces = Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), owner, neighbour)
+    faces = Faces(labels, Ragged.of(labels, sizes).starts, owner, neighbour)
     outer = np.flatnonzero(neighbour < 0)
     width = int(sizes.max())
     groups = [outer[sizes[outer] == size] for size in np.unique(sizes[outer]).tolist()]
@@ -130,8 +129,8 @@ def joined_faces(parts: list[Faces]) -> Faces:
     neighbour[rows[first]] = owner[rows[other[first]]]
     is_first = np.ones(len(owner), bool)
     is_first[rows[other[first]]] = False
-    starts = np.concatenate([[0], np.cumsum(sizes[is_first])])
-    return Faces(labels[np.repeat(is_first, sizes)], starts, owner[is_first], neighbour[is_first])
+    left = faces.rows.take(np.flatnonzero(is_first))
+    return Faces(left.values, left.starts, owner[is_first], neighbour[is_first])
 
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._host.cells.topology import Pair
 from .._host.package.rounding import SAME, canonical_order
+from .._host.ragged import Ragged
 from .faces import BLOCK, Faces, open_cells, standard_cells
 
 SLIVER = 1e-3  # share of a cell's mean piece below which a piece is left out: its sign says nothing
@@ -26,11 +27,11 @@ class Polyhedra:
         is_wanted = np.zeros(max(faces.owner.max(), neighbour.max()) + 2, dtype=bool)
         is_wanted[wanted] = True
         rows = np.flatnonzero(is_wanted[faces.owner] | is_wanted[neighbour])
-        labels, which = spread(faces.starts[rows], faces.starts[rows + 1])
+        own = faces.rows.take(rows)
         sides = np.concatenate([faces.owner[rows], neighbour[rows]])
         table = []
-        for column in points[faces.labels[labels]].T:
-            centre = np.bincount(which, column) / faces.sizes[rows]
+        for column in points[own.values].T:
+            centre = np.bincount(own.row, column) / own.sizes
             # the last row takes what has no neighbour, number -1
             table.append(np.bincount(sides % len(is_wanted), np.tile(centre, 2), len(is_wanted)))
         count = np.bincount(sides % len(is_wanted), minlength=len(is_wanted))
@@ -68,7 +69,7 @@ def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> Pair:
     owners = []
     for size in np.unique(sizes).tolist():
         rows = np.flatnonzero(sizes == size)
-        corners = faces.labels[faces.starts[chosen[rows]][:, None] + np.arange(size)]
+        corners = faces.corners(chosen[rows], size)
         x = points[corners]
         normal = np.cross(x - x[:, :1], np.roll(x, -1, axis=1) - x[:, :1]).sum(axis=1)
         least = np.stack(
@@ -110,22 +111,12 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
     owners = [np.zeros(0, np.int64)]
     for at in range(0, len(cells), BLOCK):
         block = cells[at : at + BLOCK]
-        rows, cell = spread(starts[block], starts[block + 1])
-        pieces = _Pieces.around(faces, ordered[rows], cell, points)
+        sides = Ragged(ordered, starts).take(block)
+        pieces = _Pieces.around(faces, sides.values, sides.row, points)
         corners, cell = pieces.tetrahedra(pieces.best_apex())
         parts.append(corners)
         owners.append(block[cell])
     return np.concatenate(parts), np.concatenate(owners)
-
-
-def spread(first: np.ndarray, last: np.ndarray) -> Pair:
-    """Lists the whole numbers of many ranges in a row, and the range of each."""
-    # A count through all ranges is shifted in each: by the range's first number, less the numbers
-    # of the ranges before it.
-    counts = last - first
-    ends = np.cumsum(counts)
-    which = np.repeat(np.arange(len(counts)), counts)
-    return np.arange(counts.sum()) + (first - ends + counts)[which], which
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -143,9 +134,9 @@ class _Pieces:
     ) -> "_Pieces":
         chosen, which = np.unique(np.where(signed < 0, ~signed, signed), return_inverse=True)
         corners, owner = triangles(faces, chosen, points)
-        begins = np.searchsorted(owner, np.arange(len(chosen) + 1))
-        rows, face = spread(begins[which], begins[which + 1])
-        triangle = corners[rows]
+        own = Ragged.of(corners, np.bincount(owner, minlength=len(chosen))).take(which)
+        face = own.row
+        triangle = own.values
         return cls(
             points,
             np.where((signed < 0)[face, None], triangle, triangle[:, ::-1]),

@@ -8,9 +8,11 @@ import numpy as np
 
 from .._host.cells.orders import VTK_ORDER, reordered
 from .._host.cells.topology import DIMENSION, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
+from .._host.ragged import Ragged
+from .._host.rows import join_ids
 from .exchange import Arrays, Grid, Parts, check_width, checked_parts, imported, parts, sized
 from .faces import Faces, faces_of_cells, joined_faces
-from .polyhedra import cells_of_faces, spread
+from .polyhedra import cells_of_faces
 
 AXIS_ALIGNED = {
     8: [0, 1, 3, 2],
@@ -43,11 +45,11 @@ def _as_numpy(array: Any) -> np.ndarray:
     return vtk("util.numpy_support").vtk_to_numpy(array)
 
 
-def _arrays_of(cells: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Returns where the rows of a `vtkCellArray` begin, with the end, and all of its ids."""
+def _rows_of(cells: Any) -> Ragged:
+    """Returns the rows of a `vtkCellArray`: the nodes of cells or faces, the faces of cells."""
     if cells is None or not cells.GetNumberOfCells():
-        return np.zeros(1, np.int64), np.zeros(0, np.int64)
-    return _as_numpy(cells.GetOffsetsArray()), _as_numpy(cells.GetConnectivityArray())
+        return Ragged(np.zeros(0, np.int64), np.zeros(1, np.int64))
+    return Ragged(_as_numpy(cells.GetConnectivityArray()), _as_numpy(cells.GetOffsetsArray()))
 
 
 def in_double(data: Any) -> Any:
@@ -104,8 +106,7 @@ def unstructured(data: Any) -> Any:
 
 def kinds_of(grid: Any) -> np.ndarray:
     """Names the type of each cell (k,) as here, or as VTK does where it is unknown."""
-    starts, _ = _arrays_of(grid.GetCells())
-    sizes = np.diff(starts)
+    sizes = _rows_of(grid.GetCells()).sizes
     base = int(sizes.max(initial=0)) + 1  # a type and a size make one number
     both, which = np.unique(numbers_of(grid).astype(np.int64) * base + sizes, return_inverse=True)
     names = [_kind(*divmod(pair, base)) for pair in both.tolist()]
@@ -138,8 +139,8 @@ def of_vtk(grid: Any) -> Grid:
     are cut. It raises `ValueError` for cells that no mesh has, and for ids of nodes that are not
     there.
     """
-    points, (_, ids) = coordinates(grid), _arrays_of(grid.GetCells())
-    _check_ids("a cell", ids, len(points))
+    points = coordinates(grid)
+    _check_ids("a cell", _rows_of(grid.GetCells()).values, len(points))
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
@@ -183,12 +184,13 @@ def _refuse(kinds: Iterable[str], where: str = "") -> None:
 def _of_kind(
     grid: Any, kind: str, rows: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    (starts, ids), numbers = _arrays_of(grid.GetCells()), numbers_of(grid)
-    sizes = np.diff(starts)[rows]
+    cells = _rows_of(grid.GetCells())
+    numbers = numbers_of(grid)
+    sizes = cells.sizes[rows]
     for size in np.unique(sizes).tolist():
         check_width(kind, size)
         chosen = rows[sizes == size]
-        nodes = ids[starts[chosen][:, None] + np.arange(size)].astype(np.int64)
+        nodes = cells.table(chosen, size).astype(np.int64)
         for number, order in AXIS_ALIGNED.items():
             if (numbers[chosen] == number).any():
                 nodes[numbers[chosen] == number] = nodes[numbers[chosen] == number][:, order]
@@ -214,34 +216,28 @@ def _polyhedral(
     faces = whole.faces
     cells = np.concatenate([cell for *_, cell in blocks])
     rows = np.flatnonzero(faces.neighbour < 0)
-    outer = np.unique(faces.labels[spread(faces.starts[rows], faces.starts[rows + 1])[0]])
+    outer = np.unique(faces.rows.take(rows).values)
     of_grid = [(kind, corners, solid[cell]) for kind, corners, cell in blocks]
     return of_grid, (whole if len(whole.cut) else None, cells), outer
 
 
 def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
-    first, face_of = _arrays_of(grid.GetPolyhedronFaceLocations())
-    starts, ids = _arrays_of(grid.GetPolyhedronFaces())
+    of_cells = _rows_of(grid.GetPolyhedronFaceLocations())
+    every = _rows_of(grid.GetPolyhedronFaces())
     cells = np.flatnonzero(kinds[solid] == "polyhedron")
-    if len(first) != len(kinds) + 1:
-        raise ValueError(f"faces of {len(first) - 1} cells, for {len(kinds)}.")
-    rows, cell = spread(first[solid[cells]], first[solid[cells] + 1])
-    face = face_of[rows]
-    cell = cells[cell]
-    if len(face) and (face.min() < 0 or face.max() >= len(starts) - 1):
-        raise ValueError(f"a polyhedron names face {face.max()}, but there are {len(starts) - 1}.")
-    places, which = spread(starts[face], starts[face + 1])
-    labels = ids[places].astype(np.int64)
-    sizes = np.diff(starts)[face]
-    if (sizes < 3).any():
-        raise ValueError(f"a face of a polyhedron has {sizes.min()} nodes.")
+    if len(of_cells) != len(kinds):
+        raise ValueError(f"faces of {len(of_cells)} cells, for {len(kinds)}.")
+    own = of_cells.take(solid[cells])
+    face = own.values
+    if len(face) and (face.min() < 0 or face.max() >= len(every)):
+        raise ValueError(f"a polyhedron names face {face.max()}, but there are {len(every)}.")
+    rows = every.take(face)
+    if (rows.sizes < 3).any():
+        raise ValueError(f"a face of a polyhedron has {rows.sizes.min()} nodes.")
+    labels = rows.values.astype(np.int64)
     _check_ids("a face of a polyhedron", labels, len(points))
-    faces = Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), cell, np.full(len(sizes), -1))
-    begins = faces.starts[:-1]
-    place = np.arange(len(labels))
-    back = (begins + faces.starts[1:] - 1)[which] - place
-    order = np.where(_inward(faces, points)[which], back, place)
-    return dataclasses.replace(faces, labels=labels[order])
+    faces = Faces(labels, rows.starts, cells[own.row], np.full(len(rows), -1))
+    return dataclasses.replace(faces, labels=faces.rows.turned(_inward(faces, points)).values)
 
 
 def _inward(faces: Faces, points: np.ndarray) -> np.ndarray:
@@ -279,19 +275,19 @@ def new_grid(cells: Mapping[str, Any], points: np.ndarray) -> Any:
     """Makes an unstructured grid; refuses high-order pyramids, which VTK lacks."""
     model = vtk("vtkCommonDataModel")
     numpy = vtk("util.numpy_support")
-    numbers = [np.zeros(0, np.uint8)]
-    ids = [np.zeros(0, np.int64)]
-    ends = [np.zeros(1, np.int64)]
-    for kind, corners in cells.items():
-        nodes = reordered(kind, np.asarray(corners), None, VTK_ORDER)
-        numbers.append(np.full(len(nodes), number_of(kind), np.uint8))
-        ids.append(nodes.ravel().astype(np.int64))
-        ends.append(ends[-1][-1] + nodes.shape[1] * np.arange(1, len(nodes) + 1))
+    nodes = [
+        reordered(kind, np.asarray(ids), None, VTK_ORDER).astype(np.int64)
+        for kind, ids in cells.items()
+    ]
+    counts = list(map(len, nodes))
+    numbers = np.repeat([number_of(kind) for kind in cells], counts).astype(np.uint8)
+    sizes = np.repeat([rows.shape[1] for rows in nodes], counts)
+    rows = Ragged.of(join_ids(nodes), sizes.astype(np.int64))
     array = model.vtkCellArray()
-    array.SetData(*(numpy.numpy_to_vtk(np.concatenate(part), deep=1) for part in (ends, ids)))
+    array.SetData(*(numpy.numpy_to_vtk(part, deep=1) for part in (rows.starts, rows.values)))
     grid = model.vtkUnstructuredGrid()
     grid.SetPoints(points_of(points))
-    grid.SetCells(numpy.numpy_to_vtk(np.concatenate(numbers), deep=1), array)
+    grid.SetCells(numpy.numpy_to_vtk(numbers, deep=1), array)
     return grid
 
 

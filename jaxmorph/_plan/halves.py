@@ -12,10 +12,10 @@ from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary, changed, checked_points, with_faces
 from .._boundary.outer_faces import OuterFaces
-from .._host.cells.adjacency import rows_among
 from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
+from .._host.rows import Rows
 from .._host.surface.skin import has_free_sides
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
@@ -75,7 +75,7 @@ class SurfaceHalf:
         **Raises:** `ValueError` for a node that does not move.
         """
         ids = rows_of("nodes", nodes, 2**62)
-        rows = rows_among(self.moving, ids)
+        rows = Rows(self.moving).of(ids)
         if (rows < 0).any():
             raise ValueError(
                 f"{(rows < 0).sum()} of {len(ids)} nodes do not move, first {ids[rows < 0][0]}."
@@ -174,7 +174,7 @@ class SurfaceHalf:
                 f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of "
                 f"{len(points)} points."
             )
-        rows = np.where(ids < 0, -1, rows_among(self.nodes, ids))
+        rows = np.where(ids < 0, -1, Rows(self.nodes).of(ids))
         present = np.flatnonzero(rows >= 0)
         rows = rows[present]
         twice = np.flatnonzero(np.bincount(rows, minlength=len(self.nodes)) > 1)

@@ -93,7 +93,7 @@ def functions(space: Space, places: Either) -> Either:
 
 
 @functools.cache
-def lattice(space: Space) -> np.ndarray:
+def bernstein_lattice(space: Space) -> np.ndarray:
     """The places (d, n) at even steps that belong to the coefficients."""
     places = np.zeros((0, 1))
     for dimension, degree in space:
@@ -127,10 +127,12 @@ def halving(dimension: int, degree: int) -> np.ndarray:
     them exact.
     """
     space = ((dimension, degree),)
-    own = np.concatenate([1 - lattice(space).sum(axis=0, keepdims=True), lattice(space)])
+    own = np.concatenate(
+        [1 - bernstein_lattice(space).sum(axis=0, keepdims=True), bernstein_lattice(space)]
+    )
     places = np.einsum("cn,pcd->dpn", own, children(dimension)).reshape(dimension + 1, -1)
     halves = functions(space, places[1:]).T.reshape(2**dimension, own.shape[1], -1)
-    exact = np.linalg.solve(functions(space, lattice(space)).T, halves)
+    exact = np.linalg.solve(functions(space, bernstein_lattice(space)).T, halves)
     return (np.round(exact * 2**degree) / 2**degree).reshape(-1, own.shape[1])
 
 

@@ -16,9 +16,9 @@ from .jacobian_form import form_of
 from .vector import PerCell, in_blocks
 
 Values = Float[np.ndarray, " k"]
-Rows = Int[np.ndarray, " p"]
+PathRows = Int[np.ndarray, " p"]
 Path = Int[np.ndarray, "l p"]
-Places = Float[np.ndarray, "f k"]
+BernsteinForms = Float[np.ndarray, "f k"]
 
 ROOM = 1 << 16  # coefficients in a block: they stay in the processor's cache
 DEPTH = 4  # default of `proof`: parts of a sixteenth of a cell's edges where the sign is open
@@ -33,11 +33,11 @@ class LeastValues:
 
     lower: Values  # beyond round-off
     upper: Values  # beyond round-off
-    at: Places  # places among the factors of the space
+    at: BernsteinForms  # places among the factors of the space
     is_flat: np.ndarray  # (k,) both are zero to round-off: no subdivision decides the sign
 
 
-def blocks(rows: Rows, coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
+def blocks(rows: PathRows, coefficients: int) -> Iterator[Int[np.ndarray, " q"]]:
     """Yields rows of so many `coefficients` each, some at a time."""
     size = max(1, ROOM // coefficients)
     return (rows[start : start + size] for start in range(0, len(rows), size))
@@ -87,7 +87,7 @@ def bounds(
     return LeastValues(lower=lower - round_off, upper=upper + round_off, at=at, is_flat=is_flat)
 
 
-def _place_in_cell(space: Space, path: Path, corner: Rows) -> Float[np.ndarray, "f p"]:
+def _place_in_cell(space: Space, path: Path, corner: PathRows) -> Float[np.ndarray, "f p"]:
     """Places of parts' corners, by barycentric coordinates from the parts outwards."""
     corners = np.unravel_index(corner, [m + 1 for m, _ in space])
     paths = np.unravel_index(path, [2**m for m, _ in space])
@@ -116,7 +116,7 @@ def least_jacobian(kind: str, x: list[Float[Either, "nodes k"]]) -> PerCell:
     return form.values(form.columns(x), at)
 
 
-def _least_places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> Places:
+def _least_places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> BernsteinForms:
     form = form_of(kind)
 
     def found(*x: np.ndarray) -> np.ndarray:

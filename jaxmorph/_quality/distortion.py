@@ -24,10 +24,10 @@ from .._mesh.mesh import Mesh, PointsLike
 from . import measures
 from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
-from .vector import ByType, Vector, corners, determinant, dot, total
+from .vector import ValuesByType, Vector, corners, determinant_of, dot, total
 
-Scalar = Float[Array, "s k"]
-PerCell = Float[Array, " k"]
+AtSamples = Float[Array, "s k"]
+DistortionOfCells = Float[Array, " k"]
 Some = Float[Array, "*shape"]
 
 _HEIGHT = 3**0.5 / 2
@@ -49,13 +49,13 @@ NEAR_AFFINE = 0.1  # least volume of an affine target cell, over that of an idea
 class Target(NamedTuple):
     """Inverse target matrices W^-1 by row, and samples that count: a sign beyond round-off."""
 
-    inverse: tuple[tuple[Scalar, ...], ...]
-    determinant: Scalar
-    counts: Scalar
+    inverse: tuple[tuple[AtSamples, ...], ...]
+    determinant: AtSamples
+    counts: AtSamples
 
 
 def targets(
-    cells: ByType, points: Float[Array, "n d"], signs: ByType, ideal: bool
+    cells: ValuesByType, points: Float[Array, "n d"], signs: ValuesByType, ideal: bool
 ) -> dict[str, Target]:
     volumes = {kind: jnp.abs(volume_of(kind, corners(points, ids))) for kind, ids in cells.items()}
     sums = jnp.zeros((2, len(points)), points.dtype)
@@ -88,7 +88,7 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
     # frames of ideal cells of this size; left-handed ones are their mirror images
     cell = Vector(np.array(IDEAL[kind]).T[:, :, None])
     unit = np.array(measures.frames(kind, cell))  # (edges, axes, samples, 1)
-    length = size / np.abs(measures.volume(kind, cell))
+    length = size / np.abs(measures.measure_volume(kind, cell))
     length = jnp.where(length > 0, length, 1) ** (1 / d)
     mirror = jnp.ones((d, len(length)), length.dtype).at[0].set(sign)
     right = (unit * (mirror * length[None])[None, :, None]).astype(edges.dtype)
@@ -100,11 +100,11 @@ def target(kind: str, x: Vector, ideal: bool, sign: Any = None, around: Any = No
         share = np.linalg.inv(frames) / len(frames)
         axes = jnp.einsum("sab,bcsk->ack", share, edges, precision="highest").astype(edges.dtype)
         affine = jnp.einsum("sba,ack->bcsk", frames, axes, precision="highest").astype(edges.dtype)
-        nearness = sign[None] * determinant(affine) / jnp.abs(determinant(right))
+        nearness = sign[None] * determinant_of(affine) / jnp.abs(determinant_of(right))
         is_near = jnp.min(nearness, axis=0) > NEAR_AFFINE
         edges = jnp.where(folded, jnp.where(is_near, affine, right), edges)
     counts = (content > noise) | folded[None]
-    inverse = 1 / jnp.where(counts, determinant(edges), 1)
+    inverse = 1 / jnp.where(counts, determinant_of(edges), 1)
     rows = [[jnp.where(counts, c * inverse, 0) for c in row] for row in cofactors(list(edges))]
     rows = tuple(map(tuple, rows))
     return Target(rows, inverse, counts.astype(inverse.dtype))
@@ -123,11 +123,11 @@ def stretch(kind: str, x: Vector, goal: Target) -> list[Vector]:
     ]
 
 
-def samples(kind: str, x: Vector, goal: Target) -> tuple[Scalar, Scalar]:
+def samples(kind: str, x: Vector, goal: Target) -> tuple[AtSamples, AtSamples]:
     """|T|^2 / d and det T at each sample."""
     columns = stretch(kind, x, goal)
     squared: Any = sum(dot(column, column) for column in columns)
-    return squared / len(columns), determinant(measures.frames(kind, x)) * goal.determinant
+    return squared / len(columns), determinant_of(measures.frames(kind, x)) * goal.determinant
 
 
 def energy(squared: Some, tau: Some, softness: Any, size: float, dimension: int) -> Some:
@@ -162,7 +162,7 @@ def stiffened(energy: Some, tau: Some, bounds: Bounds) -> Some:
 
 def energy_of_cells(
     kind: str, x: Vector, goal: Target, softness: Any, size: float, bounds: Bounds | None = None
-) -> PerCell:
+) -> DistortionOfCells:
     squared, tau = samples(kind, x, goal)
     values = energy(squared, tau, softness, size, len(goal.inverse))
     if bounds is None:
@@ -200,7 +200,7 @@ def distortion(
     ideal: bool = False,
     size_weight: float = 0.5,
     softness: float = 1e-3,
-) -> PerCell:
+) -> DistortionOfCells:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
     It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. There it

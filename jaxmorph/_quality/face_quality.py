@@ -18,14 +18,21 @@ from .._mesh.mesh import Mesh
 from .quality import signs_of
 from .report import Report
 
-Vectors = Float[np.ndarray, "_d _f"]
-Points = Float[np.ndarray, "n d"]
-PerCell = Float[np.ndarray, " k"]
-Mask = Bool[np.ndarray, " k"]
+FaceVectors = Float[np.ndarray, "_d _f"]
+FacePoints = Float[np.ndarray, "n d"]
+FaceValues = Float[np.ndarray, " k"]
+FaceMask = Bool[np.ndarray, " k"]
 
 FLOOR = 1e-300  # least divisor
 
-MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid", "volume_ratio")
+FACE_MEASURES = (
+    "skewness",
+    "aspect_ratio",
+    "non_orthogonality",
+    "volume",
+    "pyramid",
+    "volume_ratio",
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,19 +65,19 @@ class FaceQuality(Report):
     """
 
     rule = "volumes and face pyramids"
-    measures = MEASURES
+    measures = FACE_MEASURES
     rank = "pyramid"
 
-    volume: PerCell
-    pyramid: PerCell
-    is_inverted: Mask
-    skewness: PerCell
-    aspect_ratio: PerCell
-    non_orthogonality: PerCell
+    volume: FaceValues
+    pyramid: FaceValues
+    is_inverted: FaceMask
+    skewness: FaceValues
+    aspect_ratio: FaceValues
+    non_orthogonality: FaceValues
     centroid: Float[np.ndarray, "k d"]
-    counted: Mask
+    counted: FaceMask
     mean_non_orthogonality: float
-    volume_ratio: PerCell
+    volume_ratio: FaceValues
 
     @checked
     def mean(self, name: str, *, weighted: bool = True) -> float:
@@ -82,7 +89,7 @@ class FaceQuality(Report):
         return f"FaceQuality({self.count} cells)"
 
     def __str__(self) -> str:
-        return self._table(f"{self.count} cells: {self.inverted} inverted", MEASURES[:-1])
+        return self._table(f"{self.count} cells: {self.inverted} inverted", FACE_MEASURES[:-1])
 
 
 @checked
@@ -269,13 +276,13 @@ def _cut_into_blocks(groups: Iterable[_Faces], between: np.ndarray | None) -> It
 class _Shape(NamedTuple):
     """Centres and area vectors (d, f) of faces, middles (d, k) and d volumes (k,) of cells."""
 
-    centre: Vectors
-    area: Vectors
-    middle: Vectors
-    volume: PerCell
+    centre: FaceVectors
+    area: FaceVectors
+    middle: FaceVectors
+    volume: FaceValues
 
 
-def _shape_of(sides: Sides, points: Points) -> _Shape:
+def _shape_of(sides: Sides, points: FacePoints) -> _Shape:
     """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
     d = points.shape[1]
     columns = np.ascontiguousarray(points.T)
@@ -295,12 +302,12 @@ def _shape_of(sides: Sides, points: Points) -> _Shape:
     return _Shape(centre, area, moment / np.where(volume == 0, FLOOR, volume), volume)
 
 
-def _add(sums: Vectors, cells: np.ndarray, vectors: Vectors) -> None:
+def _add(sums: FaceVectors, cells: np.ndarray, vectors: FaceVectors) -> None:
     for total, component in zip(sums, vectors, strict=True):
         np.add.at(total, cells, component)
 
 
-def _quality_of(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> FaceQuality:
+def _quality_of(sides: Sides, shape: _Shape, points: FacePoints, old: FaceValues) -> FaceQuality:
     d, total = shape.middle.shape
     noise = 8 * np.finfo(float).eps * np.abs(points).max()
     lowest = np.full(total, np.inf)  # pyramid of a cell, and that with its round-off
@@ -342,7 +349,7 @@ def _quality_of(sides: Sides, shape: _Shape, points: Points, old: PerCell) -> Fa
     )
 
 
-def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vectors]:
+def _centre_and_area(points: FaceVectors, block: FaceBlock) -> tuple[FaceVectors, FaceVectors]:
     """Centres and area vectors of faces; an edge is its own area, turned."""
     x = points.take(block.corners, axis=1)  # (d, corners, f)
     if len(points) == 2:
@@ -357,7 +364,9 @@ def _centre_and_area(points: Vectors, block: FaceBlock) -> tuple[Vectors, Vector
     return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
 
 
-def _pyramids(centres: Vectors, areas: Vectors, means: Vectors, block: FaceBlock) -> list[Vectors]:
+def _pyramids(
+    centres: FaceVectors, areas: FaceVectors, means: FaceVectors, block: FaceBlock
+) -> list[FaceVectors]:
     """d volumes and first moments (d + 1, b) of pyramids, as each view sees the faces."""
     d = len(means)
     parts = []
@@ -377,7 +386,7 @@ class _Across(NamedTuple):
     heights: list[np.ndarray]
 
 
-def _measure_across(shape: _Shape, points: Vectors, block: FaceBlock) -> _Across:
+def _measure_across(shape: _Shape, points: FaceVectors, block: FaceBlock) -> _Across:
     """Measures the line between the cells of each face: from its owner to the cell behind, else
     along the normal to the face.
     """

@@ -23,9 +23,9 @@ from .._kernels.values import Either, namespace
 from . import bernstein
 from .bernstein import Space
 
-Places = Float[np.ndarray, "f k"]
-Columns = list[list[Either]]
-Values = Float[Either, " k"]
+Lattice = Float[np.ndarray, "f k"]
+FormColumns = list[list[Either]]
+FormValues = Float[Either, " k"]
 
 FACTORS = {
     "line": (1,),
@@ -75,15 +75,15 @@ class JacobianForm:
             has_time=True,
         )
 
-    def columns(self, x: list[Either]) -> Columns:
+    def columns(self, x: list[Either]) -> FormColumns:
         """Scaled coefficients of the columns of J: a list of components (nodes, k)."""
         matrices = [matrix.astype(x[0].dtype) for matrix in self.matrices]
         return [[bernstein.contracted(matrix, component) for component in x] for matrix in matrices]
 
-    def determinant(self, columns: Columns) -> Float[Either, "n k"]:
+    def determinant(self, columns: FormColumns) -> Float[Either, "n k"]:
         space = self.spaces[0]
         product = columns[0]
-        steps = zip(self.spaces[1:], columns[1:], (products.cross, _dot), strict=False)
+        steps = zip(self.spaces[1:], columns[1:], (products.cross, _dot_product), strict=False)
         for factor, column, multiply in steps:
             product = bernstein.multiplied(space, factor, product, column, multiply)
             space = _space_of_product(space, factor)
@@ -118,7 +118,7 @@ class JacobianForm:
         ]
         return float(max(row.max() for row in rows))
 
-    def mean(self, coefficients: Either) -> Values:
+    def mean(self, coefficients: Either) -> FormValues:
         """det J's mean over the reference cell: the ratio of the cells' volumes."""
         counts = [len(bernstein.indices(*factor)) for factor in self.space]
         shares = [np.full(count, 1 / count) for count in counts]
@@ -129,26 +129,26 @@ class JacobianForm:
         weights = functools.reduce(np.kron, shares)
         return bernstein.contracted(weights[None].astype(coefficients.dtype), coefficients)[0]
 
-    def places(self, x: list[np.ndarray], at: Places) -> Float[np.ndarray, "k d"]:
+    def places(self, x: list[np.ndarray], at: Lattice) -> Float[np.ndarray, "k d"]:
         """Maps places among the factors of k cells to space."""
         weights = bernstein.functions(self.map_space, at)
         return np.stack(
             [((self.control @ component) * weights).sum(axis=0) for component in x], axis=1
         )
 
-    def values(self, columns: Columns, at: Float[Either, "f k"]) -> Values:
+    def values(self, columns: FormColumns, at: Float[Either, "f k"]) -> FormValues:
         pairs = zip(self.spaces, columns, strict=True)
         weights = [(bernstein.terms(space, at), column) for space, column in pairs]
         return products.determinant(
             [[(b * weight).sum(axis=0) for b in column] for weight, column in weights]
         )
 
-    def inside(self, at: Places) -> Places:
+    def inside(self, at: Lattice) -> Lattice:
         """Moves places off a pyramid's apex, where det J has directions, by a millionth."""
         is_last = np.arange(len(at)) == len(at) - 1
         return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
 
-    def reference(self, places: Places) -> Float[np.ndarray, "d k"]:
+    def reference(self, places: Lattice) -> Float[np.ndarray, "d k"]:
         places = places[1:] if self.has_time else places
         if self.shape != "pyramid":
             return places
@@ -161,7 +161,7 @@ def form_of(kind: str, has_time: bool = False) -> JacobianForm:
         return form_of(kind).with_time()
     cell = lagrange_types()[kind]
     space = tuple((m, cell.order) for m in FACTORS[cell.shape])
-    at = bernstein.lattice(space)
+    at = bernstein.bernstein_lattice(space)
     control = np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))
     control = np.round(control * EXACT) / EXACT
     columns = [
@@ -182,7 +182,7 @@ def _space_of_product(*spaces: Space) -> Space:
     )
 
 
-def _dot(a: list[Either], b: list[Either]) -> list[Either]:
+def _dot_product(a: list[Either], b: list[Either]) -> list[Either]:
     return [products.dot(a, b)]
 
 

@@ -28,8 +28,8 @@ from .vector import (
     columns,
     combined,
     contracted,
-    cross,
-    determinant,
+    cross_product,
+    determinant_of,
     divide,
     dot,
     join,
@@ -64,12 +64,12 @@ def face_areas(kind: str, x: Vector) -> Vector:
     along = _edge_vectors(x, kind)
     if len(x) == 2:
         return Vector((along[1], -along[0]))
-    return cross(along, _unit_normal(kind, x))
+    return cross_product(along, _unit_normal(kind, x))
 
 
 def area_vector(corners: Sequence[Vector]) -> Vector:
     """Half the cross product of diagonals (triangle: two sides); a number in 2-D."""
-    return cross(corners[2] - corners[0], corners[-1] - corners[1]) * 0.5
+    return cross_product(corners[2] - corners[0], corners[-1] - corners[1]) * 0.5
 
 
 def _area_of(kind: str, x: Vector) -> Vector:
@@ -82,7 +82,7 @@ def _unit_normal(kind: str, x: Vector) -> Vector:
     return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else unit(area)
 
 
-def volume(kind: str, x: Vector) -> Scalar:
+def measure_volume(kind: str, x: Vector) -> Scalar:
     """The signed volume, 2-D: signed area; in 3-D a surface's area; a line's length. Faces of four
     corners are bilinear: their flux is that of the mean of the corners, and the volume that of the
     trilinear cell. Of a cell of high order it is the integral of its Jacobian.
@@ -124,9 +124,9 @@ def jacobians(kind: str, x: Vector) -> tuple[Samples, Samples]:
     if not others:
         return a, namespace(a).ones_like(a)
     if len(others) == 1:
-        return dot(cross(*edges), _unit_normal(kind, x)), a + others[0]
+        return dot(cross_product(*edges), _unit_normal(kind, x)), a + others[0]
     b, c = others
-    return determinant(edges), a * b + b * c + c * a
+    return determinant_of(edges), a * b + b * c + c * a
 
 
 def _tangents(derivatives: np.ndarray, x: Vector) -> list[Vector]:
@@ -216,14 +216,14 @@ def aspect_terms(kind: str, x: Vector) -> tuple[Vector, tuple[Scalar, Scalar] | 
     if kind not in _IDEAL_FACTORS:
         return edges, None
     sides = area_vector(columns(x, FACES[kind])) if kind == "tetra" else edges
-    return edges, (_IDEAL_FACTORS[kind] * volume(kind, x), norm(sides).sum(axis=0))
+    return edges, (_IDEAL_FACTORS[kind] * measure_volume(kind, x), norm(sides).sum(axis=0))
 
 
 _IDEAL_FACTORS = {"triangle": 4 * math.sqrt(3), "quad": 4.0, "tetra": 6 * math.sqrt(6)}
 """Longest edge times sum of sides over size, of the ideal cell."""
 
 
-def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
+def measure_non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
     """Angle in degrees of area vector and line between centres; below 90 for a surface in 3-D."""
     degrees = angle(area, between) * (180 / math.pi)
     return namespace(degrees).minimum(degrees, 180 - degrees) if surface else degrees
@@ -258,7 +258,9 @@ def centre_of_mass(kind: str, x: Vector) -> Vector:
         centre = mean(corners)
         normal = area_vector(corners)
         spokes = [corner - centre for corner in corners]
-        weights = [dot(cross(spokes[i - 1], spoke), normal) for i, spoke in enumerate(spokes)]
+        weights = [
+            dot(cross_product(spokes[i - 1], spoke), normal) for i, spoke in enumerate(spokes)
+        ]
         moment = total((spokes[i - 1] + spoke) * weights[i] for i, spoke in enumerate(spokes))
         whole = sum(weights)
         return centre + moment * divide(xp.full_like(whole, 1 / 3), whole, 0.0)
@@ -281,6 +283,6 @@ def _moments(x: Vector, corners: Int[Either, " c"]) -> list:
     around = [x.at(corner) for corner in corners]
     centre = mean(around)
     pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]
-    volumes = [dot(cross(a, b), centre) for a, b in pairs]
+    volumes = [dot(cross_product(a, b), centre) for a, b in pairs]
     moment = total((a + b + centre) * weight for (a, b), weight in zip(pairs, volumes, strict=True))
     return [sum(volumes), *moment]

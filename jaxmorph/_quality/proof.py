@@ -18,13 +18,13 @@ from . import bernstein
 from .bounds import DEPTH, ROOM, bounds
 from .jacobian_form import JacobianForm, form_of, nodes_of
 from .quality import check_solid, places, signs_of
-from .report import Report, place_of
-from .vector import ByType, PerCell, Points, by_place, in_blocks, joined
+from .report import Report, place_of_cell
+from .vector import PerCell, Points, ValuesByType, by_place, in_blocks, join_values
 
-Values = Float[np.ndarray, " k"]
-Mask = Bool[np.ndarray, " k"]
-Places = Float[np.ndarray, "k d"]
-Numbers = Int[np.ndarray, " k"]
+Bounds = Float[np.ndarray, " k"]
+IsDecided = Bool[np.ndarray, " k"]
+ReferencePlaces = Float[np.ndarray, "k d"]
+CellNumbers = Int[np.ndarray, " k"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,30 +62,30 @@ class Proof(Report):
     measures = ("margin", "lower", "upper", "size")
     rank = "_least"
 
-    lower: Values
-    upper: Values
-    size: Values
-    is_valid: Mask
-    is_invalid: Mask
-    is_flat: Mask
-    reference: Places
-    near: Places
-    time: Values | None
-    counted: Mask
-    ids: Numbers
+    lower: Bounds
+    upper: Bounds
+    size: Bounds
+    is_valid: IsDecided
+    is_invalid: IsDecided
+    is_flat: IsDecided
+    reference: ReferencePlaces
+    near: ReferencePlaces
+    time: Bounds | None
+    counted: IsDecided
+    ids: CellNumbers
     types: tuple[tuple[str, int], ...]
     depth: int
 
     @property
-    def is_inverted(self) -> Mask:
+    def is_inverted(self) -> IsDecided:
         return self.is_invalid
 
     @property
-    def volume(self) -> Values:
+    def volume(self) -> Bounds:
         return self.size
 
     @property
-    def centroid(self) -> Places:
+    def centroid(self) -> ReferencePlaces:
         return self.near
 
     @property
@@ -105,11 +105,11 @@ class Proof(Report):
         return 0 if self.time is None else int((self.is_invalid & (self.time == 0)).sum())
 
     @property
-    def is_unknown(self) -> Mask:
+    def is_unknown(self) -> IsDecided:
         return self.counted & ~self.is_valid & ~self.is_invalid
 
     @property
-    def margin(self) -> Values:
+    def margin(self) -> Bounds:
         return self.lower / self._unit
 
     @property
@@ -117,15 +117,15 @@ class Proof(Report):
         return self.min("margin")
 
     @property
-    def _unit(self) -> Values:
+    def _unit(self) -> Bounds:
         return np.where(self.size > 0, self.size, 1)
 
     @property
-    def _least(self) -> Values:
+    def _least(self) -> Bounds:
         return np.where(self.is_invalid, self.upper, self.lower) / self._unit
 
     @property
-    def _levels(self) -> Numbers:
+    def _levels(self) -> CellNumbers:
         return np.where(self.is_invalid, 0, np.where(self.is_valid, 2, 1))
 
     def raise_if_unproven(self) -> None:
@@ -138,7 +138,7 @@ class Proof(Report):
         raise ValueError(
             f"{self.invalid} of {self.count} cells fold inside{start}, {self.unknown} are not "
             f"proven, first cell {self.ids[first]} "
-            f"({self.type_of(first)}) near {place_of(self, first)}. {cure}"
+            f"({self.type_of(first)}) near {place_of_cell(self, first)}. {cure}"
         )
 
     def type_of(self, cell: int | np.integer) -> str:
@@ -169,7 +169,7 @@ class Proof(Report):
         for cell in self.worst():
             time = "" if self.time is None else f"{_short(self.time[cell]):<5}"
             inside = " ".join(map(_short, self.reference[cell]))
-            near = re.sub("[(,)]", "", place_of(self, cell))
+            near = re.sub("[(,)]", "", place_of_cell(self, cell))
             numbers = f"{self.margin[cell]:>9.2g}{self.upper[cell] / self._unit[cell]:>9.2g}"
             kind = re.sub("^(tri|tet|hex)[a-z]*", r"\1", self.type_of(cell))
             lines.append(f"{self.ids[cell]:<8}{kind:<10}{numbers} {time}{inside:<15}{near}")
@@ -248,7 +248,7 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
         result[..., counted] = rows
         return result
 
-    found = jax.tree.map(among_all, joined(np, columns))
+    found = jax.tree.map(among_all, join_values(np, columns))
     lower = found["lower"]
     upper = found["upper"]
     is_invalid = counted & ((found["value"] < 0) & (upper < 0) | np.isnan(upper))
@@ -351,7 +351,7 @@ def _cells_at_once(xp: Any, form: JacobianForm, parts: int = 1) -> int:
 
 
 @by_place
-def _undeformed(cells: ByType, points: Points, signs: ByType) -> ByType:
+def _undeformed(cells: ValuesByType, points: Points, signs: ValuesByType) -> ValuesByType:
     """Mean det J of undeformed cells, with the proper sign; that sign where the mean is zero."""
     xp = namespace(points)
     sizes = {kind: sign.astype(points.dtype) for kind, sign in signs.items()}
@@ -370,7 +370,7 @@ def _undeformed(cells: ByType, points: Points, signs: ByType) -> ByType:
 
 @by_place
 def _margins(
-    cells: ByType, sizes: ByType, ends: tuple[Either, ...], depth: int, sharpness: Any
+    cells: ValuesByType, sizes: ValuesByType, ends: tuple[Either, ...], depth: int, sharpness: Any
 ) -> PerCell:
     xp = namespace(ends[0])
     margins = {}
@@ -382,7 +382,7 @@ def _margins(
             margins[kind] = in_blocks(xp, margin, ids.T, sizes[kind], size=size)
         else:
             margins[kind] = xp.full(len(ids), np.inf, ends[0].dtype)
-    return joined(xp, margins)
+    return join_values(xp, margins)
 
 
 def _margin(

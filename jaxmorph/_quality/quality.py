@@ -29,16 +29,16 @@ from . import measures
 from .bounds import least_jacobian
 from .report import QualityReport
 from .vector import (
-    ByType,
     Ids,
     Marks,
     PerCell,
     Points,
     Samples,
+    ValuesByType,
     Vector,
     by_place,
     by_type,
-    joined,
+    join_values,
     middle,
 )
 
@@ -128,7 +128,7 @@ class Links(NamedTuple):
     part: Ids
 
 
-def link(cells: ByType) -> Links:
+def link(cells: ValuesByType) -> Links:
     def linked(*corners: np.ndarray) -> list[np.ndarray]:
         known = dict(zip(cells, corners, strict=True))
         found = neighbours(known)
@@ -148,11 +148,11 @@ def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Ids]:
 
 
 @by_place
-def _signs_by_type(cells: ByType, links: Links, points: Points) -> ByType:
+def _signs_by_type(cells: ValuesByType, links: Links, points: Points) -> ValuesByType:
     """The sign of each cell by the volume of its part of the mesh; none in lower dimension."""
     xp = namespace(points)
     volumes = by_type(volume_of, points, cells)
-    volume = joined(xp, volumes)
+    volume = join_values(xp, volumes)
     if xp is np:
         enclosed = np.bincount(links.part, links.sign * volume, len(volume))
     else:
@@ -187,8 +187,8 @@ def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str
     if mesh.polyhedra is not None:
         # pieces keep the signs that they have, where the whole polyhedron or polygon is not folded
         volumes = by_type(volume_of, jnp.asarray(mesh.points), mesh.cells)
-        volume = joined(jnp, volumes)
-        sign = joined(jnp, signs)
+        volume = join_values(jnp, volumes)
+        sign = join_values(jnp, signs)
         ids = mesh.cell_ids
         whole = jax.ops.segment_sum(sign * volume, ids, num_segments=int(ids.max()) + 1)[ids]
         is_sound = np.isin(ids, mesh.polyhedra.cut) & (whole > 0)
@@ -198,7 +198,7 @@ def standards_of(mesh: Mesh, dtype: Any, links: Links | None = None) -> dict[str
 
 
 @by_place
-def _standards(cells: ByType, points: Points, signs: ByType) -> dict[str, Standard]:
+def _standards(cells: ValuesByType, points: Points, signs: ValuesByType) -> dict[str, Standard]:
     return by_type(_standard, points, cells, signs)
 
 
@@ -229,7 +229,7 @@ def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
 
 @by_place
 def _judge_all(
-    cells: ByType, links: Links, points: Points, standards: dict[str, Standard] | None
+    cells: ValuesByType, links: Links, points: Points, standards: dict[str, Standard] | None
 ) -> dict[str, Either]:
     if standards is None:
         signs = _signs_by_type(cells, links, points)
@@ -237,26 +237,26 @@ def _judge_all(
     else:
         signs = {kind: standard.sign for kind, standard in standards.items()}
         columns = by_type(_judge_moved, points, cells, standards)
-    columns = joined(namespace(points), columns)
+    columns = join_values(namespace(points), columns)
     angles = non_orthogonality(points, cells, signs, links.neighbour)
     return columns | {"non_orthogonality": angles, "centroid": columns["centroid"].T}
 
 
 @by_place
-def _mark_inverted(cells: ByType, points: Points, standards: dict[str, Standard]) -> Marks:
+def _mark_inverted(cells: ValuesByType, points: Points, standards: dict[str, Standard]) -> Marks:
     def is_inverted(kind: str, x: Vector, standard: Standard) -> Marks:
         return _judge_sizes(*sizes_of(kind, x)[:2], standard)["is_inverted"]
 
-    return joined(namespace(points), by_type(is_inverted, points, cells, standards))
+    return join_values(namespace(points), by_type(is_inverted, points, cells, standards))
 
 
-def _split_by_type(values: Either, like: ByType) -> ByType:
+def _split_by_type(values: Either, like: ValuesByType) -> ValuesByType:
     ends = np.cumsum([len(part) for part in like.values()])[:-1]
     return dict(zip(like, namespace(values).split(values, ends), strict=True))
 
 
 def volume_of(kind: str, x: Vector) -> PerCell:
-    return measures.volume(kind, measures.relative_corners(x)[0])
+    return measures.measure_volume(kind, measures.relative_corners(x)[0])
 
 
 def sizes_of(kind: str, x: Vector) -> tuple[Either, Either, Either]:
@@ -270,7 +270,7 @@ def sizes_of(kind: str, x: Vector) -> tuple[Either, Either, Either]:
         least = least_jacobian(kind, list(relative))
         jacobians = namespace(least).concatenate([jacobians, least[None]])
     noise = rounding[None] * constant(_with_largest(spread, len(jacobians)))
-    return measures.volume(kind, relative), jacobians, noise
+    return measures.measure_volume(kind, relative), jacobians, noise
 
 
 def _with_largest(values: Samples, rows: int) -> Float[Either, "rows k"]:
@@ -332,8 +332,8 @@ def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) 
 
 def non_orthogonality(
     points: Points,
-    cells: ByType,
-    signs: ByType,
+    cells: ValuesByType,
+    signs: ValuesByType,
     neighbour: Either,
     maximum: Callable = largest_inner,
 ) -> PerCell:
@@ -345,7 +345,7 @@ def non_orthogonality(
     cells = {
         kind: ids[:, : CORNERS[SHAPES[kind]]] for kind, ids in cells.items()
     }  # of a curved cell the corners
-    origins, centres = map(Vector, joined(xp, by_type(_centre, points, cells)))
+    origins, centres = map(Vector, join_values(xp, by_type(_centre, points, cells)))
 
     def angles(kind: str, x: Vector, sign: Either, behind: Int[Either, "f k"], here: Ids) -> Either:
         if not FACES[kind]:
@@ -355,7 +355,7 @@ def non_orthogonality(
         here = here[None]
         between = (origins.at(other) - origins.at(here)) + (centres.at(other) - centres.at(here))
         areas = measures.face_areas(SHAPES[kind], measures.scaled(relative, size)) * sign[None]
-        degrees = measures.non_orthogonality(
+        degrees = measures.measure_non_orthogonality(
             areas, between * (1 / size)[None], DIMENSION[kind] < len(areas)
         )
         return maximum(degrees, behind >= 0)
@@ -365,7 +365,7 @@ def non_orthogonality(
     sides = dict(zip(cells, xp.split(neighbour, ends), strict=True))
     behind = {k: sides[k].reshape(len(ids), len(FACES[k])).T for k, ids in cells.items()}
     here = _split_by_type(xp.arange(len(origins[0])), cells)
-    return joined(xp, by_type(angles, points, cells, signs, behind, here))
+    return join_values(xp, by_type(angles, points, cells, signs, behind, here))
 
 
 def _centre(kind: str, x: Vector) -> tuple[tuple, tuple]:

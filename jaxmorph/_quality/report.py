@@ -13,8 +13,8 @@ from .._host.package.arguments import whole
 from .._kernels.module import Module
 from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
-PerCell = Float[Array, " k"]
-Mask = Bool[Array, " k"]
+CellValues = Float[Array, " k"]
+CellMarks = Bool[Array, " k"]
 
 MEASURES = (
     "skewness",
@@ -126,7 +126,7 @@ class Report:
             are = "cell is" if len(bad) == 1 else "cells are"
             raise ValueError(
                 f"{len(bad)} of {self.count} {are} inverted, first cell {bad[0]} near "
-                f"{place_of(self, bad[0])}. "
+                f"{place_of_cell(self, bad[0])}. "
                 "jm.inspect(plan, u, mesh=mesh) looks for what helps."
             )
 
@@ -147,11 +147,11 @@ class Report:
             numbers = "".join(
                 f"{float(value(name)):>10.3g}" for value in (self.min, self.mean, self.max)
             )
-            lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of(self, cell)}")
+            lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of_cell(self, cell)}")
         return "\n".join(lines)
 
 
-def place_of(report: Report, cell: int | np.integer) -> str:
+def place_of_cell(report: Report, cell: int | np.integer) -> str:
     """Writes where a cell is; a coordinate that is small beside the largest one is 0."""
     centroid = np.asarray(report.centroid[cell], dtype=float)
     place = np.where(np.abs(centroid) < 1e-4 * np.abs(centroid).max(), 0.0, centroid)
@@ -202,17 +202,17 @@ class QualityReport(Report, Module):
     measures = MEASURES
     rank = "skewness"
 
-    volume: PerCell
-    skewness: PerCell
-    aspect_ratio: PerCell
-    jacobian: PerCell
-    non_orthogonality: PerCell
-    volume_ratio: PerCell
-    jacobian_ratio: PerCell
-    is_inverted: Mask
-    is_degenerate: Mask
+    volume: CellValues
+    skewness: CellValues
+    aspect_ratio: CellValues
+    jacobian: CellValues
+    non_orthogonality: CellValues
+    volume_ratio: CellValues
+    jacobian_ratio: CellValues
+    is_inverted: CellMarks
+    is_degenerate: CellMarks
     centroid: Float[Array, "k d"]
-    was_inverted: Mask
+    was_inverted: CellMarks
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
 
@@ -225,7 +225,7 @@ class QualityReport(Report, Module):
         return self._over_cells(_add_flags, self.is_degenerate)
 
     @property
-    def is_spoilt(self) -> Mask:
+    def is_spoilt(self) -> CellMarks:
         if self.relative:
             return self.is_inverted & ~self.was_inverted
         return self.is_inverted | self.is_degenerate

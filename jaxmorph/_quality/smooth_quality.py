@@ -16,18 +16,18 @@ from .._mesh.mesh import Mesh, PointsLike
 from .._methods.base import number
 from . import measures
 from .quality import Standard, link, non_orthogonality, places, standards_of
-from .vector import ByType, Vector, by_type, dot, joined
+from .vector import ValuesByType, Vector, by_type, dot, join_values
 
-PerCell = Float[Array, " k"]
+SmoothOfCells = Float[Array, " k"]
 
 
 class SmoothQuality(Module):
     """Smooth measures of k cells: arrays (k,), as in `QualityReport`; angles in degrees."""
 
-    skewness: PerCell
-    aspect_ratio: PerCell
-    non_orthogonality: PerCell
-    jacobian_ratio: PerCell
+    skewness: SmoothOfCells
+    aspect_ratio: SmoothOfCells
+    non_orthogonality: SmoothOfCells
+    jacobian_ratio: SmoothOfCells
 
 
 @checked
@@ -76,10 +76,10 @@ def smooth_quality(
 
 @compiled
 def _measure_softly(
-    cells: ByType, behind, points, standards: dict[str, Standard], options
+    cells: ValuesByType, behind, points, standards: dict[str, Standard], options
 ) -> SmoothQuality:
     shapes = functools.partial(_measure_shapes, options)
-    skewness, aspect, jacobian = joined(jnp, by_type(shapes, points, cells, standards))
+    skewness, aspect, jacobian = join_values(jnp, by_type(shapes, points, cells, standards))
     signs = {kind: standard.sign for kind, standard in standards.items()}
     largest_angle = functools.partial(_largest_angle, sharpness=options[0])
     angles = non_orthogonality(points, cells, signs, behind, largest_angle)
@@ -103,7 +103,7 @@ def _measure_shapes(options, kind: str, x: Vector, standard: Standard) -> tuple[
     return skewness, jnp.exp(largest(aspect.reshape(-1, len(size)))), ratio
 
 
-def _soft_aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> PerCell:
+def _soft_aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -> SmoothOfCells:
     if kind == "line":
         return jnp.ones_like(x[0][0])
     edges, under = measures.aspect_terms(kind, x)
@@ -120,14 +120,14 @@ def _soft_aspect_ratio(kind: str, x: Vector, sign: Array, sharpness, softness) -
 
 def _largest_angle(
     degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness
-) -> PerCell:
+) -> SmoothOfCells:
     unit = 90 / sharpness
     return _soft_maximum_where(jnp.sqrt(degrees**2 + unit**2) - unit, is_inner, 1 / unit)
 
 
 def _soft_maximum_where(
     values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness
-) -> PerCell:
+) -> SmoothOfCells:
     number = jnp.sum(counts, axis=0)
     weights = jnp.where((number > 0)[None], counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)

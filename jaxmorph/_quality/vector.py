@@ -25,7 +25,7 @@ Ids = Int[Either, " k"]
 Samples = Float[Either, "s k"]
 Points = Float[Either, "n d"]
 
-ByType = dict[str, Any]
+ValuesByType = dict[str, Any]
 
 
 class Vector(tuple):
@@ -68,11 +68,11 @@ def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
     return jnp.tensordot(matrix, values, (1, axis), precision="highest")
 
 
-def cross(a: Vector, b: Vector) -> Vector:
+def cross_product(a: Vector, b: Vector) -> Vector:
     return Vector(products.cross(a, b))
 
 
-def determinant(columns: Components) -> Scalar:
+def determinant_of(columns: Components) -> Scalar:
     return products.determinant([*columns[2:], *columns[:2]])
 
 
@@ -112,7 +112,7 @@ def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
 def angle(a: Vector, b: Vector) -> Scalar:
     """The angle in radians; 0, without a derivative, for a vector of no length."""
     xp = namespace(a[0])
-    sine = norm(cross(a, b))
+    sine = norm(cross_product(a, b))
     cosine = dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
     return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))
@@ -169,7 +169,9 @@ def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) 
     )
 
 
-def by_type(function: Callable, points: Points, cells: ByType, *others: ByType) -> ByType:
+def by_type(
+    function: Callable, points: Points, cells: ValuesByType, *others: ValuesByType
+) -> ValuesByType:
     """Applies `function(kind, corners, ...)` to blocks of each type's cells, and of `others`."""
 
     def measured(kind: str, ids: Int[Either, "c k"], *rows: Any) -> Any:
@@ -183,5 +185,5 @@ def by_type(function: Callable, points: Points, cells: ByType, *others: ByType) 
     return parts
 
 
-def joined(xp: Any, parts: ByType) -> Any:
+def join_values(xp: Any, parts: ValuesByType) -> Any:
     return jax.tree.map(lambda *rows: xp.concatenate(rows, axis=-1), *parts.values())

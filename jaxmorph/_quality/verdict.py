@@ -207,7 +207,7 @@ class Judged:
         return Gate(name, limit, extreme, len(rows), worst, before), self.counted[rows]
 
     @property
-    def rows(self) -> "Rows":
+    def rows(self) -> "RowsOfReport":
         report = self.report
         rows = {}
         keys = {}
@@ -305,7 +305,7 @@ class Gate:
         return row, worst and [f"worst cells by {self.label}", *worst]
 
 
-Rows = dict[tuple[str, str], Number]
+RowsOfReport = dict[tuple[str, str], Number]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -333,7 +333,7 @@ class Verdict:
     rule: str
     spoilt: int
     worst: Number | None
-    rows: Rows
+    rows: RowsOfReport
     gates: tuple[Gate, ...]
     before: "Verdict | None" = None
     parts: int = 0
@@ -385,9 +385,9 @@ class Verdict:
             degenerate=sum(of["degenerate"]),
             rule=parts[0].rule,
             spoilt=sum(of["spoilt"]),
-            worst=_merged(spoilt) if spoilt else None,
-            rows={row: _merged([rows[row] for rows in of["rows"]]) for row in parts[0].rows},
-            gates=tuple(map(_joined, zip(*of["gates"], strict=True))),
+            worst=_merge_limits(spoilt) if spoilt else None,
+            rows={row: _merge_limits([rows[row] for rows in of["rows"]]) for row in parts[0].rows},
+            gates=tuple(map(_join_words, zip(*of["gates"], strict=True))),
             before=cls.together(before) if before else None,
             parts=len(parts),
             between=sum(of["between"]) // 2,
@@ -567,19 +567,19 @@ def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
     )
 
 
-def _joined(gates: Sequence[Gate]) -> Gate:
+def _join_words(gates: Sequence[Gate]) -> Gate:
     cells = sorted((cell for gate in gates for cell in gate.worst), key=lambda cell: -cell.badness)
     before = [gate.before for gate in gates if gate.before]
     return dataclasses.replace(
         gates[0],
-        extreme=_merged([gate.extreme for gate in gates]),
+        extreme=_merge_limits([gate.extreme for gate in gates]),
         beyond=sum(gate.beyond for gate in gates),
         worst=tuple(cells[:WORST]),
-        before=_joined(before) if before else None,
+        before=_join_words(before) if before else None,
     )
 
 
-def _merged(numbers: Sequence[Number]) -> Number:
+def _merge_limits(numbers: Sequence[Number]) -> Number:
     if numbers[0].kind != "mean":
         return max(numbers, key=lambda number: number.badness)
     weight = sum(number.weight for number in numbers)

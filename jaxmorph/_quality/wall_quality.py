@@ -14,7 +14,7 @@ from .._kernels.module import Module
 from .._kernels.values import Either, as_jax, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
-from .vector import Points, Vector, angle, by_place, cross, dot, unit
+from .vector import Points, Vector, angle, by_place, cross_product, dot, unit
 
 Heights = Float[Either, " w"]
 
@@ -127,7 +127,9 @@ def _components(lines: Lines, x: Points) -> tuple[Vector, Heights]:
     line = Vector(lines.directions(x).T)
     height = dot(normal, Vector((x[lines.ends] - x[lines.nodes]).T))
     if len(normal) == 2:
-        return Vector([dot(normal, line), *cross(normal, line)]), height
+        return Vector([dot(normal, line), *cross_product(normal, line)]), height
     beside = Vector((x[lines.beside] - x[lines.nodes]).T)
     tangent = unit(beside - normal * dot(beside, normal))
-    return Vector(dot(axis, line) for axis in (normal, tangent, cross(normal, tangent))), height
+    return Vector(
+        dot(axis, line) for axis in (normal, tangent, cross_product(normal, tangent))
+    ), height

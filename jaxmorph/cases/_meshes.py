@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
+from numpy import ndarray
 from scipy.optimize import brentq, isotonic_regression
 
 import jaxmorph as jm
@@ -15,7 +16,7 @@ from jaxmorph.extend import between, checked, finite_array
 
 # A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose
 # (0) to the upper.
-Section = Callable[[np.ndarray], np.ndarray]
+Section = Callable[[ndarray], ndarray]
 
 REFERENCE_POINTS = 39_666
 
@@ -122,9 +123,7 @@ def naca4(
     return c_grid(section, points=points, first_cell=first_cell)
 
 
-def _section(
-    camber: float, place: float, thickness: float, last: float, t: np.ndarray
-) -> np.ndarray:
+def _section(camber: float, place: float, thickness: float, last: float, t: ndarray) -> ndarray:
     """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above."""
     x = t**2
     root = 0.2969 * np.abs(t)
@@ -221,9 +220,7 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
     return jm.Mesh(*_in_parts(points, layers), patches)
 
 
-def _in_parts(
-    points: np.ndarray, layers: dict[str, np.ndarray]
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _in_parts(points: ndarray, layers: dict[str, ndarray]) -> tuple[ndarray, dict[str, ndarray]]:
     cells = {}
     for kind, corners in layers.items():
         if kind == "pyramid":
@@ -269,7 +266,7 @@ def bodies(
     ]
     low, high = np.reshape(sides, (-1, 2, 2, 1)).transpose(2, 0, 1, 3)
 
-    def within(places: np.ndarray, margin: float) -> np.ndarray:
+    def within(places: ndarray, margin: float) -> ndarray:
         return np.all((places > low - margin) & (places < high + margin), axis=1)
 
     places, cells = without_solid(axes, lambda *places: within(np.array(places), 0.0).any(axis=0))
@@ -280,7 +277,7 @@ def bodies(
     return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, nodes)
 
 
-def _on_lines(name: str, sides: np.ndarray, axes: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _on_lines(name: str, sides: ndarray, axes: Sequence[ndarray]) -> list[ndarray]:
     """The ends of a body along y and x, on grid lines."""
     ends = []
     for axis, pair in zip(axes, (sides[2:], sides[:2]), strict=True):
@@ -294,11 +291,11 @@ def _on_lines(name: str, sides: np.ndarray, axes: Sequence[np.ndarray]) -> list[
     return ends
 
 
-def block_ids(*shape: int) -> np.ndarray:
+def block_ids(*shape: int) -> ndarray:
     return np.arange(np.prod(shape)).reshape(shape)
 
 
-def quads(ids: np.ndarray) -> np.ndarray:
+def quads(ids: ndarray) -> ndarray:
     """Makes the cells (k, 4) of a block, counter-clockwise: rows along y, columns along x."""
     below = ids[:-1]
     above = ids[1:]
@@ -306,13 +303,13 @@ def quads(ids: np.ndarray) -> np.ndarray:
     return np.stack(corners, axis=-1).reshape(-1, 4)
 
 
-def hexahedra(ids: np.ndarray) -> np.ndarray:
+def hexahedra(ids: ndarray) -> ndarray:
     """Makes the cells (k, 8) of a block: layers along z, rows along y, columns along x."""
     layers = np.stack([quads(layer) for layer in ids])
     return np.concatenate([layers[:-1], layers[1:]], axis=-1).reshape(-1, 8)
 
 
-def geometric(cells: int, first: float, samples: int | None = None) -> np.ndarray:
+def geometric(cells: int, first: float, samples: int | None = None) -> ndarray:
     """Divides [0, 1] with the growth of `cells` from `first` (or evenly), by `samples` cells."""
     samples = cells if samples is None else samples
     between("first_cell", first, 0)
@@ -328,7 +325,7 @@ def zero_of(function: Callable[[float], float], lower: float, upper: float) -> f
     return float(cast(float, brentq(function, lower, upper, xtol=1e-14)))
 
 
-def without_solid(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
+def without_solid(axes: Sequence[ndarray], is_solid) -> tuple[ndarray, ndarray]:
     ids = block_ids(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     cells = quads(ids) if len(axes) == 2 else hexahedra(ids)
@@ -378,7 +375,7 @@ def c_grid(
     return mesh
 
 
-def _wall_nodes(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
+def _wall_nodes(section: Section, counts: Counts) -> tuple[ndarray, ndarray]:
     """Spaces nodes (2 half + 1, 2) from the lower trailing edge; rays' angles are in radians."""
     lower, upper = (_half(section, end, counts.half) for end in (-1.0, 1.0))
     t = np.concatenate([lower[::-1], upper[1:]])
@@ -398,7 +395,7 @@ def _wall_nodes(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarra
     return nodes, np.pi * (1.5 - (phi[0] - phi) / (phi[0] - phi[-1]))
 
 
-def _half(section: Section, end: float, cells: int) -> np.ndarray:
+def _half(section: Section, end: float, cells: int) -> ndarray:
     t = np.linspace(0.0, end, 20_001)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(section(t), axis=0), axis=1))])
     first = NOSE_SPACING / arc[-1]
@@ -406,7 +403,7 @@ def _half(section: Section, end: float, cells: int) -> np.ndarray:
     return np.interp(arc[-1] * _two_sided(cells, REFERENCE.half, first, last), arc, t)
 
 
-def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
+def _two_sided(samples: int, cells: int, first: float, last: float) -> ndarray:
     """Divides [0, 1] with spacings of `cells` cells at both ends, sampled by `samples` cells.
 
     Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J.
@@ -420,7 +417,7 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
     return u / (ratio + (1 - ratio) * u)
 
 
-def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
+def _with_wake(wall: ndarray, counts: Counts) -> tuple[ndarray, ndarray]:
     """Makes the innermost line, lower wake to upper wake, and rays' weights of the wake's law."""
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
     along = geometric(REFERENCE.wake, first, counts.wake)[1:]
@@ -432,7 +429,7 @@ def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray
     return np.concatenate([rows[0][::-1], wall, rows[1]]), weights
 
 
-def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarray:
+def _ray_lengths(weights: ndarray, cells: int, first_cell: float) -> ndarray:
     """Computes the distances (cells + 1, rays) of the nodes from the innermost line."""
     wall = geometric(cells, first_cell / RAY_LENGTH)[:, None]
     wake_first = max(first_cell, min(WAKE_FIRST_CELL, 0.5 * RAY_LENGTH / cells))
@@ -440,7 +437,7 @@ def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarr
     return RAY_LENGTH * ((1 - weights) * wall + weights * wake)
 
 
-def _assemble(rays: np.ndarray, counts: Counts, is_sharp: bool) -> jm.Mesh:
+def _assemble(rays: ndarray, counts: Counts, is_sharp: bool) -> jm.Mesh:
     """Makes the mesh of the C's nodes (normal + 1, rays, 2) and of the nodes between the wakes."""
     # The C's nodes are numbered layer by layer from the wall, those of the strip behind the base
     # follow, exit last. It has the innermost nodes of both wakes as its first and last line; behind

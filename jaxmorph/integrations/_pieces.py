@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import solid, together
@@ -18,9 +19,9 @@ def check_comm(comm: Any) -> None:
         )
 
 
-def faces_of(
-    comm: Any, mesh: jm.Mesh | None, nodes: np.ndarray, is_shared: np.ndarray
-) -> dict[str, np.ndarray] | None:
+def faces_of_piece(
+    comm: Any, mesh: jm.Mesh | None, nodes: ndarray, is_shared: ndarray
+) -> dict[str, ndarray] | None:
     """Finds a piece's boundary faces (k, corners) by type, from whole ids (n,); or None."""
     if len(set(comm.allgather(mesh is None))) > 1:
         raise ValueError(
@@ -31,10 +32,10 @@ def faces_of(
         return None
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
     # between them
-    marked = _marked(comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared)
+    marked = _mark_ids(comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared)
     cells = {kind: ids[is_first] for kind, ids, is_first, _ in marked}
 
-    def outer() -> dict[str, np.ndarray]:
+    def outer() -> dict[str, ndarray]:
         if mesh.polyhedra is not None and mesh.between is None and comm.size > 1:
             raise ValueError(
                 "polyhedra do not tell which of their faces other pieces have: read the piece by "
@@ -46,13 +47,13 @@ def faces_of(
             jm.boundary_faces(jm.Mesh(mesh.points, cells)) if any(map(len, cells.values())) else {}
         )
 
-    marked = _marked(comm, together(comm, outer), nodes, is_shared)
+    marked = _mark_ids(comm, together(comm, outer), nodes, is_shared)
     return {kind: nodes[ids[~is_twice]] for kind, ids, _, is_twice in marked}
 
 
-def _marked(
-    comm: Any, cells: Mapping[str, Any], nodes: np.ndarray, is_shared: np.ndarray
-) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+def _mark_ids(
+    comm: Any, cells: Mapping[str, Any], nodes: ndarray, is_shared: ndarray
+) -> Iterator[tuple[str, ndarray, ndarray, ndarray]]:
     """Yields cells or faces by type with two marks: first in this piece, also in others."""
     widths = comm.allgather({kind: np.shape(ids)[1] for kind, ids in cells.items()})
     for kind, width in sorted({pair for share in widths for pair in share.items()}):
@@ -64,7 +65,7 @@ def _marked(
         yield kind, corners, is_first, is_twice
 
 
-def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def owned(comm: Any, keys: ndarray) -> tuple[ndarray, ndarray]:
     """Marks keys, ids (k,) or rows (k, c), that this process has first, or others have too."""
     # Keys go to their keeper, which finds the first of equal keys in the order of the processes.
     # Its answers go back in the order in which it was asked.
@@ -91,8 +92,8 @@ class WholeSurface:
     parallel planes or on boundary faces. The outermost points, with id -1, are last.
     """
 
-    points: np.ndarray
-    names: np.ndarray
+    points: ndarray
+    names: ndarray
     moving: int
     listed: int
     known: int
@@ -102,13 +103,13 @@ class WholeSurface:
         moving, fixed = np.split(np.arange(self.listed), [self.moving])
         return jm.Boundary(self.points, moving, fixed, symmetry=symmetry, free=free)
 
-    def rows(self, ids: np.ndarray) -> np.ndarray:
+    def rows(self, ids: ndarray) -> ndarray:
         order = np.argsort(self.names, kind="stable")
         return order[np.searchsorted(self.names, ids, sorter=order)]
 
 
-def surface_of(
-    comm: Any, boundary: jm.Boundary, ids: np.ndarray, faces: dict[str, np.ndarray] | None
+def gather_surface(
+    comm: Any, boundary: jm.Boundary, ids: ndarray, faces: dict[str, ndarray] | None
 ) -> WholeSurface:
     """Gathers the surface of all pieces; of this one `boundary`, whose points have the `ids` (n,).
 
@@ -116,9 +117,8 @@ def surface_of(
     """
     x = boundary.points
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
-    extent = np.concatenate(
-        [x, *comm.allgather(x[ends])]
-    )  # a plane holds nodes to a share of the whole mesh's size
+    # a plane holds nodes to a share of the whole mesh's size
+    extent = np.concatenate([x, *comm.allgather(x[ends])])
     guided = np.isin(ids, np.concatenate([ids[:0], *map(np.ravel, (faces or {}).values())]))
     for plane in _parallel(boundary.planes):
         guided |= plane.holds(extent)[: len(x)]

@@ -19,7 +19,7 @@ from .openmdao import (
     MovedMesh,
     Traced,
     TracedComponent,
-    Values,
+    ValuesByName,
     add_parameters,
     first_parameters,
     from_inputs,
@@ -70,9 +70,8 @@ class VolumeBuilder(Builder):
         self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True
     ):
         super().__init__()
-        Volume(
-            plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted
-        )  # OpenMDAO refuses values of other types
+        # OpenMDAO refuses values of other types
+        Volume(plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted)
         if plan.points.shape[1] != 3:
             raise ValueError(
                 f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D."
@@ -146,10 +145,10 @@ class Volume(MovedMesh):
         return eqx.Partial(_deform_volume, self.options["plan"])
 
 
-def _move_wall(shape: Any, parameters: PyTree, values: Values) -> Float[Array, " k"]:
+def _move_wall(shape: Any, parameters: PyTree, values: ValuesByName) -> Float[Array, " k"]:
     x = jnp.reshape(values[SURFACE.Geometry.COORDINATES_INPUT], (-1, 3))
     return shape(x, from_inputs(parameters, values)).ravel()
 
 
-def _deform_volume(plan: jm.Plan, values: Values) -> Float[Array, "n 3"]:
+def _deform_volume(plan: jm.Plan, values: ValuesByName) -> Float[Array, "n 3"]:
     return jm.deform(plan, jnp.reshape(values[SURFACE.COORDINATES], (-1, 3)) - plan.moving_points)

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import Agreement, real_array, together
 
-from ._pieces import check_comm, faces_of, owned, surface_of
+from ._pieces import check_comm, faces_of_piece, gather_surface, owned
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +39,13 @@ class Piece:
 
     comm: Any
     plan: jm.Plan
-    nodes: Int[np.ndarray, " n"]
-    moving: Int[np.ndarray, " k"]
-    rows: Int[np.ndarray, " k"]
-    is_owner: Bool[np.ndarray, " n"]
-    is_shared: Bool[np.ndarray, " n"]
+    nodes: Int[ndarray, " n"]
+    moving: Int[ndarray, " k"]
+    rows: Int[ndarray, " k"]
+    is_owner: Bool[ndarray, " n"]
+    is_shared: Bool[ndarray, " n"]
 
-    def deform(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
+    def deform(self, u: Real[ArrayLike, "k d"]) -> Float[ndarray, "n d"]:
         """Moves the piece's points (n, d): row i of `u` (k, d) displaces point `moving[i]`.
 
         Nodes that processes share are equal bit for bit. Raises `ValueError`, in every process, for
@@ -60,7 +61,7 @@ class Piece:
 
     def pullback(
         self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]
-    ) -> Float[np.ndarray, "k d"]:
+    ) -> Float[ndarray, "k d"]:
         """Pulls dJ/d(points) of the whole mesh, `cotangent` (n, d), back to moving nodes (k, d).
 
         Processes that share a node give equal derivatives, which count once. It raises `ValueError`
@@ -68,7 +69,7 @@ class Piece:
         """
         u = self.gathered(u)
 
-        def of_piece() -> np.ndarray:
+        def of_piece() -> ndarray:
             values = real_array("cotangent", cotangent, self.plan.points.shape)
             return np.array(jm.pullback(self.plan, u, np.where(self.is_owner[:, None], values, 0)))
 
@@ -78,13 +79,13 @@ class Piece:
 
     def pushforward(
         self, u: Real[ArrayLike, "k d"], tangent: Real[ArrayLike, "k d"]
-    ) -> Float[np.ndarray, "n d"]:
+    ) -> Float[ndarray, "n d"]:
         """Pushes a change of `u` (k, d) forward to points (n, d); errors as of `deform`."""
         u = self.gathered(u)
         tangent = self.gathered(tangent, "tangent")
         return np.array(together(self.comm, lambda: jm.velocity(self.plan, u, tangent)))
 
-    def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[np.ndarray, "m d"]:
+    def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[ndarray, "m d"]:
         """Gathers the displacements of all moving nodes; errors call them `name`."""
         shape = (len(self.moving), self.plan.points.shape[1])
         dtype = self.plan.points.dtype
@@ -155,8 +156,8 @@ def prepare(
     mesh = points if isinstance(points, jm.Mesh) else None
     own, ids = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
     marks = owned(comm, ids)
-    faces = faces_of(comm, mesh, ids, marks[1])
-    surface = surface_of(comm, own, ids, faces)
+    faces = faces_of_piece(comm, mesh, ids, marks[1])
+    surface = gather_surface(comm, own, ids, faces)
     shares = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
@@ -184,7 +185,7 @@ def prepare(
 
 def _own(
     points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any
-) -> tuple[jm.Boundary, np.ndarray]:
+) -> tuple[jm.Boundary, ndarray]:
     """Returns the boundary of a piece, and the ids (n,) of its points."""
     x = points.points if isinstance(points, jm.Mesh) else points
     boundary = jm.Boundary(x, moving, fixed, symmetry=symmetry)

@@ -13,14 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import shapes
 from jaxmorph.extend import solid, warn
 
-Values = dict[str, Any]
-Points = Float[Array, "n d"]
-Traced = Callable[[Values], Any]
+ValuesByName = dict[str, Any]
+PointsOrArray = Float[Array, "n d"]
+Traced = Callable[[ValuesByName], Any]
 """A pytree that computes one array from arrays by name."""
 
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -222,47 +223,49 @@ def first_parameters(shape: Any, parameters: PyTree) -> PyTree:
 
 def add_parameters(
     component: Any, parameters: PyTree, **options: Any
-) -> dict[str, Float[np.ndarray, "..."]]:
+) -> dict[str, Float[ndarray, "..."]]:
     leaves = jax.tree_util.tree_leaves_with_path(parameters)
-    arrays = {_name(path): np.asarray(leaf, float) for path, leaf in leaves}
+    arrays = {_name_variable(path): np.asarray(leaf, float) for path, leaf in leaves}
     for name, values in arrays.items():
         component.add_input(name, val=values, **options)
     return arrays
 
 
-def from_inputs(parameters: PyTree, values: Values) -> PyTree:
-    read = lambda path, leaf: jnp.reshape(values[_name(path)], np.shape(leaf))  # noqa: E731
+def from_inputs(parameters: PyTree, values: ValuesByName) -> PyTree:
+    read = lambda path, leaf: jnp.reshape(values[_name_variable(path)], np.shape(leaf))  # noqa: E731
     return jax.tree_util.tree_map_with_path(read, parameters)
 
 
-def _name(path: Any) -> str:
+def _name_variable(path: Any) -> str:
     return jax.tree_util.keystr(path, simple=True, separator=":") or "parameters"
 
 
-def _deformed(plan: jm.Plan, values: Values) -> Points:
+def _deformed(plan: jm.Plan, values: ValuesByName) -> PointsOrArray:
     return jm.deform(plan, jnp.reshape(values["displacements"], plan.moving_points.shape))
 
 
-def _wall(shape: Any, plan: jm.Plan, parameters: PyTree, positions: bool, values: Values) -> Points:
+def _wall(
+    shape: Any, plan: jm.Plan, parameters: PyTree, positions: bool, values: ValuesByName
+) -> PointsOrArray:
     u = shapes.displacement(shape, plan, from_inputs(parameters, values))
     return plan.moving_points + u if positions else u
 
 
-def _as_arrays(vector: Any) -> Values:
+def _as_arrays(vector: Any) -> ValuesByName:
     return {name: np.array(values) for name, values in vector.items()}
 
 
 @eqx.filter_jit
-def _value(function: Traced, values: Values) -> Array:
+def _value(function: Traced, values: ValuesByName) -> Array:
     return function(values)
 
 
 @eqx.filter_jit
-def _forward(function: Traced, values: Values, tangents: Values) -> Array:
+def _forward(function: Traced, values: ValuesByName, tangents: ValuesByName) -> Array:
     return jax.jvp(function, (values,), (tangents,))[1]
 
 
 @eqx.filter_jit
-def _reverse(function: Traced, values: Values, cotangent: ArrayLike) -> Values:
+def _reverse(function: Traced, values: ValuesByName, cotangent: ArrayLike) -> ValuesByName:
     out, transpose = jax.vjp(function, values)
     return transpose(jnp.reshape(cotangent, out.shape).astype(out.dtype))[0]

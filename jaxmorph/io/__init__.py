@@ -2,7 +2,6 @@
 
 from ._boxes import Box as Box
 from ._boxes import boxes as boxes
-from ._boxes import check_lattice_output as check_lattice_output
 from ._boxes import read_box as read_box
 from ._boxes import with_boxes as with_boxes
 from ._boxes import write_lattice as write_lattice
@@ -10,7 +9,6 @@ from ._displacement import read_displacement as read_displacement
 from ._displacement import read_facets as read_facets
 from ._displacement import read_surface as read_surface
 from ._registry import as_written as as_written
-from ._registry import cell_arrays as cell_arrays
 from ._registry import check_output as check_output
 from ._registry import losses as losses
 from ._registry import periodic as periodic
@@ -19,8 +17,6 @@ from ._registry import symmetry as symmetry
 from ._registry import write as write
 from ._registry import write_moved as write_moved
 from ._registry import write_pvd as write_pvd
-from ._sensitivity import check_gradient_output as check_gradient_output
-from ._sensitivity import check_sensitivity_output as check_sensitivity_output
 from ._sensitivity import read_sensitivity as read_sensitivity
 from ._sensitivity import write_gradient as write_gradient
 from ._sensitivity import write_sensitivity as write_sensitivity

@@ -1,6 +1,6 @@
 """Input decks of Abaqus and CalculiX, .inp, of one flat part: nodes, elements, sets, surfaces."""
 
-import dataclasses
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,12 +11,13 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
-from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers
+from jaxmorph._host.cells.topology import DIMENSION, FACES, SHAPES, numbers_by_name
+from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts
 
-from ._format import Source, of_grid
-from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
-from ._text import Section, blanked, decoded, parse
+from ._format import note_unread, of_grid
+from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, make_labelled_grid
+from ._text import Section, blank_out, decoded, parse, split_sections
 
 NAME = "Abaqus"
 ELEMENT_NAMES = {
@@ -27,33 +28,21 @@ ELEMENT_NAMES = {
 """Names of elements by their dimension; the number is that of their nodes, or of a beam's order."""
 LOOSE_ELEMENTS = r"(?:MASS|ROTARYI|HEATCAP|SPRING|DASHPOT|CONN|GAP|DCOUP)\w*"
 """Elements that are no cells."""
-ABAQUS_SIDES = {
-    "tetra": numbers("012 013 123 023"),
-    "pyramid": numbers("0123 014 124 234 034"),
-    "wedge": numbers("012 345 0143 1254 0253"),
-    "hexahedron": numbers("0123 4567 0154 1265 2376 0374"),
-}
-"""Corners of the faces S1, S2, ... of each shape; cells in 2-D have those of `FACES`."""
-CHANGING_KEYWORDS = (
-    "SYSTEM",
-    "INCLUDE",
-    "NGEN",
-    "NFILL",
-    "NCOPY",
-    "NMAP",
-    "ELGEN",
-    "ELCOPY",
-    "PARAMETER",
+ABAQUS_SIDES = numbers_by_name(
+    {
+        "tetra": "012 013 123 023",
+        "pyramid": "0123 014 124 234 034",
+        "wedge": "012 345 0143 1254 0253",
+        "hexahedron": "0123 4567 0154 1265 2376 0374",
+    }
 )
+"""Corners of the faces S1, S2, ... of each shape; cells in 2-D have those of `FACES`."""
+CHANGING_KEYWORDS = "SYSTEM INCLUDE NGEN NFILL NCOPY NMAP ELGEN ELCOPY PARAMETER"
 """Keywords that make or move nodes and elements."""
 QUIET_KEYWORDS = ("HEADING", "PREPRINT", "END PART", "END INSTANCE", "END ASSEMBLY", "END STEP")
 LEVEL_NAMES = ("PART", "INSTANCE", "ASSEMBLY")
-SHOWN_KEYWORDS = 12
-"""Keywords that a note lists."""
 
-_CARD = re.compile(
-    rb"^[ \t]*\*(?!\*)((?:[^\n]*,[ \t\r]*\n(?=[ \t]*[A-Za-z]))*[^\n]*)", re.MULTILINE
-)
+_CARD = rb"(?m)^[ \t]*\*(?!\*)((?:[^\n]*,[ \t\r]*\n(?=[ \t]*[A-Za-z]))*[^\n]*)"
 _EMPTY = re.compile(rb",[ \t]*,|^[ \t]*,", re.MULTILINE)
 
 
@@ -73,29 +62,29 @@ class Card(NamedTuple):
             yield words if words[-1] else words[:-1]
 
 
-@dataclasses.dataclass
 class _Deck:
     """What the keywords say: nodes and where they stand, elements, sets by kind and name.
 
     `part` are the sets from before an *ASSEMBLY, which may have others of their names.
     """
 
-    labels: list[ndarray] = dataclasses.field(default_factory=list)
-    points: list[ndarray] = dataclasses.field(default_factory=list)
-    parts: list[CoordinatePart] = dataclasses.field(default_factory=list)
-    cells: list[LabelledCells] = dataclasses.field(default_factory=list)
-    sets: dict[tuple[str, str], tuple[str, ndarray]] = dataclasses.field(default_factory=dict)
-    part: set[tuple[str, str]] = dataclasses.field(default_factory=set)
-    level: str = ""
-    seen: set[str] = dataclasses.field(default_factory=set)
-    left: dict[str, None] = dataclasses.field(default_factory=dict)
+    def __init__(self):
+        self.labels = []
+        self.points = []
+        self.parts = []
+        self.cells = []
+        self.sets = {}
+        self.part = set()
+        self.level = ""
+        self.seen = set()
+        self.left = {}
 
     def take(self, card: Card) -> None:
         name = card.name
         readers = {"NODE": self._nodes, "ELEMENT": self._elements, "SURFACE": self._surface}
         readers |= {"NSET": self._set, "ELSET": self._set}
         wrong = ""
-        if name in CHANGING_KEYWORDS or (name in readers and "INPUT" in card.options):
+        if name in CHANGING_KEYWORDS.split() or (name in readers and "INPUT" in card.options):
             wrong = f"*{name} changes the mesh, and is not read: write all of it in one file."
         elif name in LEVEL_NAMES and name in self.seen:
             wrong = f"a second *{name}: decks of one part and instance are read."
@@ -128,11 +117,10 @@ class _Deck:
         rows.refuse(table[:, 0] != np.floor(table[:, 0]), "a whole number of a node expected.")
         d = min(width - 1, 3)
         first = sum(map(len, self.labels))
-        at = (width * np.arange(len(table))[:, None] + np.arange(1, d + 1)).ravel()
-        here = slice(first, first + len(table))
-        self.parts.append(CoordinatePart(section.start, section.stop, here, at))
+        columns = slice(1, d + 1)
+        self.parts.append(CoordinatePart.in_columns(section, table.shape, columns, first))
         self.labels.append(table[:, 0].astype(np.int64))
-        self.points.append(table[:, 1 : d + 1])
+        self.points.append(table[:, columns])
         self._add("NSET", card.options.get("NSET"), self.labels[-1])
 
     def _elements(self, card: Card) -> None:
@@ -141,7 +129,7 @@ class _Deck:
             self.left[f"elements {name}"] = None
             return
         rows = card.section.rows(np.int64)
-        kind, size = _kind_of(card.section, name)
+        kind, size = _element_kind(card.section, name)
         width = int(rows.counts[:1].sum()) if DIMENSION[kind] == 1 else 1 + size
         # rows of a long element go on in the next line: each element ends where a line ends
         ends = np.arange(width, len(rows.values) + width, max(width, 1))
@@ -160,14 +148,14 @@ class _Deck:
         values = parse(card.section.content, np.int64)
         if "GENERATE" in card.options:
             labels = self.labels if what == "NSET" else [block.labels for block in self.cells]
-            known = np.concatenate([np.zeros(0, np.int64), *labels])
+            known = join_ids(labels)
             found = []
             for first, last, *step in (map(int, row) for row in card.rows()):
                 inside = known[(first <= known) & (known <= last)]
                 found.append(inside[(inside - first) % max([1, *step]) == 0])
         elif what == "NSET" and "ELSET" in card.options:
-            elements = self._labels(card, "ELSET", card.options["ELSET"])
-            found = [block.corners[np.isin(block.labels, elements)] for block in self.cells]
+            elements = Rows(self._labels(card, "ELSET", card.options["ELSET"]))
+            found = [block.corners[elements.mask(block.labels)] for block in self.cells]
         elif len(values) == len(card.section.content.split()):
             found = [values]
         else:
@@ -194,10 +182,11 @@ class _Deck:
 
     def _of_faces(self, elements: ndarray, face: str) -> ndarray | None:
         """Finds the nodes of faces S1, S2, ..., or of whole shells; None for others."""
+        rows = Rows(elements)
         top = max(DIMENSION[block.kind] for block in self.cells)
         found = []
         for block in self.cells:
-            corners = block.corners[np.isin(block.labels, elements)]
+            corners = block.corners[rows.mask(block.labels)]
             sides = ABAQUS_SIDES.get(SHAPES[block.kind], FACES[SHAPES[block.kind]])
             if re.fullmatch("[SE][1-6]", face) and int(face[1]) <= len(sides):
                 corners = corners[:, lagrange_types()[block.kind].side(sides[int(face[1]) - 1])]
@@ -211,9 +200,8 @@ class _Deck:
     def _add(self, what: str, name: str | None, *labels: ndarray) -> None:
         if name:
             shown = f"{name}_assembly" if (what, name.upper()) in self.part else name
-            shown, old = self.sets.get((what, shown.upper()), (shown, np.zeros(0, np.int64)))
-            new = np.concatenate([old, *map(np.ravel, labels)])
-            self.sets[what, shown.upper()] = shown, new
+            shown, *old = self.sets.get((what, shown.upper()), (shown,))
+            self.sets[what, shown.upper()] = shown, join_ids([*old, *labels])
 
     def _labels(self, card: Card, what: str, word: str) -> ndarray:
         """Finds the members of a set, or takes a label; an instance's name may stand before."""
@@ -230,11 +218,11 @@ def read(path: Path) -> Parts:
     """Reads points, cells and patches: sets of nodes, of elements of lower dimension, surfaces."""
     raw = path.read_bytes()
     deck = _Deck()
-    for card in _cards(path, raw):
+    for card in _read_cards(path, raw):
         deck.take(card)
     if len({points.shape[1] for points in deck.points}) != 1:
         raise ValueError("nodes of 2 or of 3 coordinates (*NODE) expected.")
-    content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _plain)
+    content = PlacedPoints(np.concatenate(deck.points), raw, deck.parts, _blank_commas_and_comments)
     words = {"NSET": "nodes", "ELSET": "elements"}
     sets = {"nodes": {}, "elements": {}}
     for (what, _), (name, labels) in deck.sets.items():
@@ -242,39 +230,34 @@ def read(path: Path) -> Parts:
             name += "_surface"
         sets[words.get(what, "nodes")][name] = labels
     labels = np.concatenate(deck.labels)
-    grid, notes = labelled_grid(content.points, labels, deck.cells, sets)
-    left = [*deck.left]
-    if left:
-        more = f" and {len(left) - SHOWN_KEYWORDS} more" if len(left) > SHOWN_KEYWORDS else ""
-        notes += (f"{', '.join(left[:SHOWN_KEYWORDS])}{more} are not read, and stay in the file.",)
-    source = Source(path, NAME, content, labels=labels, notes=notes, **content.known)
-    return of_grid(path, grid, source)
+    grid, notes = make_labelled_grid(content.points, labels, deck.cells, sets)
+    notes += note_unread("", deck.left)
+    return of_grid(path, NAME, content, grid, notes=notes, labels=labels)
 
 
-def _plain(text: bytes) -> bytes:
+def _blank_commas_and_comments(text: bytes) -> bytes:
     return _uncommented(text).replace(b",", b" ")
 
 
-def _uncommented(text: bytes) -> bytes:
-    return blanked(text, rb"(?m)^[ \t]*\*\*[^\r\n]*") if b"**" in text else text
+_uncommented = functools.partial(blank_out, rb"(?m)^[ \t]*\*\*[^\r\n]*")
 
 
-def _cards(path: Path, raw: bytes) -> Iterator[Card]:
+def _read_cards(path: Path, raw: bytes) -> Iterator[Card]:
     text = _uncommented(raw)
     plain = text.replace(b",", b" ")
-    heads = list(_CARD.finditer(text))
-    stops = [*(head.start() for head in heads[1:]), len(text)]
-    if text[: heads[0].start() if heads else None].strip():
+    cards = list(split_sections(path, text, _CARD))
+    if text[: cards[0][0].start() if cards else None].strip():
         raise ValueError("line 1: * expected: no input deck of Abaqus (AVS's .inp is not read).")
-    for head, stop in zip(heads, stops, strict=True):
+    for head, section in cards:
         name, *words = decoded(head[1]).split(",")
         pairs = [word.partition("=") for word in words]
         options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
-        section = Section(path, plain, min(head.end() + 1, stop), stop)
+        start = min(section.start + 1, section.stop)
+        section = section._replace(text=plain, start=start)
         yield Card(" ".join(name.upper().split()), options, section, text)
 
 
-def _kind_of(section: Section, name: str) -> tuple[str, int]:
+def _element_kind(section: Section, name: str) -> tuple[str, int]:
     """Finds the type of cells of an element's name, and how many nodes it has."""
     for level, pattern in ELEMENT_NAMES.items():
         if match := re.fullmatch(pattern, name):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxmorph._host.cells.topology import CORNERS
 from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import EVERYTHING, MeshLike, Source, check_form, of_grid
+from ._format import EVERYTHING, MeshLike, check_form, of_grid
 from ._places import Stream
 from ._text import Section
 
@@ -20,13 +20,13 @@ APEX = [1, 0, 3, 4, 2]
 """The places of AFLR's corners of a pyramid in VTK's order."""
 
 
-def form_in_name(path: Path) -> str:
+def find_form(path: Path) -> str:
     """Returns the part of a file's name that says how numbers are written, `lb8`; "" for a text."""
     words = path.name.lower().removesuffix(".gz").split(".")
     return words[-2] if len(words) > 2 and re.fullmatch("l?[br][48]l?", words[-2]) else ""
 
 
-def types_of_form(form: str) -> Mapping[str, str] | None:
+def list_types(form: str) -> Mapping[str, str] | None:
     order = "<" if form.startswith("l") else ">"
     whole = f"{order}i{8 if form.endswith('l') else 4}"
     return {"i": whole, "n": whole, "d": order + f"f{8 if '8' in form else 4}"} if form else None
@@ -34,9 +34,9 @@ def types_of_form(form: str) -> Mapping[str, str] | None:
 
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: surfaces by their numbers, `ugrid:ref_3`."""
-    form = form_in_name(path)
+    form = find_form(path)
     raw = path.read_bytes()
-    stream = Stream(Section(path, raw, 0, len(raw)), types_of_form(form))
+    stream = Stream(Section(path, raw, 0, len(raw)), list_types(form))
     mark = form.count("r")
     marks = stream.take("i", mark).tolist()
     count, *sizes = stream.take("n", 7).tolist()
@@ -58,11 +58,10 @@ def read(path: Path) -> Parts:
         for k, rows in zip((*UGRID_FACES, *UGRID_CELLS), [*faces, *cells], strict=True)
     ]
     grid = Grid(content.points, blocks, {}, {"ugrid:ref": numbers})
-    notes = tuple(_rest(stream, sizes[2]))
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
+    return of_grid(path, NAME, content, grid, notes=_note_rest(stream, sizes[2]))
 
 
-def _rest(stream: Stream, tets: int) -> Iterator[str]:
+def _note_rest(stream: Stream, tets: int) -> Iterator[str]:
     """Yields a note on what may follow the cells: the number of tetrahedra in layers, and more."""
     if stream.at < stream.stop:
         if not 0 <= stream.one("n") <= tets:
@@ -71,4 +70,4 @@ def _rest(stream: Stream, tets: int) -> Iterator[str]:
 
 
 def check(path: Path, mesh: MeshLike) -> None:
-    check_form(path, mesh, NAME, form_in_name)
+    check_form(path, mesh, NAME, find_form)

@@ -8,8 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-SMALL = 4 * 10**8
-UNPACKED = 200
+MEMORY_OF_A_FILE = 4 * 10**8
+MEMORY_OF_A_BYTE = 200
 """Bytes of memory that any file may need, and that a byte of it may need."""
 
 
@@ -18,12 +18,11 @@ def run_apart(path: Path, size: int, folder: str) -> bytes:
 
     Raises `ValueError` for a process that ended by a signal, or with a message.
     """
-    most = SMALL + UNPACKED * size
+    most = MEMORY_OF_A_FILE + MEMORY_OF_A_BYTE * size
     script = Path(__file__).with_name("_apart_script.py")
     python = os.fsdecode(multiprocessing.spawn.get_executable() or "")
-    if (
-        "py" not in Path(python).name.lower()
-    ):  # this process may be another program that has Python in it
+    # this process may be another program that has Python in it
+    if "py" not in Path(python).name.lower():
         python = shutil.which("python3") or "python3"
     words = [python, "-P", str(script), str(path.absolute()), folder, str(most)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

@@ -13,36 +13,35 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s")
+LEGACY_HEAD = re.compile(rb"# vtk DataFile[^\n]*\n[^\n]*\n\s*\w+\s+DATASET\s")
 
-MESHIO = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
+MESHIO_TYPES = {b"int8": b"signed_char", b"int16": b"short", b"int32": b"int"}
 """Types that meshio writes into legacy files behind `vtktype`, and `vtktypeu`, and VTK's words."""
 
 
-def main(file: str, where: str, most: str) -> None:
+def read_data_sets(file: str, where: str, most: str) -> None:
     from vtkmodules import vtkCommonCore
 
     path = Path(file)
     folder = Path(where)
 
-    reader = vtk_reader(path, folder)
+    reader = make_reader(path, folder)
     names = []
     limit_memory(int(most))
     said = vtkCommonCore.vtkStringOutputWindow()
     vtkCommonCore.vtkOutputWindow.SetInstance(said)
     vtkCommonCore.vtkLogger.SetStderrVerbosity(vtkCommonCore.vtkLogger.VERBOSITY_OFF)
     reader.Update()
-    for name, data in data_sets(reader.GetOutputDataObject(0)):
+    for name, data in list_data_sets(reader.GetOutputDataObject(0)):
         if data.IsA("vtkDataSet") and path.suffix.lower() not in (".pvtu", ".vtm"):
             raw = path.read_bytes()
             check_counts(raw, data)
             check_numbers(raw, data)
-        write(folder / f"{len(names)}.xml", data)
+        write_data(folder / f"{len(names)}.xml", data)
         names.append(name)
     text = said.GetOutput()
-    text = (
-        text if isinstance(text, str) else text.decode(errors="replace")
-    )  # it may quote bytes of the file
+    # it may quote bytes of the file
+    text = text if isinstance(text, str) else text.decode(errors="replace")
     print(json.dumps([names, text]))
 
 
@@ -55,7 +54,7 @@ def limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (used + most, hard))
 
 
-def vtk_reader(path: Path, folder: Path) -> Any:
+def make_reader(path: Path, folder: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
     with path.open("rb") as file:
@@ -65,12 +64,12 @@ def vtk_reader(path: Path, folder: Path) -> Any:
         reader.SetFileName(str(path))
         return reader
     raw = path.read_bytes()
-    if not HEAD.match(raw):
+    if not LEGACY_HEAD.match(raw):
         raise SystemExit(
             "not a .vtk file; `# vtk DataFile Version` and three lines more are expected first"
         )
     copy = folder / "copy.vtk"
-    copy.write_bytes(re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", own_type, raw))
+    copy.write_bytes(re.sub(rb"(?<=\s)vtktype(u?)(int8|int16|int32)(?=\s)", name_type, raw))
     reader = vtkIOLegacy.vtkGenericDataObjectReader()
     for name in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords", "Fields"):
         getattr(reader, f"ReadAll{name}On")()
@@ -109,12 +108,12 @@ def check_numbers(raw: bytes, data: Any) -> None:
             raise SystemExit(f"{len(words)} numbers are found where there are {count}")
 
 
-def own_type(found: re.Match[bytes]) -> bytes:
-    name = MESHIO[found[2]]
+def name_type(found: re.Match[bytes]) -> bytes:
+    name = MESHIO_TYPES[found[2]]
     return b"unsigned_" + name.removeprefix(b"signed_") if found[1] else name
 
 
-def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
+def list_data_sets(data: Any) -> Iterator[tuple[str, Any]]:
     from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
 
     if not isinstance(data, vtkCompositeDataSet):
@@ -128,7 +127,7 @@ def data_sets(data: Any) -> Iterator[tuple[str, Any]]:
         blocks.GoToNextItem()
 
 
-def write(path: Path, data: Any) -> None:
+def write_data(path: Path, data: Any) -> None:
     from vtkmodules import vtkIOXML
 
     if not data.IsA("vtkDataSet"):
@@ -144,4 +143,4 @@ def write(path: Path, data: Any) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    read_data_sets(*sys.argv[1:])

@@ -21,21 +21,21 @@ from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import gathered
 
 from ._format import Source, faults_of, source_of
-from ._su2 import NAME, Keyword, by_zones
+from ._su2 import NAME, Keyword, find_all, split_zones
 from ._text import PathLike, Section, decoded
-from ._vtk import Encoding, text_of
+from ._vtk import Encoding, file_bytes
 
-Points = Float[ndarray, "..."]
+ControlPoints = Float[ndarray, "..."]
 Surface = Mapping[str, tuple[Int[ndarray, " k"], Float[ndarray, "k d"]]]
 
 NEEDED = {"points", "moved"}
 OPTIONAL = {"degree", "continuity"}
 """Keys of a box's table, beside those of its place."""
-ORDERS = ("BSPLINE_ORDER_I", "BSPLINE_ORDER_J", "BSPLINE_ORDER_K")
+SPLINE_ORDERS = ("BSPLINE_ORDER_I", "BSPLINE_ORDER_J", "BSPLINE_ORDER_K")
 RELATIVES = ("FFD_PARENTS", "FFD_CHILDREN")
-MOST = 10**6
+MOST_CONTROL_POINTS = 10**6
 """Control points that a box may have."""
-HALF = 0.5
+HALF_THICKNESS = 0.5
 """SU2's boxes of a 2-D mesh are 1 thick: control points at -1/2 and 1/2, nodes between."""
 
 
@@ -67,47 +67,48 @@ def read_box(
         else read(where, input_path(source).read_bytes())
     )
     with faults_of(Path(where)):
-        box = _box_of(table, dimensions)
+        box = _make_box(table, dimensions)
         control = np.zeros((*box.counts, dimensions))
         for entry in table["moved"] if isinstance(table["moved"], list) else [table["moved"]]:
             if not isinstance(entry, dict) or set(entry) != {"at", "by"}:
                 raise ValueError(f"each of moved has at and by, found {entry}.")
-            place = tuple(_whole("at", entry["at"], 0, np.array(box.counts) - 1))
+            place = tuple(_read_whole("at", entry["at"], 0, np.array(box.counts) - 1))
             if not box.free[place]:
                 raise ValueError(
                     f"control point {entry['at']} is held by continuity = {box.continuity}."
                 )
-            control[place] += _numbers("by", entry["by"], dimensions)
+            control[place] += _read_numbers("by", entry["by"], dimensions)
     return box, control
 
 
-def _box_of(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.Hexahedron":
+def _make_box(table: dict[str, Any], d: int) -> "jm.shapes.FreeForm | jm.shapes.Hexahedron":
     needed = NEEDED | ({"corners"} if "corners" in table else {"low", "high"})
     if not needed <= set(table) <= needed | OPTIONAL:
         listed = ", ".join(table) or "nothing"
         raise ValueError(
             f"low and high or corners, points and a list moved expected, found {listed}."
         )
-    counts = _whole("points", table["points"], 2, np.full(d, MOST))
-    if math.prod(counts) > MOST:
+    counts = _read_whole("points", table["points"], 2, np.full(d, MOST_CONTROL_POINTS))
+    if math.prod(counts) > MOST_CONTROL_POINTS:
         raise ValueError(
-            f"points = {counts} are {math.prod(counts):.3g} control points; {MOST} at most."
+            f"points = {counts} are {math.prod(counts):.3g} control points; {MOST_CONTROL_POINTS} "
+            "at most."
         )
     more = {name: table[name] for name in OPTIONAL & table.keys()}
     if "corners" in table:
         rows = table["corners"] if isinstance(table["corners"], list) else [table["corners"]]
         return jm.shapes.Hexahedron(
-            np.array([_numbers("corners", row, d) for row in rows]), counts, **more
+            np.array([_read_numbers("corners", row, d) for row in rows]), counts, **more
         )
-    low = _numbers("low", table["low"], d)
-    high = _numbers("high", table["high"], d)
+    low = _read_numbers("low", table["low"], d)
+    high = _read_numbers("high", table["high"], d)
     if not (low < high).all():
         raise ValueError("low must be below high.")
     return jm.shapes.FreeForm(low, np.diag(high - low), counts, **more)
 
 
-def _whole(name: str, values: Any, least: int, most: Int[ndarray, " d"]) -> list[int]:
-    numbers = _numbers(name, values, len(most))
+def _read_whole(name: str, values: Any, least: int, most: Int[ndarray, " d"]) -> list[int]:
+    numbers = _read_numbers(name, values, len(most))
     if (numbers != np.clip(np.floor(numbers), least, most)).any():
         raise ValueError(
             f"{name} = {values}: whole numbers from {least} to {most.tolist()} expected."
@@ -115,7 +116,7 @@ def _whole(name: str, values: Any, least: int, most: Int[ndarray, " d"]) -> list
     return numbers.astype(int).tolist()
 
 
-def _numbers(name: str, values: Any, d: int) -> Float[ndarray, " d"]:
+def _read_numbers(name: str, values: Any, d: int) -> Float[ndarray, " d"]:
     good = (
         isinstance(values, list)
         and len(values) == d
@@ -137,7 +138,7 @@ def write_lattice(file: PathLike, points: Any) -> None:
 
     **Raises:** `ValueError` for another shape or another ending, `ImportError` without vtk.
     """
-    path = check_lattice_output(file)
+    path = output_path(file, *LATTICES)
     points = finite_array("points", points, (None, None, 2), (None, None, None, 3))
     d = points.shape[-1]
     full = np.zeros((*points.shape[:-1], *(1,) * (3 - d), 3))
@@ -146,15 +147,7 @@ def write_lattice(file: PathLike, points: Any) -> None:
     grid.SetDimensions(full.shape[:-1])
     grid.SetPoints(vtk.points_of(full.reshape(-1, 3, order="F")))
     with complete(path) as partial:
-        partial.write_bytes(text_of(grid, Encoding(mode="appended")))
-
-
-@checked
-def check_lattice_output(file: PathLike) -> Path:
-    """Raises `ValueError` or `ImportError` where `write_lattice` cannot write; returns the path."""
-    path = output_path(file, *LATTICES)
-    vtk.vtk("vtkIOXML")
-    return path
+        partial.write_bytes(file_bytes(grid, Encoding(mode="appended")))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -171,7 +164,7 @@ class Box:
 
     name: str
     shape: "jm.shapes.Hexahedron"
-    control: Points
+    control: ControlPoints
     surface: Surface = dataclasses.field(default_factory=dict)
     level: int = 0
     parents: tuple[str, ...] = ()
@@ -191,12 +184,15 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
     **Raises:** `ValueError`, with file and line, for a section that is cut short.
     """
     source = source_of(mesh, NAME)
-    keywords = [] if source is None or b"FFD_NBOX" not in source.content.raw else _keywords(source)
-    if "FFD_NBOX" not in [keyword.name for keyword in keywords]:
+    keywords = (
+        [] if source is None or b"FFD_NBOX" not in source.content.raw else _find_keywords(source)
+    )
+    if not find_all(keywords, "FFD_NBOX"):
         return ()
-    starts = [k for k, keyword in enumerate(keywords) if keyword.name == "FFD_TAG"]
+    starts = find_all(keywords, "FFD_TAG")
     return tuple(
-        _box(keywords[a:b], *mesh.points.shape) for a, b in itertools.pairwise([*starts, None])
+        _read_section(keywords[a:b], *mesh.points.shape)
+        for a, b in itertools.pairwise([*starts, None])
     )
 
 
@@ -220,10 +216,11 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
         raise ValueError(
             "the mesh was not read from an SU2 file: other formats hold no free-form boxes."
         )
-    _check_new(new, mesh.points.shape[1])
-    content, (start, stop) = source.content, _extent(source)
+    _check_control(new, mesh.points.shape[1])
+    content = source.content
+    start, stop = _find_extent(source)
     end = b"\r\n" if b"\r\n" in content.raw[:1000] else b"\n"
-    written = b"".join(line.encode() + end for line in _lines(new)) if new else b""
+    written = b"".join(line.encode() + end for line in _format_boxes(new)) if new else b""
     before = content.raw[:start]
     if written and before and not before.endswith(b"\n"):
         before += end
@@ -235,7 +232,7 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
     return Mesh(mesh.points, mesh.cells, mesh.patches, dataclasses.replace(source, content=changed))
 
 
-def _check_new(new: Sequence[Box], d: int) -> None:
+def _check_control(new: Sequence[Box], d: int) -> None:
     for box in new:
         expected = (*box.shape.counts, d)
         if np.shape(box.control) != expected:
@@ -247,9 +244,9 @@ def _check_new(new: Sequence[Box], d: int) -> None:
         raise ValueError(f"{again} of {len(new)} boxes have the name of another one.")
 
 
-def _keywords(source: Source) -> list[Keyword]:
+def _find_keywords(source: Source) -> list[Keyword]:
     start = source.content.parts[0].start
-    zones = by_zones(source.path, source.content.raw)
+    zones = split_zones(source.path, source.content.raw)
     return next(
         zone
         for zone in zones
@@ -257,8 +254,8 @@ def _keywords(source: Source) -> list[Keyword]:
     )
 
 
-def _extent(source: Source) -> tuple[int, int]:
-    keywords = _keywords(source)
+def _find_extent(source: Source) -> tuple[int, int]:
+    keywords = _find_keywords(source)
     sections = [
         each.section for each in keywords if each.name.startswith(("FFD_", "BSPLINE_ORDER_"))
     ]
@@ -268,14 +265,14 @@ def _extent(source: Source) -> tuple[int, int]:
     return source.content.raw.rfind(b"\n", 0, sections[0].start - 1) + 1, sections[-1].stop
 
 
-def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
+def _read_section(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     table = {keyword.name: keyword for keyword in keywords}
     tag = table["FFD_TAG"]
     empty = Section(Path(), b"", 0, 0)
     name = tag.value.replace(" ", "")
     try:
-        shape = _shape(table, d)
-        control = _control(_rows(table["FFD_CONTROL_POINTS"], 6), shape)
+        shape = _read_shape_of_box(table, d)
+        control = _sort_control(_read_rows(table["FFD_CONTROL_POINTS"], 6), shape)
     except KeyError as error:
         missing = f"box {name} has no {error.args[0]}=; SU2 writes it by DV_KIND= FFD_SETTING."
         raise tag.section.error(missing) from error
@@ -288,24 +285,24 @@ def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
     } | table
     lists = [others[word].section.content.split(b"\n") for word in RELATIVES]
     relatives = [tuple(decoded(line.strip()) for line in lines if line.strip()) for lines in lists]
-    surface = _surface(others["FFD_SURFACE_POINTS"], n, d)
+    surface = _read_markers(others["FFD_SURFACE_POINTS"], n, d)
     return Box(name, shape, control, surface, others["FFD_LEVEL"].number(), *relatives)
 
 
-def _shape(table: Mapping[str, Keyword], d: int) -> "jm.shapes.Hexahedron":
+def _read_shape_of_box(table: Mapping[str, Keyword], d: int) -> "jm.shapes.Hexahedron":
     degrees = np.array([table[f"FFD_DEGREE_{axis}"].number() for axis in "IJK"[:d]])
-    orders = [table[word].number() if word in table else 0 for word in ORDERS[:d]]
+    orders = [table[word].number() if word in table else 0 for word in SPLINE_ORDERS[:d]]
     is_spline = all(
         1 < order <= degree + 1 for order, degree in zip(orders, degrees.tolist(), strict=True)
     )
-    corners = _rows(table["FFD_CORNER_POINTS"], d)
+    corners = _read_rows(table["FFD_CORNER_POINTS"], d)
     if len(corners) != 2**d:
         raise ValueError(f"{len(corners)} corners; {2**d} expected in {d}-D.")
     degree = [order - 1 for order in orders] if is_spline else None
     return jm.shapes.Hexahedron(corners, (degrees + 1).tolist(), degree=degree)
 
 
-def _rows(keyword: Keyword, width: int) -> Float[ndarray, "k w"]:
+def _read_rows(keyword: Keyword, width: int) -> Float[ndarray, "k w"]:
     rows = keyword.section.rows(np.float64)
     if (rows.counts != width).any() or len(rows.counts) != keyword.number():
         message = f"{keyword.name}= {keyword.value}: as many rows of {width} numbers expected."
@@ -313,7 +310,7 @@ def _rows(keyword: Keyword, width: int) -> Float[ndarray, "k w"]:
     return rows.values.reshape(-1, width)
 
 
-def _control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> Points:
+def _sort_control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> ControlPoints:
     """Sorts control points by their numbers; in 2-D, two above each other become their mean."""
     d = len(shape.counts)
     counts = (*shape.counts, *(2,) * (3 - d))
@@ -328,13 +325,13 @@ def _control(rows: Float[ndarray, "k 6"], shape: "jm.shapes.Hexahedron") -> Poin
     return control if d == 3 else control.mean(axis=2)[..., :2]
 
 
-def _surface(keyword: Keyword, n: int, d: int) -> Surface:
+def _read_markers(keyword: Keyword, n: int, d: int) -> Surface:
     """Reads rows of a marker, a node and three coordinates; these are left in the text alone."""
     section = keyword.section
     word = re.compile(rb"(?m)^[ \t]*(\S+)")
     text = section.text[: section.start] + word.sub(b"", section.content)
     numbers = section._replace(text=text, stop=len(text))
-    rows = _rows(keyword._replace(section=numbers), 4)
+    rows = _read_rows(keyword._replace(section=numbers), 4)
     wrong = np.flatnonzero(~np.isin(rows[:, 0], np.arange(n)))
     if len(wrong):
         raise numbers.error(
@@ -348,7 +345,7 @@ def _surface(keyword: Keyword, n: int, d: int) -> Surface:
     }
 
 
-def _lines(new: Sequence[Box]) -> Iterator[str]:
+def _format_boxes(new: Sequence[Box]) -> Iterator[str]:
     yield f"FFD_NBOX= {len(new)}"
     yield f"FFD_NLEVEL= {1 + max(box.level for box in new)}"
     for box in new:
@@ -366,28 +363,32 @@ def _lines(new: Sequence[Box]) -> Iterator[str]:
         )
         yield from (f"FFD_PARENTS= {len(box.parents)}", *box.parents)
         yield from (f"FFD_CHILDREN= {len(box.children)}", *box.children)
-        yield from _points(box)
+        yield from _format_points(box)
 
 
-def _points(box: Box) -> Iterator[str]:
+def _format_points(box: Box) -> Iterator[str]:
     """Yields corners, control points, in 2-D below and above the plane, and nodes in the box."""
     corners = box.shape.given_corners
     control = np.asarray(box.control, float)
     d = len(box.shape.counts)
-    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *map(_row, corners.tolist()))
+    yield from (f"FFD_CORNER_POINTS= {len(corners)}", *map(_format_row, corners.tolist()))
     if d == 2:
         control = np.stack(
-            [np.insert(control, 2, height, axis=-1) for height in (-HALF, HALF)], axis=2
+            [
+                np.insert(control, 2, height, axis=-1)
+                for height in (-HALF_THICKNESS, HALF_THICKNESS)
+            ],
+            axis=2,
         )
     yield f"FFD_CONTROL_POINTS= {control[..., 0].size}"
     yield from (
-        _row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1])
+        _format_row([*place, *control[place].tolist()]) for place in np.ndindex(control.shape[:-1])
     )
     yield f"FFD_SURFACE_POINTS= {sum(len(nodes) for nodes, _ in box.surface.values())}"
     for marker, (nodes, inside) in box.surface.items():
         for node, x in zip(nodes.tolist(), inside.tolist(), strict=True):
-            yield f"{marker}\t{_row([node, *x, *[HALF] * (3 - d)])}"
+            yield f"{marker}\t{_format_row([node, *x, *[HALF_THICKNESS] * (3 - d)])}"
 
 
-def _row(numbers: list) -> str:
+def _format_row(numbers: list) -> str:
     return "\t".join(map(repr, numbers))

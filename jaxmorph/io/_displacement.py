@@ -13,8 +13,8 @@ from numpy import ndarray
 
 from jaxmorph import Facets, Mesh
 from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.files import input_path, read_arrays, real_array
-from jaxmorph._host.package.rounding import rows_in
+from jaxmorph._host.package.files import input_path, read_arrays, real_values
+from jaxmorph._host.rows import Rows
 from jaxmorph._host.surface.gaps import closest, fans
 
 from ._format import faults_of
@@ -60,7 +60,7 @@ def read_displacement(
     moving = np.asarray(moving)
     points = np.asarray(mesh.points)
     if before is not None:
-        return _between(input_path(before), path, points[moving])
+        return _interpolate_motion(input_path(before), path, points[moving])
     of_file = getattr(mesh.source, "node_ids", None)
     d = points.shape[1]
     numbers = moving if of_file is None else of_file[moving]
@@ -73,11 +73,11 @@ def read_displacement(
         else:
             ids, values = read_surface(path, d)
         known = (numbers, "the moving patches")
-        values = in_order(ids, values, d, numbers, known, labels_of(mesh, moving))
+        values = sort_by_id(ids, values, d, numbers, known, take_labels(mesh, moving))
     return values - points[moving] if is_position else values
 
 
-def labels_of(mesh: Mesh, nodes: Int[ndarray, " m"]) -> ndarray | None:
+def take_labels(mesh: Mesh, nodes: Int[ndarray, " m"]) -> ndarray | None:
     """Returns the numbers that the mesh's file gives some nodes; None where it has no others."""
     labels = getattr(mesh.source, "labels", None)
     return None if labels is None or len(labels) != len(mesh.points) else labels[nodes]
@@ -108,7 +108,7 @@ def read_facets(path: PathLike, d: int = 3, *, smooth: bool = False) -> Facets:
     return Facets(shape.points[:, :d], shape.simplices, smooth=smooth)
 
 
-def _between(before: Path, after: Path, x: ndarray) -> ndarray:
+def _interpolate_motion(before: Path, after: Path, x: ndarray) -> ndarray:
     old = read_shape(before)
     new = read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
@@ -164,7 +164,7 @@ def read_shape(path: Path) -> Simplices:
         return Simplices(points, simplices)
 
 
-def _stl(path: Path) -> Simplices:
+def _read_stl(path: Path) -> Simplices:
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
@@ -182,7 +182,7 @@ def _stl(path: Path) -> Simplices:
     return Simplices(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _obj(path: Path) -> Simplices:
+def _read_obj(path: Path) -> Simplices:
     data = path.read_bytes()
     rows = re.findall(rb"^v\s+(\S+\s+\S+\s+\S+)", data, re.MULTILINE)
     values = parse(b" ".join(rows), np.float64)
@@ -207,7 +207,7 @@ def _obj(path: Path) -> Simplices:
     return Simplices(points, np.zeros((0, 3), np.int64))
 
 
-def _npz(path: Path) -> Simplices:
+def _read_npz(path: Path) -> Simplices:
     arrays = read_arrays(path)
     kind = next((name for name in ("triangles", "lines") if name in arrays), "")
     if not kind or "points" not in arrays:
@@ -218,21 +218,21 @@ def _npz(path: Path) -> Simplices:
     if simplices.dtype.kind not in "iu" or simplices.ndim != 2 or simplices.shape[1] != corners:
         found = f"{simplices.dtype} of shape {simplices.shape}"
         raise ValueError(f"{kind} must be whole numbers (k, {corners}), found {found}.")
-    return Simplices(real_array(path, arrays, "points"), simplices.astype(np.int64))
+    return Simplices(real_values(path, arrays, "points"), simplices.astype(np.int64))
 
 
-READERS = {".stl": _stl, ".obj": _obj, ".npz": _npz}
+READERS = {".stl": _read_stl, ".obj": _read_obj, ".npz": _read_npz}
 
 FACT = re.compile(rb"^[ \t]*[A-Za-z_]+[ \t]*=.*$", re.MULTILINE)
 """A line `NAME= value`, as SU2's older restarts have behind their rows."""
-NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
-HEAD = re.compile(rb"\s*[\"']*(?!(?:nan|inf)\b)[a-z][^\n]*\n?", re.IGNORECASE)
+COLUMN_NAME = re.compile(rb"\"[^\"]*\"|[^\s,;]+")
+HEADER_LINE = re.compile(rb"\s*[\"']*(?!(?:nan|inf)\b)[a-z][^\n]*\n?", re.IGNORECASE)
 """A header: a first line that begins with a name."""
 IDS = ("pointid", "point_id", "id", "node", "globalindex", "global_index")
 """Headers of the column of node ids, which is the first one otherwise."""
 MAGICS = {(535532).to_bytes(4, "little"): "<", (535532).to_bytes(4, "big"): ">"}
 """The first number of a binary restart, in four bytes of either order."""
-WIDTH = 33
+NAME_WIDTH = 33
 """Bytes of the name of one of its columns."""
 
 
@@ -263,11 +263,11 @@ def read_table(
     """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and text[:4] in MAGICS:
-        return _restart(text, wanted[:d])
+        return _read_restart(text, wanted[:d])
     text = FACT.sub(b"", re.sub(rb"[%#][^\n]*", b"", text))
-    found = HEAD.match(text)
+    found = HEADER_LINE.match(text)
     head = found[0] if found else b""
-    names = [decoded(name.strip(b"\"'").lower()) for name in NAME.findall(head)]
+    names = [decoded(name.strip(b"\"'").lower()) for name in COLUMN_NAME.findall(head)]
     rows = Section(path, re.sub(rb"[,;]", b" ", text), len(head), len(text)).rows(np.float64)
     if not len(rows.counts):
         raise ValueError(f"no rows of node id and {d} numbers in this file.")
@@ -290,8 +290,7 @@ def read_table(
     rows.refuse(
         is_wrong, lambda k: f"found {table[k].tolist()}, not a node id and {d} finite numbers."
     )
-    copies = np.setdiff1d(np.arange(len(ids)), np.unique(ids, return_index=True)[1])
-    rows.refuse(copies, lambda k: f"node {ids[k]:.0f} comes a second time.")
+    rows.refuse(Rows(ids).repeated, lambda k: f"node {ids[k]:.0f} comes a second time.")
     return ids.astype(np.int64), np.ascontiguousarray(table[:, 1:])
 
 
@@ -304,17 +303,17 @@ def read_named(
     if len(found) != 1:
         listed = ", ".join(arrays) or "none"
         raise ValueError(f"one array {' or '.join(names)} expected, found {listed}.")
-    values = real_array(path, arrays, found[0])
+    values = real_values(path, arrays, found[0])
     ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))) if ids is None else ids)
     if ids.dtype.kind not in "iu" or ids.ndim != 1:
         raise ValueError(f"ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
-    copies = len(ids) - len(np.unique(ids))
-    if copies:
-        raise ValueError(f"{copies} of its {len(ids)} node ids come a second time.")
+    copies = Rows(ids).repeated
+    if len(copies):
+        raise ValueError(f"{len(copies)} of its {len(ids)} node ids come a second time.")
     return ids, values, found[0]
 
 
-def in_order(
+def sort_by_id(
     ids: ndarray,
     values: ndarray,
     d: int,
@@ -337,7 +336,7 @@ def in_order(
     own = ""
     if labels is not None:
         if len(foreign) + len(missing) and np.array_equal(np.sort(ids), np.sort(labels)):
-            return values[rows_in(ids, labels)]
+            return values[Rows(ids).of(labels)]
         own = f", or are all of the mesh file's own, {labels.min()} to {labels.max()}"
     faults = [
         f"{foreign.size} of its {len(ids)} node ids are not of {known[1]} (first {x})"
@@ -348,26 +347,24 @@ def in_order(
     ]
     if faults:
         raise ValueError(f"{', and '.join(faults)}. Ids count the nodes from 0{own}.")
-    return values[rows_in(ids, wanted)]
+    return values[Rows(ids).of(wanted)]
 
 
-def _restart(
+def _read_restart(
     content: bytes, wanted: tuple[str, ...]
 ) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
-    order, begin = (
-        MAGICS[content[:4]],
-        20,
-    )  # five numbers: 535532, counts of columns and nodes, two zeros
+    order = MAGICS[content[:4]]
+    begin = 20  # five numbers: 535532, counts of columns and nodes, two zeros
     k, n = map(int, np.frombuffer(content[:begin].ljust(begin, b"\0"), f"{order}i4")[1:3])
-    start = begin + WIDTH * k
+    start = begin + NAME_WIDTH * k
     size = start + 8 * n * k
     if k < 1 or n < 1 or len(content) < size:
         raise ValueError(
             f"a binary restart of {n} nodes and {k} columns has {size} bytes or more, found "
             f"{len(content)}."
         )
-    words = np.frombuffer(content, f"S{WIDTH}", k, begin).tolist()
+    words = np.frombuffer(content, f"S{NAME_WIDTH}", k, begin).tolist()
     names = [decoded(word.partition(b"\0")[0]).strip("\"' ").lower() for word in words]
     missing = ", ".join(name for name in wanted if name not in names)
     if missing:

@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import SIDE_TYPES
+from jaxmorph._host.cells.topology import SIDE_TYPES, codes, invert_table
+from jaxmorph._host.ragged import Ragged
 from jaxmorph._mesh.exchange import Parts, Patch, checked_parts, distinct, gathered, regions_note
 from jaxmorph._mesh.faces import Faces, following
-from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
 from ._format import Source
 from ._places import CoordinatePart, PlacedPoints
@@ -26,23 +27,19 @@ from ._text import Section, decoded
 NAME = "Fluent"
 INTERIOR = 2
 PARENT = 31
-KINDS = {
-    **{INTERIOR: "interior", 3: "wall", 4: "pressure-inlet", 5: "pressure-outlet", 7: "symmetry"},
-    **{
-        8: "periodic-shadow",
-        9: "pressure-far-field",
-        10: "velocity-inlet",
-        12: "periodic",
-        14: "fan",
-    },
-    **{20: "mass-flow-inlet", 24: "interface", PARENT: "parent", 36: "outflow", 37: "axis"},
-}
+ZONE_KINDS = invert_table(
+    codes(
+        "interior 2 wall 3 pressure-inlet 4 pressure-outlet 5 symmetry 7 periodic-shadow 8 "
+        "pressure-far-field 9 velocity-inlet 10 periodic 12 fan 14 mass-flow-inlet 20 "
+        "interface 24 parent 31 outflow 36 axis 37"
+    )
+)
 """Kinds of zones of faces by Fluent's numbers."""
 
 _BEGIN = re.compile(rb"\(\s*(\d+)\b")
 _MARK = re.compile(rb'[()]|"(?:[^"\\]|\\.)*"')
-_HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
-_ZONE = re.compile(rb"\s*\(\s*(\d+)\s+(\S+)\s+([^\s()]+)")
+_SECTION_HEAD = re.compile(rb"\s*\(([0-9a-fA-F\s]*)\)\s*\(?")
+_ZONE_HEAD = re.compile(rb"\s*\(\s*(\d+)\s+(\S+)\s+([^\s()]+)")
 
 
 class FaceZone(NamedTuple):
@@ -55,10 +52,9 @@ class FaceZone(NamedTuple):
 
 
 class FaceTable(NamedTuple):
-    """Faces: ids of nodes from 1, their number in each face, and cells (k, 2) from 1."""
+    """Faces: ids of nodes from 1, and cells (k, 2) from 1."""
 
-    labels: ndarray
-    sizes: ndarray
+    nodes: Ragged
     cells: ndarray
 
 
@@ -78,27 +74,27 @@ class NodeSection(NamedTuple):
         return slice(self.first - 1, self.first - 1 + len(self.points))
 
 
-@dataclasses.dataclass
 class _FluentText:
     """What sections say: counts by kind, nodes, faces behind their heads, and zones by number."""
 
-    dimension: int = 0
-    counts: dict[int, int] = dataclasses.field(default_factory=dict)
-    nodes: list[NodeSection] = dataclasses.field(default_factory=list)
-    faces: list[tuple[list[int], FaceTable]] = dataclasses.field(default_factory=list)
-    regions: list[int] = dataclasses.field(default_factory=list)
-    names: dict[int, tuple[str, str]] = dataclasses.field(default_factory=dict)
+    def __init__(self):
+        self.dimension = 0
+        self.counts = {}
+        self.nodes = []
+        self.faces = []
+        self.regions = []
+        self.names = {}
 
     def take(self, number: int, section: Section) -> None:
         kind = number % 1000
         width = {2: 4, 3: 8}.get(number // 1000, 0)
         if number == 2:
             self.dimension = int(section.content)
-        elif kind in (45, 39) and (zone := _ZONE.match(section.text, section.start)):
-            self.names[int(zone[1])] = decoded(zone[3]), zone[2].decode(errors="replace")
+        elif kind in (45, 39) and (zone := _ZONE_HEAD.match(section.text, section.start)):
+            self.names[int(zone[1])] = decoded(zone[3]), decoded(zone[2])
         elif kind in (58, 59):
             raise section.error("a mesh that was adapted, with parents of cells, is not read.")
-        elif kind in (10, 12, 13) and (head := _HEAD.match(section.text, section.start)):
+        elif kind in (10, 12, 13) and (head := _SECTION_HEAD.match(section.text, section.start)):
             stop = section.stop if width else section.text.rfind(b")", head.end(), section.stop)
             body = section._replace(start=head.end(), stop=max(stop, head.end()))
             self._mesh(kind, [int(word, 16) for word in head[1].split()], body, width)
@@ -116,7 +112,7 @@ class _FluentText:
                 if width
                 else [int(word, 16) for word in body.content.split()]
             )
-            table = _table(np.asarray(words, np.int64), head[4] if len(head) > 4 else 0)
+            table = _cut_table(np.asarray(words, np.int64), head[4] if len(head) > 4 else 0)
             if len(table.cells) != head[2] - head[1] + 1:
                 raise body.error(f"{len(table.cells)} faces, {head[2] - head[1] + 1} expected")
             self.faces.append((head, table))
@@ -152,15 +148,19 @@ class _FluentText:
         return PlacedPoints(points, text, places, singles=singles)
 
     def table(self) -> FaceTable:
-        return FaceTable(
-            *map(np.concatenate, zip(*(table for _, table in self.faces), strict=True))
-        )
+        nodes = [table.nodes for _, table in self.faces]
+        labels = np.concatenate([each.values for each in nodes])
+        sizes = np.concatenate([each.sizes for each in nodes])
+        cells = np.concatenate([table.cells for _, table in self.faces])
+        return FaceTable(Ragged.of(labels, sizes), cells)
 
     def zones(self) -> Iterator[FaceZone]:
         first = 0
         for (number, _, _, kind, *_), table in self.faces:
-            name, word = self.names.get(number, (f"zone_{number}", KINDS.get(kind, f"kind_{kind}")))
-            word = KINDS[kind] if kind in (INTERIOR, PARENT) else word
+            name, word = self.names.get(
+                number, (f"zone_{number}", ZONE_KINDS.get(kind, f"kind_{kind}"))
+            )
+            word = ZONE_KINDS[kind] if kind in (INTERIOR, PARENT) else word
             yield FaceZone(number, name, word, np.arange(first, first + len(table.cells)))
             first += len(table.cells)
 
@@ -169,7 +169,7 @@ def read(path: Path) -> Parts:
     """Reads points, cells and patches: the zones of faces, but inner ones, with their kinds."""
     text = path.read_bytes()
     found = _FluentText()
-    for number, section in _sections(path, text):
+    for number, section in _find_sections(path, text):
         try:
             found.take(number, section)
         except (ValueError, IndexError, OverflowError) as error:
@@ -178,10 +178,12 @@ def read(path: Path) -> Parts:
             raise section.error(f"a damaged section {number} ({error}).") from error
     regions = [found.names.get(number, (f"zone_{number}", ""))[0] for number in found.regions]
     source = Source(path, NAME, found.content(text))
-    return mesh_of(source, found.table(), list(found.zones()), found.counts.get(12), regions)
+    return make_mesh_of_faces(
+        source, found.table(), list(found.zones()), found.counts.get(12), regions
+    )
 
 
-def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
+def _find_sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
     at = 0
     while begin := _BEGIN.search(text, at):
         number = int(begin[1])
@@ -191,14 +193,14 @@ def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
             )
             stop, at = (end.start(), end.end()) if end else (-1, -1)
         else:
-            stop = _closing(text, begin.end())
+            stop = _find_closing(text, begin.end())
             at = stop + 1
         if stop < 0:
             raise ValueError(f"the section {number} has no end: the file is cut short.")
         yield number, Section(path, text, begin.end(), stop)
 
 
-def _closing(text: bytes, at: int) -> int:
+def _find_closing(text: bytes, at: int) -> int:
     depth = 1
     for mark in _MARK.finditer(text, at):
         depth += {b"(": 1, b")": -1}.get(mark[0], 0)
@@ -207,75 +209,64 @@ def _closing(text: bytes, at: int) -> int:
     return -1
 
 
-def _table(words: ndarray, kind: int) -> FaceTable:
-    if kind in (0, 5):  # faces of several sizes: rows begin with a number of nodes
-        begins = []
-        at = 0
-        counts = words.tolist()
-        while at < len(counts):
-            if counts[at] < 2:
-                raise ValueError(f"a face of {counts[at]} nodes")
-            begins.append(at)
-            at += counts[at] + 3
-        if at != len(counts):
-            raise ValueError("faces that are cut short")
-        first = np.array(begins, np.int64) + 1
-        sizes = words[first - 1]
+def _cut_table(words: ndarray, kind: int) -> FaceTable:
+    # a row is a face: its nodes, behind their count where faces differ in size, and its two cells
+    if kind in (0, 5):
+        rows = Ragged.counted(words, more=2)
+    elif kind < 2 or len(words) % (kind + 2):
+        raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
     else:
-        rows, rest = divmod(len(words), kind + 2)
-        if rest or kind < 2:
-            raise ValueError(f"{len(words)} numbers are no faces of {kind} nodes")
-        first = (kind + 2) * np.arange(rows)
-        sizes = np.full(rows, kind)
-    return FaceTable(
-        words[spread(first, first + sizes)[0]],
-        sizes,
-        words[(first + sizes)[:, None] + np.arange(2)],
-    )
+        rows = Ragged.of(words, np.full(len(words) // (kind + 2), kind + 2))
+    if rows.sizes.min(initial=4) < 4:
+        raise ValueError(f"a face of {rows.sizes.min() - 2} nodes")
+    if rows.starts[-1] != len(rows.values):
+        raise ValueError("faces that are cut short")
+    last = rows.starts[1:, None] - np.array([2, 1])
+    nodes = Ragged.of(np.delete(rows.values, last), rows.sizes - 2)
+    return FaceTable(nodes, rows.values[last])
 
 
-def mesh_of(
+def make_mesh_of_faces(
     source: Source, table: FaceTable, zones: list[FaceZone], count: int | None, regions: list[str]
 ) -> Parts:
     """Makes the mesh of all faces; `count` is the number of cells, None if it is not announced."""
     points = source.content.points
-    _check(table, zones, len(points), count)
-    faces = _outward(table, points)
-    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else _plane_cells(faces)
+    _check_faces(table, zones, len(points), count)
+    faces = _orient_faces(table, points)
+    blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else _join_edges(faces)
     blocks = sorted(blocks, key=lambda block: block[0])  # as JAX sorts types
-    patches, notes = distinct(_patches(faces, zones))
-    kinds = {zone.name: zone.kind for zone in zones if zone.kind != KINDS[INTERIOR]}
+    patches, notes = distinct(_list_zone_patches(faces, zones))
+    kinds = {zone.name: zone.kind for zone in zones if zone.kind != ZONE_KINDS[INTERIOR]}
     source = dataclasses.replace(
         source,
         polyhedra=whole if len(whole.cut) else None,
         cell_ids=np.concatenate([ids for *_, ids in blocks]),
         kinds=kinds,
         symmetry=tuple(name for name, kind in kinds.items() if kind in ("symmetry", "axis")),
-        notes=(*notes, *_notes(kinds, regions)),
+        notes=(*notes, *_note_unpaired(kinds, regions)),
         **source.content.known,
     )
     cells = gathered(block[:2] for block in blocks)
     return checked_parts(points.copy(), cells, patches, source)
 
 
-def _patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
+def _list_zone_patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
     for number, name, kind, rows in zones:
-        if kind != KINDS[INTERIOR]:
-            places, _ = spread(faces.starts[rows], faces.starts[rows + 1])
-            yield Patch(name, f"zone_{number}", faces.labels[places])
+        if kind != ZONE_KINDS[INTERIOR]:
+            yield Patch(name, f"zone_{number}", faces.rows.take(rows).values)
 
 
-def _notes(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
+def _note_unpaired(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:
     periodic = [name for name, kind in kinds.items() if kind.startswith("periodic")]
     if periodic:
         yield f"the periodic zones {', '.join(periodic)} are patches, and are not paired."
     yield from regions_note(regions if len(regions) > 1 else ())
 
 
-def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
-    if KINDS[PARENT] in [zone.kind for zone in zones]:
+def _check_faces(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -> None:
+    if ZONE_KINDS[PARENT] in [zone.kind for zone in zones]:
         raise ValueError("a mesh that was adapted, with parents of faces, is not read.")
-    labels = table.labels
+    labels = table.nodes.values
     cells = table.cells
     most = len(cells) if count is None else count
     if labels.min() < 1 or labels.max() > n:
@@ -291,18 +282,17 @@ def _check(table: FaceTable, zones: list[FaceZone], n: int, count: int | None) -
         raise ValueError(f"{found} of {most} cells have faces: a damaged file.")
 
 
-def _outward(table: FaceTable, points: ndarray) -> Faces:
+def _orient_faces(table: FaceTable, points: ndarray) -> Faces:
     """Makes faces that point out of their owner, the first cell unless there is none.
 
     Programs differ in the sense of faces: the signed size of the whole mesh tells it.
     """
     first, second = table.cells.T - 1
-    starts = np.append(0, np.cumsum(table.sizes))
-    labels = table.labels - 1
-    labels = _reversed(labels, starts, first < 0)
-    faces = Faces(
-        labels, starts, np.where(first < 0, second, first), np.where(first < 0, -1, second)
-    )
+    rows = Ragged(table.nodes.values - 1, table.nodes.starts).turned(first < 0)
+    labels = rows.values
+    starts = rows.starts
+    owner = np.where(first < 0, second, first)
+    faces = Faces(labels, starts, owner, np.where(first < 0, -1, second))
     if points.shape[1] == 2 and (faces.sizes != 2).any():
         raise ValueError("faces of more than two nodes in a mesh of two dimensions.")
     here = points[labels]
@@ -315,18 +305,11 @@ def _outward(table: FaceTable, points: ndarray) -> Faces:
         size = np.einsum("fi,fi->f", areas, here[starts[:-1]])[is_outer].sum()
     if not np.isfinite(size):
         raise ValueError("coordinates of its nodes are not finite.")
-    return dataclasses.replace(
-        faces, labels=_reversed(labels, starts, np.full(len(first), size < 0))
-    )
+    turned = faces.rows.turned(np.full(len(first), size < 0))
+    return dataclasses.replace(faces, labels=turned.values)
 
 
-def _reversed(labels: ndarray, starts: ndarray, chosen: ndarray) -> ndarray:
-    rows, which = spread(starts[:-1], starts[1:])
-    back = starts[which] + starts[which + 1] - 1 - rows
-    return labels[np.where(chosen[which], back, rows)]
-
-
-def _plane_cells(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
+def _join_edges(faces: Faces) -> tuple[list[tuple[str, ndarray, ndarray]], Polyhedra]:
     """Makes triangles and quads of edges that have their cell on the left."""
     ordered, begins = faces.of_cells()
     ends = faces.corners(ordered, 2)

@@ -6,74 +6,72 @@ from typing import Any
 
 import numpy as np
 
+from jaxmorph._host.ragged import Ragged
 from jaxmorph._mesh.exchange import Parts
 
-from ._fluent import KINDS, FaceTable, FaceZone, mesh_of
-from ._format import FilePoints, MeshLike, Source, stamp_of
-from ._tree import Coordinates, only, opened, points_of, singles_of, text_of, write_points
+from ._fluent import ZONE_KINDS, FaceTable, FaceZone, make_mesh_of_faces
+from ._format import Source
+from ._tree import Coordinates, TreePoints, open_tree, read_text, take_only
 
 NAME = "Fluent HDF5"
-WHAT = "a Fluent case in HDF5"
+FLUENT_FILE = "a Fluent case in HDF5"
 
 
 def read(path: Path) -> Parts:
-    with opened(path, what=WHAT) as file:
+    with open_tree(path, what=FLUENT_FILE) as file:
         if "meshes" not in file:
-            missing = f"not {WHAT}: there is no group `meshes`"
+            missing = f"not {FLUENT_FILE}: there is no group `meshes`"
             kind = "a mesh of HOPR, which is not read" if "ElemInfo" in file else missing
             raise ValueError(f"{path}: this is {kind}.")
-        mesh = only(file["meshes"], "meshes")[1]
-        coordinates = list(_coordinates(file))
-        points = points_of(coordinates, coordinates[-1].rows.stop, coordinates[0].array.shape[1])
-        content = FilePoints(points, stamp=stamp_of(path), singles=singles_of(coordinates))
-        found = _table(mesh), list(_zones(mesh["faces"]))
+        mesh = take_only(file["meshes"], "meshes")[1]
+        content = TreePoints.of(path, file, _find_node_arrays, FLUENT_FILE)
+        found = _read_faces(mesh), list(_read_face_zones(mesh["faces"]))
         count = int(mesh.attrs["cellCount"].flat[0])
-        regions = _names(mesh["cells"]["zoneTopology"])
-    return mesh_of(Source(path, NAME, content), *found, count, regions)
+        regions = _read_zone_names(mesh["cells"]["zoneTopology"])
+    return make_mesh_of_faces(Source(path, NAME, content), *found, count, regions)
 
 
-def write(path: Path, mesh: MeshLike) -> None:
-    write_points(path, mesh, NAME, _coordinates, WHAT)
-
-
-def _coordinates(file: Any) -> Iterator[Coordinates]:
+def _find_node_arrays(file: Any) -> Iterator[Coordinates]:
     first = 0
-    for array in _sections(only(file["meshes"], "meshes")[1]["nodes"]["coords"]):
-        yield Coordinates(array, slice(first, first + len(array)), slice(None), by_rows=True)
+    for array in _sort_sections(take_only(file["meshes"], "meshes")[1]["nodes"]["coords"]):
+        n, d = array.shape
+        yield Coordinates(array, slice(first, first + n), slice(0, d), by_rows=True)
         first += len(array)
 
 
-def _sections(group: Any) -> list[Any]:
+def _sort_sections(group: Any) -> list[Any]:
     return sorted(group.values(), key=lambda section: int(section.attrs["minId"].flat[0]))
 
 
-def _table(mesh: Any) -> FaceTable:
+def _read_faces(mesh: Any) -> FaceTable:
     faces = mesh["faces"]
     labels, sizes = (
-        np.concatenate([section[name][()].ravel() for section in _sections(faces["nodes"])]).astype(
-            np.int64
-        )
+        np.concatenate(
+            [section[name][()].ravel() for section in _sort_sections(faces["nodes"])]
+        ).astype(np.int64)
         for name in ("nodes", "nnodes")
     )
     cells = np.zeros((len(sizes), 2), np.int64)
     for column, name in enumerate(("c0", "c1")):
-        for array in _sections(faces[name]):
+        for array in _sort_sections(faces[name]):
             first = int(array.attrs["minId"].flat[0]) - 1
             cells[first : first + len(array), column] = array[()]
     if sizes.min() < 2 or sizes.sum() != len(labels):
         raise ValueError(f"{len(labels)} nodes of faces, {sizes.sum()} expected")
-    return FaceTable(labels, sizes, cells)
+    return FaceTable(Ragged.of(labels, sizes), cells)
 
 
-def _zones(faces: Any) -> Iterator[FaceZone]:
+def _read_face_zones(faces: Any) -> Iterator[FaceZone]:
     topology = faces["zoneTopology"]
     columns = [
         topology[name][()].astype(int).tolist() for name in ("id", "zoneType", "minId", "maxId")
     ]
-    for name, number, kind, first, last in zip(_names(topology), *columns, strict=True):
-        yield FaceZone(number, name, KINDS.get(kind, f"kind_{kind}"), np.arange(first - 1, last))
+    for name, number, kind, first, last in zip(_read_zone_names(topology), *columns, strict=True):
+        yield FaceZone(
+            number, name, ZONE_KINDS.get(kind, f"kind_{kind}"), np.arange(first - 1, last)
+        )
 
 
-def _names(topology: Any) -> list[str]:
+def _read_zone_names(topology: Any) -> list[str]:
     """Reads the names of zones, of which one text holds all."""
-    return text_of(np.ravel(topology["name"][()])[0]).split(";")
+    return read_text(np.ravel(topology["name"][()])[0]).split(";")

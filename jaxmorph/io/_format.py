@@ -17,16 +17,20 @@ from jaxmorph._host.cells.pieces import boundary_sides
 from jaxmorph._host.cells.topology import CORNERS, EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.text import MESHES
+from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-SHARE = 0.1
+LOST_SHARE = 0.1
 """Share of the motion, or of an edge, that rounding may take without a warning."""
+
+MOST_NAMED = 12
+"""Names that a note lists."""
 
 EVERYTHING = ((slice(None), slice(None)),)
 """The `singles` of a file in single precision."""
 
-Arrays = Mapping[str, ndarray]
+ArraysByName = Mapping[str, ndarray]
 
 
 def warn_of_loss(path: Path, cells: Mapping[str, Any], held: Any, points: ndarray) -> ndarray:
@@ -42,7 +46,7 @@ def warn_of_loss(path: Path, cells: Mapping[str, Any], held: Any, points: ndarra
     most = motion.max(initial=0.0)
     losses = []
     # far from the origin nodes that hardly move are rounded more, and that changes nothing there
-    if (off[motion >= most / 2] > SHARE * most).any():
+    if (off[motion >= most / 2] > LOST_SHARE * most).any():
         losses.append(f"more than a tenth of the motion, which is {most:.3g}")
     start, end = _changed_edges(cells, base, points.astype(float), stored)
     if len(start):
@@ -71,7 +75,7 @@ def _changed_edges(
             ends = np.sort(np.asarray(ids)[:, edge], axis=1)
             old, new, in_file = (np.diff(x[ends], axis=1)[:, 0] for x in (base, points, stored))
             change, length = (np.linalg.norm(x, axis=1) for x in (in_file - new, new))
-            found.append(ends[(change > SHARE * length) & old.any(axis=1)])
+            found.append(ends[(change > LOST_SHARE * length) & old.any(axis=1)])
     return np.unique(np.concatenate(found), axis=0).T
 
 
@@ -128,10 +132,12 @@ class Format(NamedTuple):
     The module, and with it an extra, is imported at first use. It defines
 
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
-    - `write(path, mesh)`: writes a new file. One that `holds_arrays` takes `point_data` and
+    - `new(mesh)`: yields the bytes of a new file, for a mesh from elsewhere. For one that came from
+      the format, `write(path, points)` of its source's content makes the file;
+    - `write(path, mesh)`, in place of both: one that `holds_arrays` takes `point_data` and
       `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
-      not at all. Without it, `moved(points)` of a source's content yields the bytes of a copy;
-    - `check(path, mesh)`: raises `ValueError` for what `write` could not do with the mesh, for any
+      not at all;
+    - `check(path, mesh)`: raises `ValueError` for a mesh that cannot be written, whatever its
       points. Without it the format takes back only meshes that came from it.
     """
 
@@ -170,7 +176,7 @@ def content_of(mesh: MeshLike, format_name: str) -> Any:
 def own_source(mesh: MeshLike, format_name: str) -> Source:
     """Returns the source of a mesh, for a format whose files are copies of the file that was read.
 
-    Raises `ValueError` for other meshes, and for a file that has changed since, by its `stamp`.
+    Raises `ValueError` for other meshes, and for a file of copies that has changed since.
     """
     source = source_of(mesh, format_name)
     if source is None:
@@ -182,8 +188,7 @@ def own_source(mesh: MeshLike, format_name: str) -> Source:
             f"only a mesh that was read from {article} {format_name} file can be written to one; "
             f"write .vtu or {other}."
         )
-    stamp = getattr(source.content, "stamp", None)
-    if stamp is not None and stamp_of(source.path) != stamp:
+    if not getattr(source.content, "is_current", True):
         raise ValueError(
             f"{source.path} has changed since the mesh was read from it; read it again."
         )
@@ -200,6 +205,14 @@ def check_form(path: Path, mesh: MeshLike, name: str, form_of: Callable[[Path], 
         )
 
 
+def note_unread(what: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Makes a note on sections of a file that no mesh has, if there are any."""
+    listed = [*names]
+    more = f" and {len(listed) - MOST_NAMED} more" if len(listed) > MOST_NAMED else ""
+    text = f"{what}{', '.join(listed[:MOST_NAMED])}{more} are not read, and stay in the file."
+    return (text,) if listed else ()
+
+
 @contextlib.contextmanager
 def faults_of(path: Path) -> Iterator[None]:
     """Puts the path before what is wrong with a file, where it does not stand there already."""
@@ -211,16 +224,21 @@ def faults_of(path: Path) -> Iterator[None]:
         ) from error
 
 
-def of_grid(path: Path, grid: Grid, source: Source, patches: Iterable[Patch] = ()) -> Parts:
+def of_grid(
+    path: Path,
+    name: str,
+    content: "FilePoints",
+    grid: Grid,
+    patches: Iterable[Patch] = (),
+    notes: Iterable[str] = (),
+    **known: Any,
+) -> Parts:
+    """Makes a mesh of a grid whose points are those of a file; `known` are fields of its source."""
+    source = Source(path, name, content, **content.known, **known)
     with faults_of(path):
         points, cells, found, origin = parts(grid, patches)
-        notes = (*source.notes, *origin.notes)
+        notes = (*notes, *origin.notes)
         return checked_parts(points, cells, found, dataclasses.replace(source, notes=notes))
-
-
-def stamp_of(path: Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_size, status.st_mtime_ns
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -228,14 +246,13 @@ class FilePoints:
     """The points (N, k) of a file, of which a 2-D mesh has no z.
 
     - `node` (N,): the mesh's node for each of them; None where the mesh has the nodes of the file.
-    - `stamp`: marks by which a changed file is found, for a format of copies.
     - `singles`: rows and columns of `points` that the file has in single precision.
     """
 
     points: ndarray
-    node: ndarray | None = dataclasses.field(default=None, kw_only=True)
-    stamp: tuple[int, int] | None = dataclasses.field(default=None, kw_only=True)
-    singles: Sequence[tuple[slice, Any]] = dataclasses.field(default=(), kw_only=True)
+    _: dataclasses.KW_ONLY
+    node: ndarray | None = None
+    singles: Sequence[tuple[slice, Any]] = ()
 
     @property
     def is_flat(self) -> bool:
@@ -257,6 +274,14 @@ class FilePoints:
         """Returns the mesh's points from the file's, without z where all z are equal."""
         return values[self._first, : 2 if self.is_flat else 3]
 
+    def moved(self, points: ndarray) -> Iterator[bytes | bytearray | memoryview]:
+        """Yields the bytes of the file with other points of the mesh."""
+        raise NotImplementedError
+
+    def write(self, path: Path, points: ndarray) -> None:
+        with path.open("wb") as file:
+            file.writelines(self.moved(points))
+
     @property
     def known(self) -> dict[str, Any]:
         """Fields of the source of a mesh with these points in its file."""
@@ -275,12 +300,8 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
     """
     n = mesh.points.shape[0]
     found = {}
-    nodes_of_all = np.unique(
-        np.concatenate([np.zeros(0, np.int64), *map(np.asarray, mesh.patches.values())])
-    )
-    left = boundary_sides(
-        {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all
-    )
+    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+    left = boundary_sides(cells, n, np.unique(join_ids(mesh.patches.values())))
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: len(item[1])):
         inside = np.zeros(n, bool)
         inside[nodes] = True

@@ -10,76 +10,46 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.orders import GMSH, reordered
-from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._host.cells.topology import DIMENSION, Pair, codes, invert_table
 from jaxmorph._host.cells.topology import NODES as CORNERS
+from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
 
-from ._format import MeshLike, Source, content_of, faults_of, of_grid, patch_faces
+from ._format import MeshLike, content_of, faults_of, note_unread, of_grid, patch_faces
 from ._places import Labels, Stream
-from ._text import Section, blanked, decoded
+from ._text import Section, blank_out, decoded
 
 NAME = "gmsh"
-NODES = ("Nodes", "ParametricNodes", "NOD")
-ELEMENTS = ("Elements", "ELM")
+NODE_SECTIONS = ("Nodes", "ParametricNodes", "NOD")
+ELEMENT_SECTIONS = ("Elements", "ELM")
 """Sections of nodes and of elements; the last name of each is from version 1."""
-TYPES = {
-    1: "line",
-    2: "triangle",
-    3: "quad",
-    4: "tetra",
-    5: "hexahedron",
-    6: "wedge",
-    7: "pyramid",
-    15: "vertex",
-}
-TYPES |= {
-    **{
-        8: "line3",
-        9: "triangle6",
-        10: "quad9",
-        11: "tetra10",
-        12: "hexahedron27",
-        13: "wedge18",
-        14: "pyramid14",
-    },
-    **{
-        16: "quad8",
-        17: "hexahedron20",
-        18: "wedge15",
-        19: "pyramid13",
-        26: "line4",
-        21: "triangle10",
-        36: "quad16",
-    },
-    **{
-        29: "tetra20",
-        90: "wedge40",
-        92: "hexahedron64",
-        118: "pyramid30",
-        27: "line5",
-        23: "triangle15",
-    },
-    **{37: "quad25", 30: "tetra35", 91: "wedge75", 93: "hexahedron125", 119: "pyramid55"},
-}
+GMSH_NUMBERS = codes(
+    "line 1 triangle 2 quad 3 tetra 4 hexahedron 5 wedge 6 pyramid 7 vertex 15 "
+    "line3 8 triangle6 9 quad9 10 tetra10 11 hexahedron27 12 wedge18 13 pyramid14 14 "
+    "quad8 16 hexahedron20 17 wedge15 18 pyramid13 19 "
+    "line4 26 triangle10 21 quad16 36 tetra20 29 wedge40 90 hexahedron64 92 pyramid30 118 "
+    "line5 27 triangle15 23 quad25 37 tetra35 30 wedge75 91 hexahedron125 93 pyramid55 119"
+)
+GMSH_TYPES = invert_table(GMSH_NUMBERS)
 """Types of cells by gmsh's numbers."""
-NUMBERS = {kind: number for number, kind in TYPES.items()}
-ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
+BYTE_ORDERS = {b"\x01\0\0\0": "<", b"\0\0\0\x01": ">"}
 """Byte orders, and the number 1 in four bytes."""
 
-_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"(?:\s[^"]*)?|(\S+))\s*')
-_VERSION = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
+_GROUP_NAME = re.compile(rb'\s*(?:(\d+)\s+)?(\d+)\s+(?:"(.*)"(?:\s[^"]*)?|(\S+))\s*')
+_VERSION_LINE = re.compile(rb"\s*(2(?:\.\d+)?|4(?:\.[01])?)\s+([01])\s+([48])\s*$")
 _COMMENTS = re.compile(
     rb"(?:[ \t]*\$Comments[ \t\r]*\n(?s:.*?)^[ \t]*\$EndComments[ \t\r]*(?:\n|\Z))*", re.MULTILINE
 )
 
-Names = dict[tuple[int | None, int], str]
+GroupNames = dict[tuple[int | None, int], str]
 """Names of physical groups by dimension and tag; None: of any dimension."""
-Groups = dict[tuple[int, int], list[int]]
+EntityGroups = dict[tuple[int, int], list[int]]
 """Tags of the physical groups of an entity, by its dimension and tag."""
-Nodes = tuple[np.ndarray, np.ndarray]
+TaggedNodes = Pair
 """Tags of nodes, and the place of each one's x."""
 
 
@@ -105,37 +75,42 @@ class ElementBlock(NamedTuple):
     """Elements of one type: node tags (k, corners), and the rows of each physical group."""
 
     kind: str
-    corners: np.ndarray
+    corners: ndarray
     groups: dict[int, Any]
 
 
 class _Found:
     def __init__(self, form: MeshFormat):
-        self.form, self.content, self.labels = form, None, None
-        self.names, self.groups, self.blocks, self.others = {}, {}, [], {}
-        self.links: list[tuple[int, np.ndarray]] = []
+        self.form = form
+        self.content = None
+        self.labels = None
+        self.names = {}
+        self.groups = {}
+        self.blocks = []
+        self.others = {}
+        self.links: list[tuple[int, ndarray]] = []
 
     def take(self, name: str, section: Section) -> None:
         if name == "PhysicalNames":
-            self.names = physical_names(section, self.form)
+            self.names = read_names(section, self.form)
         elif name in ("Entities", "PartitionedEntities") and self.form.version >= 4:
-            self.groups |= entities(self.form.stream(section, np.float64), name != "Entities")
-        elif name in NODES:
+            self.groups |= read_entities(self.form.stream(section, np.float64), name != "Entities")
+        elif name in NODE_SECTIONS:
             if self.content is not None:
                 raise ValueError(
                     "a second one; gmsh adds a view without the mesh if PostProcessing.SaveMesh "
                     "is 0"
                 )
             stream = self.form.stream(section, np.float64)
-            tags, places = nodes(stream, name == "ParametricNodes")
+            tags, places = read_nodes(stream, name == "ParametricNodes")
             self.content = stream.content(places)
             self.labels = Labels(tags, "nodes") if len(tags) else None
-        elif name in ELEMENTS:
-            self.blocks = elements(self.form.stream(section, np.int64), self.groups)
+        elif name in ELEMENT_SECTIONS:
+            self.blocks = read_elements(self.form.stream(section, np.int64), self.groups)
         elif name not in ("MeshFormat", "Comments"):
             if name == "Periodic":
                 with contextlib.suppress(ValueError):
-                    self.links = list(links(section, self.form))
+                    self.links = list(read_links(section, self.form))
             self.others[f"${name[:40]}"] = None
 
 
@@ -147,8 +122,8 @@ def read(path: pathlib.Path) -> Parts:
     """
     data = path.read_bytes()
     start = _COMMENTS.match(data).end()  # pyright: ignore[reportOptionalMemberAccess]
-    found = _Found(_format(path, data, start))
-    for name, section in sections(path, data, start):
+    found = _Found(_read_format(path, data, start))
+    for name, section in cut_sections(path, data, start):
         try:
             found.take(name, section)
         except (ValueError, IndexError, OverflowError) as error:
@@ -168,21 +143,20 @@ def read(path: pathlib.Path) -> Parts:
             block._replace(corners=labels.find(block.corners, f"a {block.kind}"))
             for block in found.blocks
         ]
-    grid, patches, notes = grid_of(content.points, blocks, found.names)
+    grid, patches, notes = make_grid(content.points, blocks, found.names)
     top = max(DIMENSION.get(kind, 0) for kind, _ in grid.blocks)
     sides = [pairs for level, pairs in found.links if level == top - 1]
-    periodic = tuple(_periodic(sides, labels.numbers, patches))
+    periodic = tuple(_pair_patches(sides, labels.rows.ids, patches))
     unread = [name for name in found.others if name != "$Periodic" or not periodic]
-    if unread:
-        notes += (f"sections {', '.join(unread)} are not read, and stay in the file.",)
-    known = content.known | {"labels": labels.numbers, "periodic": periodic}
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **known), patches)
+    notes += note_unread("sections ", unread)
+    known = {"labels": labels.rows.ids, "periodic": periodic}
+    return of_grid(path, NAME, content, grid, patches, notes, **known)
 
 
-def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, np.ndarray]]:
+def read_links(section: Section, form: MeshFormat) -> Iterator[tuple[int, ndarray]]:
     """Yields the dimension of each periodic pair of entities, and tags (k, 2): node, its origin."""
     if form.version <= 4:  # of the transform there are words
-        text = blanked(section.content, rb"(?m)^[ \t]*Affine[^\n]*")
+        text = blank_out(rb"(?m)^[ \t]*Affine[^\n]*", section.content)
         section = section._replace(text=text, start=0, stop=len(text))
     # before version 4 the section is text in a binary file, too
     form = form._replace(is_text=form.is_text or form.version < 4)
@@ -195,16 +169,14 @@ def links(section: Section, form: MeshFormat) -> Iterator[tuple[int, np.ndarray]
     stream.end()
 
 
-def _periodic(
-    sides: list[np.ndarray], tags: np.ndarray, patches: list[Patch]
-) -> Iterator[Periodic]:
+def _pair_patches(sides: list[ndarray], tags: ndarray, patches: list[Patch]) -> Iterator[Periodic]:
     """Yields pairs of patches: for each pair of entities the smallest patches that hold them."""
     names = collections.Counter(patch.name for patch in patches)
     own = sorted((p for p in patches if names[p.name] == 1), key=lambda patch: len(patch.nodes))
     pairs = {}
     for side in sides:
         found = [
-            next((patch.name for patch in own if np.isin(nodes, tags[patch.nodes]).all()), None)
+            next((patch.name for patch in own if Rows(tags[patch.nodes]).mask(nodes).all()), None)
             for nodes in side.T
         ]
         if None not in found and found[0] != found[1]:
@@ -212,18 +184,18 @@ def _periodic(
     return itertools.starmap(Periodic, pairs)
 
 
-def grid_of(
-    points: np.ndarray, blocks: list[ElementBlock], names: Names
+def make_grid(
+    points: ndarray, blocks: list[ElementBlock], names: GroupNames
 ) -> tuple[Grid, list[Patch], tuple[str, ...]]:
     """Makes a grid, patches of the groups of lower dimension, and a note on the others."""
-    groups = list(_groups(blocks, names))
+    groups = list(_gather_groups(blocks, names))
     cells = [(block.kind, reordered(block.kind, block.corners, GMSH, None)) for block in blocks]
     top = max(DIMENSION.get(kind, 0) for kind, _ in cells)
     notes = tuple(regions_note(patch.name for level, patch in groups if level == top))
     return Grid(points, cells, {}, {}), [patch for level, patch in groups if level < top], notes
 
 
-def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Patch]]:
+def _gather_groups(blocks: list[ElementBlock], names: GroupNames) -> Iterator[tuple[int, Patch]]:
     """Yields dimension and nodes of each group, of the highest dimension first."""
     own = (
         ((DIMENSION.get(block.kind, 0), tag), block, rows)
@@ -236,7 +208,7 @@ def _groups(blocks: list[ElementBlock], names: Names) -> Iterator[tuple[int, Pat
         yield level, Patch(name, f"{LEVELS[level]}_{tag}", members)
 
 
-def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
+def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     """Reads `$MeshFormat`; version 1 begins with `$NOD` in its place."""
     head, words, rest = (data[start : start + 400] + b"\n\n").split(b"\n", 2)
     if head.strip() == b"$NOD":
@@ -248,20 +220,20 @@ def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
             else ""
         )
         number = 1 + data.count(b"\n", 0, start)
-        first = head.decode(errors="replace").strip()[:40]
+        first = decoded(head).strip()[:40]
         raise ValueError(
             f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not "
             f"{first!r}.{mark}"
         )
-    found = _VERSION.match(words)
+    found = _VERSION_LINE.match(words)
     if found is None:
-        said = words.decode(errors="replace").strip()[:40]
+        said = decoded(words).strip()[:40]
         raise ValueError(
             f"{path}: .msh of version {said!r}; 1, 2, 4.0 and 4.1 are read, then 0 or 1, and 4 or "
             "8."
         )
     version, binary, size = (float(word) for word in found.groups())
-    order = ORDERS.get(rest[:4]) if binary else "<"
+    order = BYTE_ORDERS.get(rest[:4]) if binary else "<"
     if order is None:
         raise ValueError(
             f"{path}: a binary .msh file without the number 1 that tells its byte order."
@@ -276,7 +248,7 @@ def _format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     )
 
 
-def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
+def cut_sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
     while (at := data.find(b"$", at)) >= 0:
         start = data.find(b"\n", at) + 1
         name = data[at + 1 : start].strip()
@@ -285,28 +257,28 @@ def sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Se
             raise ValueError(
                 f"{path}: ${name.decode(errors='replace')[:40]} has no end: the file is cut short."
             )
-        yield name.decode(errors="replace"), Section(path, data, start, stop)
+        yield decoded(name), Section(path, data, start, stop)
         at = stop + 4 + len(name)
 
 
-def physical_names(section: Section, form: MeshFormat) -> Names:
+def read_names(section: Section, form: MeshFormat) -> GroupNames:
     count, *rows = list(filter(bytes.strip, section.content.split(b"\n"))) or [b""]
     if count.strip() != b"%d" % len(rows):
         raise section.error(
             f"{len(rows)} lines of names in $PhysicalNames; as many as announced expected."
         )
-    names: Names = {}
+    names: GroupNames = {}
     for k, row in enumerate(rows, start=1):
-        match = _NAME.fullmatch(row)
+        match = _GROUP_NAME.fullmatch(row)
         if match is None or (form.has_levels and match[1] is None):
             raise section.error("a dimension, a tag and a name expected.", k)
         names[int(match[1]) if match[1] else None, int(match[2])] = decoded(match[4] or match[3])
     return names
 
 
-def entities(stream: Stream, is_partitioned: bool) -> Groups:
+def read_entities(stream: Stream, is_partitioned: bool) -> EntityGroups:
     """Reads the physical groups of entities, or of the pieces into which a partition cuts them."""
-    groups: Groups = {}
+    groups: EntityGroups = {}
     if is_partitioned:
         stream.one("n")
         stream.skip(2 * stream.one("n"), "i")  # ghost entities
@@ -324,48 +296,47 @@ def entities(stream: Stream, is_partitioned: bool) -> Groups:
     return groups
 
 
-def nodes(stream: Stream, is_parametric: bool) -> Nodes:
+def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
     """Reads the nodes of `$Nodes`, of version 2's `$ParametricNodes`, or of version 1's `$NOD`."""
     if stream.version < 4:
         total = stream.announced()
         blocks = (
-            [_with_parameters(stream) for _ in range(total)]
+            [_read_parametric(stream) for _ in range(total)]
             if is_parametric
-            else [_records(stream, total)]
+            else [_read_records(stream, total)]
         )
     else:
         count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
-        blocks = [_of_entity(stream) for _ in range(count)]
+        blocks = [_read_nodes_of_entity(stream) for _ in range(count)]
     stream.end()
-    tags, places = (
-        np.concatenate([np.zeros(0, np.int64), *column]) for column in zip(*blocks, strict=True)
-    )
+    tags = join_ids(tags for tags, _ in blocks)
+    places = join_ids(places for _, places in blocks)
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
     return tags, places
 
 
-def _entity(stream: Stream) -> tuple[int, int, int]:
+def _read_entity(stream: Stream) -> tuple[int, int, int]:
     """Reads an entity's dimension and tag (in version 4.0 swapped), and a number."""
     first, second, third = stream.take("i", 3).tolist()
     return (first, second, third) if stream.version > 4 else (second, first, third)
 
 
-def _of_entity(stream: Stream) -> Nodes:
+def _read_nodes_of_entity(stream: Stream) -> TaggedNodes:
     """Reads one entity's nodes; as many parameters as its dimension may follow each."""
-    dimension, _, is_parametric = _entity(stream)
+    dimension, _, is_parametric = _read_entity(stream)
     count = stream.one("n")
     if dimension not in range(4) or is_parametric not in (0, 1):
         raise ValueError(f"a block of nodes of dimension {dimension}, parametric {is_parametric}")
     parameters = "d" * dimension * is_parametric
     if stream.version < 4.1:
-        return _records(stream, count, parameters)
+        return _read_records(stream, count, parameters)
     tags = stream.take("n", count)
     width = stream.width(f"ddd{parameters}")
     return tags, stream.skip(count, f"ddd{parameters}") + width * np.arange(count)
 
 
-def _records(stream: Stream, count: int, parameters: str = "") -> Nodes:
+def _read_records(stream: Stream, count: int, parameters: str = "") -> TaggedNodes:
     """Reads nodes of which each has its tag before its coordinates."""
     kinds = f"iddd{parameters}"
     start = stream.at
@@ -374,9 +345,9 @@ def _records(stream: Stream, count: int, parameters: str = "") -> Nodes:
     ) * np.arange(count)
 
 
-def _with_parameters(stream: Stream) -> Nodes:
+def _read_parametric(stream: Stream) -> TaggedNodes:
     """Reads a node: tag, coordinates, entity (dimension, tag), parameters (curve 1, surface 2)."""
-    node = _records(stream, 1)
+    node = _read_records(stream, 1)
     dimension = int(stream.take("i", 2)[0])
     if dimension not in range(4):
         raise ValueError(f"a node on an entity of dimension {dimension}")
@@ -384,15 +355,16 @@ def _with_parameters(stream: Stream) -> Nodes:
     return node
 
 
-def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
+def read_elements(stream: Stream, groups: EntityGroups) -> list[ElementBlock]:
     if stream.version < 4:
-        tables = gathered(_lines(stream) if stream.rows else _old_blocks(stream))
-        return [_of_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
+        tables = gathered(_read_element_lines(stream) if stream.rows else _read_old_blocks(stream))
+        return [_group_by_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
     count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
     blocks = []
     for _ in range(count):
-        dimension, tag, number = _entity(stream)
-        size, (kind, corners) = stream.one("n"), _kind(number)
+        dimension, tag, number = _read_entity(stream)
+        size = stream.one("n")
+        kind, corners = _find_kind(number)
         if DIMENSION.get(kind, 0) != dimension:
             raise ValueError(f"elements of type {kind} on an entity of dimension {dimension}")
         rows = stream.take("n" if stream.version > 4 else "i", size * (1 + corners)).reshape(
@@ -409,55 +381,51 @@ def elements(stream: Stream, groups: Groups) -> list[ElementBlock]:
     return blocks
 
 
-def _kind(number: int) -> tuple[str, int]:
+def _find_kind(number: int) -> tuple[str, int]:
     """Finds the type of a number, and how many nodes it has."""
-    if number not in TYPES:
+    if number not in GMSH_TYPES:
         raise ValueError(
             f"elements of type {number}; elements of order 1 to 4 are read, from order 3 on with "
             "all inner nodes: "
             "Mesh.SecondOrderIncomplete=0 makes them"
         )
-    return TYPES[number], CORNERS.get(TYPES[number], 1)
+    return GMSH_TYPES[number], CORNERS.get(GMSH_TYPES[number], 1)
 
 
-def _lines(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
+def _read_element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c): of version 2 in text, and of version 1.
 
     Lines are number, type, tags and nodes. In version 2 the number of tags comes before them, in
     version 1 that of nodes behind two tags.
     """
-    rows = stream.rows
-    assert rows is not None
-    if not len(rows.counts) or rows.counts[0] != 1 or rows.values[0] != len(rows.counts) - 1:
-        raise stream.section.error(
-            f"{len(rows.counts) - 1} lines of elements, not as many as announced.", 0
-        )
+    assert stream.rows is not None
+    count = len(stream.rows.counts) - 1
+    rows = stream.rows.behind_count(f"{count} lines of elements, not as many as announced.")
     values = rows.values
-    counts = rows.counts[1:]
-    first = rows.first[1:]
+    counts = rows.counts
+    first = rows.first
     message = "an element has a number, a type, and numbers of tags or of nodes."
-    rows.refuse(1 + np.flatnonzero(counts < (5 if stream.version < 2 else 4)), lambda k: message)
-    if (
-        stream.version < 2
-    ):  # two tags and the number of nodes become the number of tags and two tags
+    rows.refuse(counts < (5 if stream.version < 2 else 4), message)
+    # two tags and the number of nodes become the number of tags and two tags
+    if stream.version < 2:
         places = first[:, None] + np.arange(2, 5)
         values[places] = np.insert(values[places[:, :2]], 0, 2, axis=1)
     types = values[first + 1]
     for number in dict.fromkeys(types.tolist()):
-        kind, corners = _kind(number)
+        kind, corners = _find_kind(number)
         chosen = np.flatnonzero(types == number)
         start = first[chosen, None]
         tags = values[first[chosen, None] + 2]
         stop = (first + counts)[chosen, None]
         wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
         rows.refuse(
-            1 + chosen[wrong], lambda k: f"{counts[k - 1]} numbers, not those of its type and tags."
+            chosen[wrong], lambda k: f"{counts[k]} numbers, not those of its type and tags."
         )
         table = values[np.minimum(start + np.arange(3, 5), len(values) - 1)] * (np.arange(2) < tags)
         yield kind, np.concatenate([table, values[stop + np.arange(-corners, 0)]], axis=1)
 
 
-def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
+def _read_old_blocks(stream: Stream) -> Iterator[tuple[str, ndarray]]:
     """Yields types, and two tags and nodes (k, 2 + c), of the blocks of version 2, binary."""
     left = stream.announced()
     numbers = []
@@ -465,7 +433,7 @@ def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
         number, count, tags = stream.take("i", 3).tolist()
         if count < 0 or tags < 0:
             raise ValueError(f"{count} elements with {tags} tags")
-        kind, corners = _kind(number)
+        kind, corners = _find_kind(number)
         rows = stream.take("i", count * (1 + tags + corners)).reshape(count, 1 + tags + corners)
         numbers.append(rows[:, 0])
         padded = np.pad(rows[:, 1 : 1 + tags], ((0, 0), (0, 2)))
@@ -478,7 +446,7 @@ def _old_blocks(stream: Stream) -> Iterator[tuple[str, np.ndarray]]:
         Labels(np.concatenate(numbers), "elements")
 
 
-def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
+def _group_by_tags(kind: str, corners: ndarray, table: ndarray) -> ElementBlock:
     """Finds groups by tags of group (0: none) and entity; elements of two groups are read once."""
     physical = np.abs(table[:, 0])
     tags = np.unique(physical[physical > 0]).tolist()
@@ -486,16 +454,15 @@ def _of_tags(kind: str, corners: np.ndarray, table: np.ndarray) -> ElementBlock:
     if len(tags) < 2:
         return ElementBlock(kind, corners, groups)
     # An element's key is its entity and corners. Equal keys are one element, kept where it comes
-    # first; `new` is the row of each old element among the kept ones.
+    # first; `new_rows` is the row of each old element among the kept ones.
     keys = np.column_stack([table[:, 1], corners, physical])
-    first, which = np.unique(keys[:, :-1], axis=0, return_index=True, return_inverse=True)[1:]
+    first, which = first_of_equals(keys[:, :-1])
     if len(first) == len(keys) or len(np.unique(keys, axis=0)) < len(keys):
-        return ElementBlock(
-            kind, corners, groups
-        )  # what stands twice in one group is told as a fault
+        # what stands twice in one group is told as a fault
+        return ElementBlock(kind, corners, groups)
     order = np.sort(first)
-    new = np.searchsorted(order, first)[which.ravel()]
-    return ElementBlock(kind, corners[order], {tag: new[rows] for tag, rows in groups.items()})
+    new_rows = Rows(order).of(first)[which]
+    return ElementBlock(kind, corners[order], {tag: new_rows[at] for tag, at in groups.items()})
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
@@ -512,15 +479,8 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2."""
-    content = content_of(mesh, NAME)
-    with path.open("wb") as file:
-        file.writelines(_new(mesh) if content is None else content.moved(np.asarray(mesh.points)))
-
-
-def _new(mesh: MeshLike) -> Iterator[bytes]:
-    """Yields a new file. A patch is a group of faces, which have its tag as group and as entity."""
+def new(mesh: MeshLike) -> Iterator[bytes]:
+    """Yields a binary file of version 2.2. A patch is a group of faces of a tag and an entity."""
     points = np.asarray(mesh.points, float)
     markers = patch_faces(mesh)
     blocks = [(kind, 0, np.asarray(ids)) for kind, ids in mesh.cells.items()]
@@ -541,6 +501,6 @@ def _new(mesh: MeshLike) -> Iterator[bytes]:
         table = np.full((len(corners), 3 + corners.shape[1]), tag, "<i4")
         table[:, 0] = first + np.arange(len(corners))
         table[:, 3:] = 1 + reordered(kind, corners, None, GMSH)
-        yield np.array([NUMBERS[kind], len(corners), 2], "<i4").tobytes() + table.tobytes()
+        yield np.array([GMSH_NUMBERS[kind], len(corners), 2], "<i4").tobytes() + table.tobytes()
         first += len(corners)
     yield b"\n$EndElements\n"

@@ -15,10 +15,11 @@ from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
 from jaxmorph._host.cells.topology import numbers
+from jaxmorph._host.ragged import heads_of
 from jaxmorph._mesh.exchange import Parts, gathered
 
-from ._format import Source, of_grid
-from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, labelled_grid
+from ._format import note_unread, of_grid
+from ._places import KIND_BY_NODES, CoordinatePart, LabelledCells, PlacedPoints, make_labelled_grid
 from ._text import Section, decoded, parse
 
 NAME = "I-deas"
@@ -42,7 +43,7 @@ ELEMENT_RANGES = ((11, 39, 1), (41, 109, 2), (111, 118, 3))
 IDEAS_COLUMNS = 25
 """Columns of a coordinate, 1P3D25.16."""
 
-_END = re.compile(rb"^[ \t]{0,4}-1[ \t]*\r?$", re.MULTILINE)
+_DATASET_END = re.compile(rb"^[ \t]{0,4}-1[ \t]*\r?$", re.MULTILINE)
 
 _NUMBER = re.compile(rb"\s*(\d{1,6})(?:b[^\n]*)?[ \t\r]*\n")
 
@@ -53,39 +54,43 @@ def read(path: Path) -> Parts:
     Without groups the numbers of properties name patches, `patch_3`.
     """
     text = path.read_bytes()
-    sections = list(_sections(path, text))
+    sections = list(_read_datasets(path, text))
     old = [f"{OLD_DATASETS[n]} of dataset {n}" for n, _ in sections if n in OLD_DATASETS]
     if old:
         raise ValueError(f"{', '.join(old)} are not read; those of 2411, 2412 and 2420 are.")
-    content, nodes = _nodes(text, [section for n, section in sections if n in (2411, 781)])
+    content, nodes = _read_node_tables(
+        text, [section for n, section in sections if n in (2411, 781)]
+    )
     _check_systems(nodes[:, 1], [section for n, section in sections if n == 2420])
-    elements = [each for n, section in sections if n == 2412 for each in _elements(section)]
+    elements = [
+        each for n, section in sections if n == 2412 for each in _read_element_blocks(section)
+    ]
     groups = [
-        each for n, section in sections if n in GROUP_DATASETS for each in _groups(section, n)
+        each for n, section in sections if n in GROUP_DATASETS for each in _read_groups(section, n)
     ]
     sets = {
         what: gathered((name, ids[ids[:, 0] == code, 1]) for name, ids in groups)
         for code, what in ((7, "nodes"), (8, "elements"))
     }
     sets["nodes"] = {name: ids for name, ids in sets["nodes"].items() if len(ids)}
-    grid, notes = labelled_grid(content.points, nodes[:, 0], [cells for cells, _ in elements], sets)
+    grid, notes = make_labelled_grid(
+        content.points, nodes[:, 0], [cells for cells, _ in elements], sets
+    )
     if not groups:
         grid = dataclasses.replace(
             grid, cell_data={"patch": [properties for _, properties in elements]}
         )
     known = (2411, 781, 2412, 2420, *GROUP_DATASETS, *QUIET_DATASETS)
     left = dict.fromkeys(str(n) for n, _ in sections if n not in known)
-    if left:
-        notes += (f"datasets {', '.join(left)} are not read, and stay in the file.",)
+    notes += note_unread("datasets ", left)
     if others := sum(int((~np.isin(ids[:, 0], (7, 8))).sum()) for _, ids in groups):
         notes += (f"{others} members of groups are no nodes or elements, and are not read.",)
-    source = Source(path, NAME, content, labels=nodes[:, 0], notes=notes, **content.known)
-    return of_grid(path, grid, source)
+    return of_grid(path, NAME, content, grid, notes=notes, labels=nodes[:, 0])
 
 
-def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
+def _read_datasets(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
     """Yields number and rows of each dataset; nothing but blanks may stand between two of them."""
-    ends = list(_END.finditer(text))
+    ends = list(_DATASET_END.finditer(text))
     between = [text[a.end() : b.start()] for a, b in zip(ends[1::2], ends[2::2], strict=False)]
     between += [text[: ends[0].start()], text[ends[-1].end() :]] if ends else [text]
     if len(ends) % 2 or b"".join(between).strip():
@@ -97,7 +102,7 @@ def _sections(path: Path, text: bytes) -> Iterator[tuple[int, Section]]:
         yield int(number[1]), Section(path, text, number.end(), end.start())
 
 
-def _nodes(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]:
+def _read_node_tables(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]:
     """Reads points, and labels and systems of coordinates (n, 2)."""
     parts = []
     tables = [np.zeros((0, 7))]
@@ -109,16 +114,14 @@ def _nodes(text: bytes, sections: list[Section]) -> tuple[PlacedPoints, ndarray]
         if len(k) % 2:
             raise section.error("a node without coordinates.", len(k) - 1)
         table = rows.values.reshape(-1, 7)
-        at = (7 * np.arange(len(table))[:, None] + np.arange(4, 7)).ravel()
-        here = slice(first, first + len(table))
-        parts.append(CoordinatePart(section.start, section.stop, here, at))
+        parts.append(CoordinatePart.in_columns(section, table.shape, slice(4, 7), first))
         tables.append(table)
         first += len(table)
     table = np.concatenate(tables)
     letter = "E" if any(b"E" in section.content[:200] for section in sections) else "D"
     form = {}
     if all(map(_is_fixed, sections)):
-        form = {"form": functools.partial(_in_columns, letter), "columns": IDEAS_COLUMNS}
+        form = {"form": functools.partial(_format_columns, letter), "columns": IDEAS_COLUMNS}
     return PlacedPoints(table[:, 4:].copy(), text, parts, **form), table[:, :2].astype(np.int64)
 
 
@@ -128,7 +131,7 @@ def _is_fixed(section: Section) -> bool:
     return all(len(row) == 3 * IDEAS_COLUMNS and row[24:25].isdigit() for row in rows)
 
 
-def _in_columns(letter: str, values: ndarray) -> bytes:
+def _format_columns(letter: str, values: ndarray) -> bytes:
     rows = "\n".join([f"{value:{IDEAS_COLUMNS}.16E}" for value in values.tolist()])
     return rows.replace("E", letter).encode()
 
@@ -151,7 +154,7 @@ def _check_systems(used: ndarray, sections: list[Section]) -> None:
         )
 
 
-def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
+def _read_element_blocks(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
     """Yields the elements of each type, and their numbers of properties.
 
     An element is a row of label, type, property, material, colour and its number of nodes. Of a
@@ -171,12 +174,7 @@ def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
     # Each row, taken for an element's first, tells how many rows the element has: from the first
     # row on one goes from element to element.
     steps = (1 + has_axis - (-size // 8)).tolist()
-    firsts = []
-    at = 0
-    while at < total:
-        firsts.append(at)
-        at += steps[at]
-    which = np.array(firsts, np.int64)
+    which = heads_of(np.arange(total), steps.__getitem__)
     start = rows.first[which] + 6 + 3 * has_axis[which]
     words = np.append(rows.first, len(rows.values))[np.append(which, total)][1:] - start
     is_bad = (counts[which] != 6) | (words != size[which]) | (head[which, 5] < 1)
@@ -193,7 +191,7 @@ def _elements(section: Section) -> Iterator[tuple[LabelledCells, ndarray]]:
         yield LabelledCells(kind, table[:, 0], corners), table[:, 2]
 
 
-def _groups(section: Section, dataset: int) -> Iterator[tuple[str, ndarray]]:
+def _read_groups(section: Section, dataset: int) -> Iterator[tuple[str, ndarray]]:
     """Yields name, and kinds (7: node, 8: element) and labels (k, 2) of members of each group."""
     lines = section.content.rstrip().split(b"\n")
     width = GROUP_DATASETS[dataset]

@@ -9,23 +9,23 @@ from numpy import ndarray
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
+from .._host.package.errors import check_all_finite
 from .._host.package.rounding import Tree
-from ._format import FilePoints
 
-SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
-TOLERANCE = 1e-3
+BLOCK_SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
+NODE_TOLERANCE = 1e-3
 """Distance between duplicates of a node, as a share of the shortest edge at them."""
 COPIES = 12
 """Duplicates of a node that are looked for."""
 
 
-def block_ids(shape: tuple[int, ...], first: int) -> ndarray:
+def number_block(shape: tuple[int, ...], first: int) -> ndarray:
     """Numbers a block's nodes by i, j[, k] from `first`, i fastest, without axes of one node."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
 
 
-def block_cells(ids: ndarray) -> tuple[str, ndarray]:
+def make_block_cells(ids: ndarray) -> tuple[str, ndarray]:
     """Makes the cells between the nodes of a block, i running fastest: their type and corners."""
     square = [
         (slice(-1), slice(-1)),
@@ -38,7 +38,7 @@ def block_cells(ids: ndarray) -> tuple[str, ndarray]:
     return "quad" if ids.ndim == 2 else "hexahedron", np.stack(corners, axis=1)
 
 
-def block_sides(ids: ndarray) -> list[ndarray]:
+def make_block_sides(ids: ndarray) -> list[ndarray]:
     """Makes the faces (edges in 2-D) of each side of a block, in the order of `SIDES`."""
     sides = []
     for axis in range(ids.ndim):
@@ -46,14 +46,16 @@ def block_sides(ids: ndarray) -> list[ndarray]:
             side = ids.take(at, axis=axis)
             if side.ndim == 2:
                 sides.append(
-                    block_cells(side)[1] if min(side.shape) > 1 else np.zeros((0, 4), ids.dtype)
+                    make_block_cells(side)[1]
+                    if min(side.shape) > 1
+                    else np.zeros((0, 4), ids.dtype)
                 )
             else:
                 sides.append(np.stack([side[:-1], side[1:]], axis=1))
     return sides
 
 
-def open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[ndarray]:
+def select_open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[ndarray]:
     """Selects the faces that are not inside of a patch: where blocks may meet."""
     covered = [np.zeros(len(corners), bool) for corners in faces]
     inside = np.zeros(n, bool)
@@ -65,7 +67,7 @@ def open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[nda
     return [corners[~mask] for corners, mask in zip(faces, covered, strict=True)]
 
 
-def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
+def find_shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     """Finds each point's first duplicate (see `TOLERANCE`) on `faces`; else its own id."""
     n = len(points)
     size = np.full(n, np.inf)
@@ -79,7 +81,7 @@ def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     count = min(COPIES, len(nodes))
     neighbours = Tree(points[nodes]).query(points[nodes], k=count)
     distance, nearest = (np.asarray(values).reshape(len(nodes), count) for values in neighbours)
-    limit = TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
+    limit = NODE_TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
     row, column = np.nonzero(distance <= limit)
     parts = parts_of(row, nearest[row, column], len(nodes))
     _, first = np.unique(parts, return_index=True)
@@ -88,14 +90,14 @@ def shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
     return same
 
 
-def join(
+def join_zones(
     points: ndarray,
     cells: Iterable[tuple[str, ndarray]],
     patches: Mapping[str, Sequence[ndarray]],
     faces: list[ndarray],
     names: Sequence[str] = (),
-) -> tuple[Parts, FilePoints]:
-    """Joins zones to one mesh in the file's node order, 2-D if z is constant.
+) -> tuple[Parts, ndarray]:
+    """Joins zones to one mesh in the file's node order, 2-D if z is constant; with its nodes (N,).
 
     `points` are all nodes of a file, zone after zone, with cells and patches of their ids. Where no
     other zone meets the outer `faces`, they become patches by their `names`. Without names these
@@ -104,21 +106,20 @@ def join(
 
     It raises `ValueError` for coordinates that are not finite.
     """
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise ValueError(
-            f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}."
-        )
-    faces = open_faces(faces, [nodes for parts in patches.values() for nodes in parts], len(points))
-    node = np.unique(shared_nodes(points, faces), return_inverse=True)[1]
-    joined = FilePoints(points, node=node)
+    check_all_finite(points)
+    faces = select_open_faces(
+        faces, [nodes for parts in patches.values() for nodes in parts], len(points)
+    )
+    node = np.unique(find_shared_nodes(points, faces), return_inverse=True)[1]
+    first = np.unique(node, return_index=True)[1]
+    d = 3 if points.shape[1] == 3 and np.ptp(points[:, 2]) else 2
     whole = gathered((kind, node[corners]) for kind, corners in cells)
     own = [(name, node[nodes]) for name, parts in patches.items() for nodes in parts]
-    found = gathered([*own, *_rest([node[corners] for corners in faces], names, patches)])
-    return checked_parts(np.ascontiguousarray(joined.in_mesh(points)), whole, found), joined
+    found = gathered([*own, *_name_rest([node[corners] for corners in faces], names, patches)])
+    return checked_parts(np.ascontiguousarray(points[first, :d]), whole, found), node
 
 
-def _rest(
+def _name_rest(
     faces: list[ndarray], names: Sequence[str], patches: Mapping[str, Any]
 ) -> Iterator[tuple[str, ndarray]]:
     """Yields names and nodes of faces that no other zone meets."""
@@ -126,13 +127,13 @@ def _rest(
     while rest in patches:
         rest += "_faces"
     for name, corners, mask in zip(
-        names or [rest] * len(faces), faces, _single(faces), strict=True
+        names or [rest] * len(faces), faces, _mark_single(faces), strict=True
     ):
         if mask.any():
             yield name, corners[mask].ravel()
 
 
-def _single(faces: list[ndarray]) -> list[ndarray]:
+def _mark_single(faces: list[ndarray]) -> list[ndarray]:
     """Finds faces that come once and are not shrunk to a line or point: a mask for each array."""
     width = max((corners.shape[1] for corners in faces), default=0)
     columns = [sorted_columns(columns_of(corners), width) for corners in faces]

@@ -7,86 +7,86 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import numbers
+from jaxmorph._host.cells.topology import CORNERS, numbers, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import MeshLike
-from ._tree import Coordinates, of_tree, only, opened, points_of, text_of, write_points
+from ._format import of_grid
+from ._tree import Coordinates, TreePoints, open_tree, read_labels, read_text, take_only
 
 NAME = "MED"
-WHAT = "a MED file"
-TYPES = {
-    "PO1": ("vertex", "0"),
-    "SE2": ("line", "01"),
-    "TR3": ("triangle", "012"),
-    "QU4": ("quad", "0123"),
-}
-TYPES |= {"TE4": ("tetra", "0213"), "PY5": ("pyramid", "03214"), "PE6": ("wedge", "021354")}
-TYPES |= {"HE8": ("hexahedron", "03214765")}
+MED_FILE = "a MED file"
+MED_TYPES = pairs_of(
+    "PO1 vertex SE2 line TR3 triangle QU4 quad TE4 tetra PY5 pyramid PE6 wedge HE8 hexahedron"
+)
+MED_PLACES = pairs_of("tetra 0213 pyramid 03214 wedge 021354 hexahedron 03214765")
 """Types of cells by MED's, and the places of MED's corners in VTK's order."""
 
 
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: groups of lower dimension, and of nodes (`NAME_nodes`)."""
-    with opened(path, what=WHAT) as file:
-        name, step = _step(file)
-        coordinates = list(_coordinates(file))
-        n = int(coordinates[0].array.attrs["NBR"])
-        points = points_of(coordinates, n, coordinates[0].array.size // n)
+    with open_tree(path, what=MED_FILE) as file:
+        name, step = _find_step(file)
+        content = TreePoints.of(path, file, _find_coordinate_array, MED_FILE)
+        n = len(content.points)
         blocks = []
         families = []
         for kind, group in step["MAI"].items():
-            if kind not in TYPES:
+            if kind not in MED_TYPES:
                 raise ValueError(
-                    f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)})."
+                    f"{path}: elements of type {kind}; linear ones are read "
+                    f"({', '.join(MED_TYPES)})."
                 )
-            ours, places = TYPES[kind]
-            (order,) = numbers(places)
-            corners = group["NOD"][()].reshape(len(order), -1).T[:, order].astype(np.int64) - 1
+            ours = MED_TYPES[kind]
+            corners = group["NOD"][()].reshape(CORNERS.get(ours, 1), -1).T.astype(np.int64) - 1
+            if ours in MED_PLACES:
+                corners = corners[:, *numbers(MED_PLACES[ours])]
             blocks.append((ours, corners))
-            families.append(_families(group, len(corners)))
-        of_nodes = _families(step["NOE"], len(points))
+            families.append(_read_families(group, len(corners)))
+        of_nodes = _read_families(step["NOE"], n)
         cells = {
             group: [np.flatnonzero(np.isin(family, ids)) for family in families]
-            for group, ids in _groups(file, name, "ELEME").items()
+            for group, ids in _read_groups_of_families(file, name, "ELEME").items()
         }
         nodes = {
             group: np.flatnonzero(np.isin(of_nodes, ids))
-            for group, ids in _groups(file, name, "NOEUD").items()
+            for group, ids in _read_groups_of_families(file, name, "NOEUD").items()
         }
         grid = Grid(
-            points, blocks, {}, {}, cell_sets=cells, point_sets=nodes, own=("elements", "nodes")
+            content.points,
+            blocks,
+            {},
+            {},
+            cell_sets=cells,
+            point_sets=nodes,
+            own=("elements", "nodes"),
         )
-        labels = step["NOE"]["NUM"][()] if "NUM" in step["NOE"] else None
-        return of_tree(path, NAME, coordinates, grid, labels=labels)
+        return of_grid(path, NAME, content, grid, labels=read_labels(step["NOE"], "NUM", n))
 
 
-def write(path: Path, mesh: MeshLike) -> None:
-    write_points(path, mesh, NAME, _coordinates, WHAT)
+def _find_coordinate_array(file: Any) -> Iterator[Coordinates]:
+    array = _find_step(file)[1]["NOE"]["COO"]
+    n = int(array.attrs["NBR"])
+    yield Coordinates(array, slice(0, n), slice(0, array.size // n))
 
 
-def _coordinates(file: Any) -> Iterator[Coordinates]:
-    yield Coordinates(_step(file)[1]["NOE"]["COO"], slice(None), slice(None))
-
-
-def _families(group: Any, count: int) -> ndarray:
+def _read_families(group: Any, count: int) -> ndarray:
     families = group["FAM"][()] if "FAM" in group else np.zeros(count, int)
     if len(families) != count:
         raise ValueError("families of other elements than there are")
     return families
 
 
-def _step(file: Any) -> tuple[str, Any]:
-    name, mesh = only(file["ENS_MAA"], "meshes")
-    return name, mesh if "NOE" in mesh else only(mesh, "steps of time")[1]
+def _find_step(file: Any) -> tuple[str, Any]:
+    name, mesh = take_only(file["ENS_MAA"], "meshes")
+    return name, mesh if "NOE" in mesh else take_only(mesh, "steps of time")[1]
 
 
-def _groups(file: Any, name: str, kind: str) -> dict[str, list[int]]:
+def _read_groups_of_families(file: Any, name: str, kind: str) -> dict[str, list[int]]:
     families = file["FAS"][name] if "FAS" in file and name in file["FAS"] else {}
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
-            groups.setdefault(text_of(np.asarray(characters, np.uint8)), []).append(
+            groups.setdefault(read_text(np.asarray(characters, np.uint8)), []).append(
                 int(family.attrs["NUM"])
             )
     return groups

@@ -1,5 +1,6 @@
 """Medit's .mesh and .meshb, which gmsh, MMG and INRIA's programs write: text or binary (GMF)."""
 
+import functools
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -8,38 +9,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import CORNERS
+from jaxmorph._host.cells.topology import CORNERS, Pair, codes, invert_table, pairs_of
 from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
-from ._format import EVERYTHING, MeshLike, Source, check_form, of_grid
-from ._gmsh import ORDERS
+from ._format import EVERYTHING, MeshLike, check_form, note_unread, of_grid
+from ._gmsh import BYTE_ORDERS
 from ._places import PlacedPoints, Stream
-from ._text import Section, blanked
+from ._text import Section, blank_out, decoded, split_sections
 
 NAME = "Medit"
-MEDIT_CELLS = {
-    "Edges": "line",
-    "Triangles": "triangle",
-    "Quadrilaterals": "quad",
-    "Tetrahedra": "tetra",
-    "Pyramids": "pyramid",
-    "Prisms": "wedge",
-    "Hexahedra": "hexahedron",
-    "Hexaedra": "hexahedron",
-}
-MEDIT_KEYWORDS = {
-    3: "Dimension",
-    4: "Vertices",
-    5: "Edges",
-    6: "Triangles",
-    7: "Quadrilaterals",
-    8: "Tetrahedra",
-    9: "Prisms",
-    10: "Hexahedra",
-    49: "Pyramids",
-    54: "End",
-}
+MEDIT_CELLS = pairs_of(
+    "Edges line Triangles triangle Quadrilaterals quad Tetrahedra tetra Pyramids pyramid "
+    "Prisms wedge Hexahedra hexahedron Hexaedra hexahedron"
+)
+MEDIT_KEYWORDS = invert_table(
+    codes(
+        "Dimension 3 Vertices 4 Edges 5 Triangles 6 Quadrilaterals 7 Tetrahedra 8 Prisms 9 "
+        "Hexahedra 10 Pyramids 49 End 54"
+    )
+)
 """Keywords by their numbers in binary files; others are told by number."""
 CURVED_KEYWORDS = {f"Keyword{code}" for code in (24, 25, 27, 30, 33, 86, 87)}
 """Cells of order 2 in binary files; in a text their keywords end in P2, Q2, P3 ..."""
@@ -64,12 +53,12 @@ class MeditFile(NamedTuple):
         numbers = stream.take("n", count, after="d" * d)
         stream.check_end("Vertices")
         places = start + stream.width("d" * d + "n") * np.arange(count)
-        plain = _plain if self.types is None else bytes
+        plain = _blank_medit_comments if self.types is None else bytes
         is_single = self.types is not None and self.types["d"].endswith("4")
         singles = EVERYTHING if is_single else ()
         return stream.content(places, d, raw=self.raw, plain=plain, singles=singles), numbers
 
-    def elements(self, name: str) -> tuple[ndarray, ndarray]:
+    def elements(self, name: str) -> Pair:
         """Reads ids of corners (k, c), and the reference of each element."""
         stream = Stream(self.sections[name], self.types)
         rows = stream.table(stream.one("n"), CORNERS[MEDIT_CELLS[name]] + 1)
@@ -80,8 +69,8 @@ class MeditFile(NamedTuple):
 def read(path: Path) -> Parts:
     """Reads points, cells and patches: references of faces, `medit:ref_3`."""
     raw = path.read_bytes()
-    order = ORDERS.get(raw[:4])
-    file = _of_text(path, raw) if order is None else _of_binary(path, raw, order)
+    order = BYTE_ORDERS.get(raw[:4])
+    file = _split_text(path, raw) if order is None else _split_binary(path, raw, order)
     missing = [name for name in ("Dimension", "Vertices", "End") if name not in file.sections]
     if missing:
         raise ValueError(f"no {', '.join(missing)}: no mesh of Medit, or one that is cut short.")
@@ -97,34 +86,24 @@ def read(path: Path) -> Parts:
         (MEDIT_CELLS[name], corners) for name, (corners, _) in zip(names, tables, strict=True)
     ]
     arrays = {"medit:ref": [numbers for _, numbers in tables]}
-    others = [name for name in file.sections if name not in READ_KEYWORDS]
-    notes = (f"sections {', '.join(others)} are not read, and stay in the file.",) if others else ()
+    notes = note_unread("sections ", (name for name in file.sections if name not in READ_KEYWORDS))
     grid = Grid(content.points, blocks, {"medit:ref": of_nodes}, arrays)
-    return of_grid(path, grid, Source(path, NAME, content, notes=notes, **content.known))
+    return of_grid(path, NAME, content, grid, notes=notes)
 
 
 def check(path: Path, mesh: MeshLike) -> None:
     check_form(path, mesh, NAME, ending)
 
 
-def _plain(text: bytes) -> bytes:
-    return blanked(text, rb"#[^\r\n]*") if b"#" in text else text
+_blank_medit_comments = functools.partial(blank_out, rb"#[^\r\n]*")
 
 
-def _of_text(path: Path, raw: bytes) -> MeditFile:
-    text = _plain(raw)
-    words = list(re.finditer(rb"(?<!\S)[A-Za-z]\w*", text))
-    ends = [*(word.start() for word in words[1:]), len(text)]
-    return _once(
-        raw,
-        (
-            (word[0].decode(errors="replace"), Section(path, text, word.end(), end))
-            for word, end in zip(words, ends, strict=True)
-        ),
-    )
+def _split_text(path: Path, raw: bytes) -> MeditFile:
+    found = split_sections(path, _blank_medit_comments(raw), rb"(?<!\S)[A-Za-z]\w*")
+    return _collect_once(raw, ((decoded(word[0]), section) for word, section in found))
 
 
-def _of_binary(path: Path, raw: bytes, order: str) -> MeditFile:
+def _split_binary(path: Path, raw: bytes, order: str) -> MeditFile:
     """Follows the places of keywords: of 8 bytes from version 3 on, of which 4 has long numbers."""
     version = int.from_bytes(raw[4:8], "little" if order == "<" else "big")
     if version not in (1, 2, 3, 4):
@@ -146,10 +125,10 @@ def _of_binary(path: Path, raw: bytes, order: str) -> MeditFile:
             raise ValueError(f"{name} ends at byte {stop} of {len(raw)}: a damaged file.")
         found.append((name, Section(path, raw, stream.at, stop)))
         stream.at = stop
-    return _once(raw, found)._replace(types=types)
+    return _collect_once(raw, found)._replace(types=types)
 
 
-def _once(raw: bytes, found: Iterable[tuple[str, Section]]) -> MeditFile:
+def _collect_once(raw: bytes, found: Iterable[tuple[str, Section]]) -> MeditFile:
     sections = {}
     for name, section in found:
         if name in sections:

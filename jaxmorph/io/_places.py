@@ -9,10 +9,11 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, NODES
+from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.exchange import ByName, Grid
 
 from ._format import FilePoints
-from ._text import Pieces, Section, lines, replaced
+from ._text import Pieces, Section, number_lines, replace_numbers
 
 KIND_BY_NODES = {(0, 1): "vertex", (0, 2): "line"} | {
     (DIMENSION[kind], NODES[kind]): kind
@@ -30,7 +31,7 @@ class CoordinatePart(NamedTuple):
 
     Without a `dtype` this is a text, and `at` are the places of coordinates among its words, None
     for all words. Else `at` are the bytes at which points begin, counted from `start`, None for
-    points without anything between them.
+    points without anything between them. `by_columns` all x of a text come before all y.
     """
 
     start: int
@@ -38,6 +39,15 @@ class CoordinatePart(NamedTuple):
     rows: slice = slice(None)
     at: ndarray | None = None
     dtype: np.dtype | None = None
+    by_columns: bool = False
+
+    @classmethod
+    def in_columns(
+        cls, section: Section, shape: tuple[int, ...], columns: slice, first: int = 0
+    ) -> "CoordinatePart":
+        """Coordinates in some columns of a text's table, of the points from `first` on."""
+        at = np.arange(np.prod(shape)).reshape(shape)[:, columns].ravel()
+        return cls(section.start, section.stop, slice(first, first + shape[0]), at)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,16 +61,16 @@ class PlacedPoints(FilePoints):
     raw: bytes
     parts: Sequence[CoordinatePart]
     plain: Callable[[bytes], bytes] = bytes
-    form: Callable[[ndarray], bytes] = lines
+    form: Callable[[ndarray], bytes] = number_lines
     columns: int = 0
 
     def moved(self, points: ndarray) -> Pieces:
         points = self.in_file(points)
         done = 0
         for part in sorted(self.parts, key=lambda part: part.start):
-            values = points[part.rows]
+            values = points[part.rows].T if part.by_columns else points[part.rows]
             if part.dtype is None:
-                yield from replaced(
+                yield from replace_numbers(
                     self.raw[done : part.stop],
                     slice(part.start - done, part.stop - done),
                     values.ravel(),
@@ -75,13 +85,13 @@ class PlacedPoints(FilePoints):
                 copy = bytearray(memoryview(self.raw)[done : part.stop])
                 width = values.shape[1] * part.dtype.itemsize
                 new = np.ascontiguousarray(values.astype(part.dtype)).view(f"V{width}")
-                windows(copy, width)[part.at + part.start - done] = new.ravel()
+                view_windows(copy, width)[part.at + part.start - done] = new.ravel()
                 yield copy
             done = part.stop
         yield self.raw[done:]
 
 
-def windows(data: Any, width: int) -> ndarray:
+def view_windows(data: Any, width: int) -> ndarray:
     """Views `width` bytes, at every byte where they may begin, as one element each."""
     return ndarray((max(memoryview(data).nbytes - width + 1, 0),), f"V{width}", data, strides=(1,))
 
@@ -93,39 +103,21 @@ class Labels:
     """
 
     def __init__(self, numbers: ndarray, what: str):
-        self.numbers = numbers
         self.what = what
-        self._least = int(numbers.min())
-        self._most = int(numbers.max())
-        self._order = np.argsort(numbers, kind="stable")
-        in_order = numbers[self._order]
-        again = in_order[1:][in_order[1:] == in_order[:-1]]
+        self.rows = Rows(numbers)
+        again = np.sort(numbers[self.rows.repeated])
         if len(again):
             raise ValueError(
                 f"{len(again)} numbers of {what} come a second time, first {again[0]}."
             )
-        # rows by number in a table, by a search where numbers are sparse
-        is_dense = self._most - self._least <= 10 * len(numbers)
-        self._table = np.zeros(self._most - self._least + 1 if is_dense else 0, np.int64)
-        if is_dense:
-            self._table[numbers - self._least] = np.arange(len(numbers))
-
-    def rows(self, ids: ndarray) -> ndarray:
-        """Finds the row of each number; -1 for one that is none."""
-        near = np.clip(ids, self._least, self._most)
-        if len(self._table):
-            found = self._table[near - self._least]
-        else:
-            found = self._order[np.searchsorted(self.numbers, near, sorter=self._order)]
-        return np.where(self.numbers[found] == ids, found, -1)
 
     def find(self, ids: ndarray, whose: str) -> ndarray:
         """Finds the row of each number; raises `ValueError` for one of `whose` that is none."""
-        found = self.rows(ids)
+        found = self.rows.of(ids)
         wrong = ids[found < 0]
         if len(wrong):
             raise ValueError(
-                f"{whose} names {wrong[0]}, which is none of the {len(self.numbers)} {self.what}."
+                f"{whose} names {wrong[0]}, which is none of the {len(self.rows.ids)} {self.what}."
             )
         return found
 
@@ -217,7 +209,7 @@ class Stream:
     def points(self, places: ndarray, d: int = 3) -> ndarray:
         """Reads the coordinates (n, d) that begin at each of the places."""
         dtype = self.types["d"]
-        found = windows(self.data, d * dtype.itemsize)[places]
+        found = view_windows(self.data, d * dtype.itemsize)[places]
         return found.view(dtype).reshape(-1, d).astype(float)
 
     def content(
@@ -250,7 +242,7 @@ class LabelledCells(NamedTuple):
     corners: ndarray
 
 
-def labelled_grid(
+def make_labelled_grid(
     points: ndarray, labels: ndarray, cells: Sequence[LabelledCells], sets: Mapping[str, ByName]
 ) -> tuple[Grid, tuple[str, ...]]:
     """Makes a grid of what has labels, and notes on members of `sets` that it has not.
@@ -265,7 +257,7 @@ def labelled_grid(
         "nodes": Labels(labels, "nodes"),
     }
     rows = {
-        what: {name: known[what].rows(ids) for name, ids in sets[what].items()} for what in known
+        what: {name: known[what].rows.of(ids) for name, ids in sets[what].items()} for what in known
     }
     lost = {(what, name): (ids < 0).sum() for what in known for name, ids in rows[what].items()}
     starts = np.cumsum([0, *(len(block.labels) for block in cells)])

@@ -13,12 +13,12 @@ from numpy import ndarray
 from jaxmorph._mesh.exchange import Parts
 
 from ._format import EVERYTHING, FilePoints, Source
-from ._joined import SIDES, block_cells, block_ids, block_sides, join
-from ._text import Pieces, chunks, parse, replaced
+from ._joined import BLOCK_SIDES, join_zones, make_block_cells, make_block_sides, number_block
+from ._text import Pieces, line_chunks, parse, replace_numbers
 
 NAME = "PLOT3D"
 TEXT = bytes([*b"\t\r\n", *range(32, 127)])
-WORDS = bytes.maketrans(b",Dd", b" ee")
+COMMAS_AS_BLANKS = bytes.maketrans(b",Dd", b" ee")
 """Fortran's commas and exponents, as NumPy reads them."""
 
 
@@ -78,14 +78,16 @@ class Plot3DContent(FilePoints):
 
     def moved(self, points: ndarray) -> Pieces:
         points = self.in_file(points)
-        numbers = _numbers(self.data, self.layout.is_text).copy()
+        numbers = _read_bytes(self.data, self.layout.is_text).copy()
         first = 0
         for block in self.layout.coordinates(numbers):
             block[...] = points[first : first + block.shape[1]].T
             first += block.shape[1]
         if not self.layout.is_text:
             return iter([numbers.tobytes()])
-        return replaced(self.data, slice(0, len(self.data)), numbers.view(float), plain=_plain)
+        return replace_numbers(
+            self.data, slice(0, len(self.data)), numbers.view(float), plain=_blank_commas
+        )
 
 
 def read(path: Path) -> Parts:
@@ -96,9 +98,11 @@ def read(path: Path) -> Parts:
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
-    numbers = _numbers(data, is_text)
+    numbers = _read_bytes(data, is_text)
     forms = TEXTS if is_text else BINARIES
-    layout = next(itertools.chain.from_iterable(_layouts(numbers, form) for form in forms), None)
+    layout = next(
+        itertools.chain.from_iterable(_find_layouts(numbers, form) for form in forms), None
+    )
     if layout is None:
         form = "text" if is_text else "binary"
         raise ValueError(
@@ -108,21 +112,21 @@ def read(path: Path) -> Parts:
     blank = sum(int((block == 0).sum()) for block in layout.blanks(numbers))
     singles = EVERYTHING if layout.dtype.itemsize == 4 else ()
     notes = (f"{blank} nodes are blank (IBLANK 0), and are read as all others.",) if blank else ()
-    mesh, joined = join(points, *_zones(path, layout.shapes))
-    content = Plot3DContent(points, data, layout, node=joined.node, singles=singles)
+    mesh, node = join_zones(points, *_make_zones(path, layout.shapes))
+    content = Plot3DContent(points, data, layout, node=node, singles=singles)
     return mesh._replace(source=Source(path, NAME, content, notes=notes, **content.known))
 
 
-def _plain(text: bytes) -> bytes:
-    return text.translate(WORDS)
+def _blank_commas(text: bytes) -> bytes:
+    return text.translate(COMMAS_AS_BLANKS)
 
 
-def _numbers(data: bytes, is_text: bool) -> ndarray:
+def _read_bytes(data: bytes, is_text: bool) -> ndarray:
     if not is_text:
         return np.frombuffer(data, np.uint8)
     parts = []
-    for chunk in chunks(data, 0, len(data)):
-        words = _plain(chunk)
+    for chunk in line_chunks(data, 0, len(data)):
+        words = _blank_commas(chunk)
         parts.append(parse(words, np.float64))
         if len(parts[-1]) != len(words.split()):
             line = data.count(b"\n", 0, data.find(chunk)) + 1
@@ -130,19 +134,15 @@ def _numbers(data: bytes, is_text: bool) -> ndarray:
     return np.concatenate(parts).view(np.uint8)
 
 
-def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
+def _find_layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
     """Yields sizes that fit a form to its last byte, between Fortran's marks where it has them."""
     mark = form.mark
     head = form.head
-    for is_multiple, d in (
-        (True, 3),
-        (False, 3),
-        (True, 2),
-        (False, 2),
-    ):  # does a count of blocks come first?
+    # does a count of blocks come first?
+    for is_multiple, d in ((True, 3), (False, 3), (True, 2), (False, 2)):
         start = mark + (head.itemsize + 2 * mark) * is_multiple
-        count = _view(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
-        shapes = _shapes(count, _view(numbers[start:], head), d)
+        count = _view_as(numbers[mark:], head)[:1] if is_multiple else np.ones(1)
+        shapes = _read_shapes(count, _view_as(numbers[start:], head), d)
         first = [float(head.itemsize)] * is_multiple + [head.itemsize * d * len(shapes)]
         nodes = np.array([*map(math.prod, shapes)], float)
         for dtype, blank in form.types if shapes else []:
@@ -151,11 +151,11 @@ def _layouts(numbers: ndarray, form: RecordForm) -> Iterator[FileLayout]:
             layout = FileLayout(
                 shapes, (ends - mark - sizes)[-len(shapes) :], dtype, blank, head.kind == "f"
             )
-            if ends[-1] == len(numbers) and _is_whole(numbers, layout, form, sizes, ends):
+            if ends[-1] == len(numbers) and _has_marks(numbers, layout, form, sizes, ends):
                 yield layout
 
 
-def _is_whole(
+def _has_marks(
     numbers: ndarray, layout: FileLayout, form: RecordForm, sizes: ndarray, ends: ndarray
 ) -> bool:
     """Checks IBLANK of a text, and whether Fortran's marks stand before and after each record."""
@@ -165,11 +165,11 @@ def _is_whole(
     return bool((numbers[places].view(form.head)[..., 0] == sizes[:, None]).all())
 
 
-def _view(numbers: ndarray, dtype: np.dtype) -> ndarray:
+def _view_as(numbers: ndarray, dtype: np.dtype) -> ndarray:
     return numbers[: len(numbers) // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
-def _shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
+def _read_shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
     """Reads the sizes of so many blocks; returns none if the numbers cannot be sizes."""
     if not len(count) or not 0 < count[0] <= len(sizes) // d or count[0] != np.floor(count[0]):
         return ()
@@ -181,31 +181,31 @@ def _shapes(count: ndarray, sizes: ndarray, d: int) -> Shapes:
     return tuple(tuple(map(int, row)) for row in rows)
 
 
-def _zones(path: Path, shapes: Shapes) -> tuple[list, dict, list[ndarray], list[str]]:
+def _make_zones(path: Path, shapes: Shapes) -> tuple[list, dict, list[ndarray], list[str]]:
     """Makes the cells, patches and outer faces of all blocks, and the names of the faces."""
     cells = []
     faces = []
     names = []
     first = 0
     for block, shape in enumerate(shapes, start=1):
-        ids = block_ids(shape, first)
-        cells.append(block_cells(ids))
-        faces += block_sides(ids)
-        sides = [side for k, side in enumerate(SIDES[: 2 * len(shape)]) if shape[k // 2] > 1]
+        ids = number_block(shape, first)
+        cells.append(make_block_cells(ids))
+        faces += make_block_sides(ids)
+        sides = [side for k, side in enumerate(BLOCK_SIDES[: 2 * len(shape)]) if shape[k // 2] > 1]
         names += [side if len(shapes) == 1 else f"block{block}_{side}" for side in sides]
         first += ids.size
     beside = path.with_name(f"{path.name}.patches")
-    patches = _patches(beside, shapes) if beside.is_file() else {}
+    patches = _read_beside(beside, shapes) if beside.is_file() else {}
     return cells, patches, faces, [] if patches else names
 
 
-def _patches(path: Path, shapes: Shapes) -> dict[str, list[ndarray]]:
+def _read_beside(path: Path, shapes: Shapes) -> dict[str, list[ndarray]]:
     patches: dict[str, list[ndarray]] = {}
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         words = line.partition("#")[0].split()
         try:
             if words:
-                patches.setdefault(words[0], []).append(_patch(words, shapes))
+                patches.setdefault(words[0], []).append(_parse_patch(words, shapes))
         except (ValueError, IndexError) as error:
             sizes = ", ".join(" x ".join(map(str, shape)) for shape in shapes)
             raise ValueError(
@@ -216,12 +216,12 @@ def _patches(path: Path, shapes: Shapes) -> dict[str, list[ndarray]]:
     return patches
 
 
-def _patch(words: list[str], shapes: Shapes) -> ndarray:
+def _parse_patch(words: list[str], shapes: Shapes) -> ndarray:
     block = int(words[1]) - 1
     shape = shapes[block] if block >= 0 else ()
-    ids = block_ids(shape, sum(map(math.prod, shapes[:block]))).reshape(shape)
+    ids = number_block(shape, sum(map(math.prod, shapes[:block]))).reshape(shape)
     if len(words) == 3:
-        axis, end = divmod(SIDES.index(words[2].lower()), 2)
+        axis, end = divmod(BLOCK_SIDES.index(words[2].lower()), 2)
         return ids.take(-end, axis=axis).ravel()
     ends = np.sort(np.array(words[2:], int).reshape(len(shape), 2), axis=1)
     if (ends < 1).any() or (ends[:, 1] > shape).any():

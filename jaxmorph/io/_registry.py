@@ -17,7 +17,7 @@ from jaxmorph._host.cells.adjacency import repeated_cells
 from jaxmorph._host.cells.topology import HIGH_ORDER
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.errors import place_of, warn
+from jaxmorph._host.package.errors import check_all_finite, place_of, warn
 from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
@@ -60,7 +60,9 @@ FOREIGN = {
     ),
 }
 """What files are that begin so, and that no format reads."""
-HEAD = 4096
+FIRST_BYTES = 4096
+"""Bytes by which a file is known."""
+QUALITIES = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
 
 
 def format_of(path: Path) -> Format:
@@ -74,7 +76,7 @@ def format_of(path: Path) -> Format:
     if not path.is_file():
         return _by_name(path, found)
     with path.open("rb") as file:
-        first = file.read(HEAD).removeprefix(b"\xef\xbb\xbf").lstrip()
+        first = file.read(FIRST_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
     told = [candidate for candidate in FORMATS if candidate.recognises(first)]
     near = [candidate for candidate in found if candidate in told or candidate.begins is None]
     if near:
@@ -225,7 +227,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
-        if getattr(mesh.source.content, "stamp", None) is not None:
+        if hasattr(type(mesh.source.content), "is_current"):
             raise ValueError(
                 f"{path}: files of {mesh.source.format} are copied when they are written: unpack "
                 "it first."
@@ -265,8 +267,8 @@ def write(
 
     A mesh that was read and `moved` keeps everything but its coordinates in its own format, byte
     for byte but in VTK and XDMF files, in which all is kept. Coordinates read back bit for bit,
-    except for rounding to single precision (`as_written`), and round-off in MFEM's files of order 3
-    and 4. Other meshes, and other formats, get points, cells and patches. SU2 and gmsh express a
+    except for rounding to single precision (`as_written`). Other meshes, and other formats, get
+    points, cells and patches. SU2 and gmsh express a
     patch by the boundary faces between its nodes. Other formats take back only meshes that came
     from them. A file that ends in .gz is packed.
 
@@ -285,7 +287,7 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
     wrong length, points that are not finite, and what the format cannot express.
     """
-    chosen = _checked(path, mesh)
+    chosen = _check_path(path, mesh)
     path = Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
@@ -299,11 +301,11 @@ def write(
     with appear(path) as target, files.packed(target, path.stem) as file:
         if hasattr(codec, "write"):
             codec.write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
+        elif (source := source_of(mesh, chosen.name)) is not None:
+            source.content.write(file, np.asarray(mesh.points))
         else:
             with file.open("wb") as stream:
-                stream.writelines(
-                    own_source(mesh, chosen.name).content.moved(np.asarray(mesh.points))
-                )
+                stream.writelines(codec.new(mesh))
 
 
 @checked
@@ -344,10 +346,10 @@ def check_output(path: PathLike, mesh: Mesh) -> bool:
     **Raises:** `ValueError` as `write` does, for what is wrong whatever the points are.
     `ImportError` when the extra is missing.
     """
-    return _checked(path, mesh).holds_arrays
+    return _check_path(path, mesh).holds_arrays
 
 
-def _checked(name: PathLike, mesh: Mesh) -> Format:
+def _check_path(name: PathLike, mesh: Mesh) -> Format:
     source = mesh.source
     chosen = format_to_write(Path(name), mesh.source)
     path = files.output_path(name, folder=chosen.is_folder)
@@ -359,11 +361,7 @@ def _checked(name: PathLike, mesh: Mesh) -> Format:
             codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
         else:
             own_source(mesh, chosen.name)
-    bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))
-    if len(bad):
-        raise ValueError(
-            f"{path}: {len(bad)} of {len(mesh.points)} points are not finite, first node {bad[0]}."
-        )
+        check_all_finite(np.asarray(mesh.points))
     return chosen
 
 
@@ -379,7 +377,7 @@ def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
 
     **Raises:** `ValueError` as `check_output` does.
     """
-    chosen = _checked(path, mesh)
+    chosen = _check_path(path, mesh)
     source = mesh.source
     if not isinstance(source, Source) or source_of(mesh, chosen.name) is not None:
         return ()
@@ -423,14 +421,6 @@ def symmetry(mesh: Mesh) -> tuple[str, ...]:
 
 
 @checked
-def cell_arrays(report: QualityReport) -> dict[str, ndarray]:
-    """Lists each cell's quality by name, as files hold it: a number a cell, as in `mesh.cells`."""
-    names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
-    arrays = {name: np.asarray(getattr(report, name)) for name in names}
-    return arrays | {"is_inverted": np.asarray(report.is_inverted).astype(np.uint8)}
-
-
-@checked
 def write_moved(path: PathLike, mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
     """Writes a moved mesh, with displacement and cell quality where the format holds arrays.
 
@@ -453,7 +443,9 @@ def write_moved(path: PathLike, mesh: Mesh, moved: Mesh, report: QualityReport) 
             f"`moved` has points of shape {after.shape}, `mesh` {before.shape}. It must be "
             "`mesh`, moved."
         )
-    write(path, moved, point_data={"displacement": after - before}, cell_data=cell_arrays(report))
+    cell_data = {name: np.asarray(getattr(report, name)) for name in QUALITIES}
+    cell_data["is_inverted"] = np.asarray(report.is_inverted).astype(np.uint8)
+    write(path, moved, point_data={"displacement": after - before}, cell_data=cell_data)
 
 
 @checked

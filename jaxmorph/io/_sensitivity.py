@@ -17,11 +17,11 @@ from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
-from ._displacement import in_order, labels_of, read_named, read_table
+from ._displacement import read_named, read_table, sort_by_id, take_labels
 from ._format import faults_of, source_of
 from ._text import PathLike
 from .openfoam.case import NAME
-from .openfoam.file import load
+from .openfoam.file import load_file
 
 NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 
@@ -69,7 +69,7 @@ def read_sensitivity(
             ids, values = read_table(path, d, NAMES)
         wanted = np.arange(n) if moving is None or len(ids) >= n else moving
         known = (np.arange(n), f"the mesh, 0 to {n - 1}")
-        return in_order(ids, values, d, wanted, known, labels_of(mesh, wanted))
+        return sort_by_id(ids, values, d, wanted, known, take_labels(mesh, wanted))
 
 
 @checked
@@ -86,7 +86,7 @@ def write_sensitivity(
     **Raises:** `ValueError` for another ending, bad ids, and values of another shape or that are
     not finite.
     """
-    path = check_sensitivity_output(path)
+    path = output_path(path, *SENSITIVITIES)
     ids = rows_of("ids", ids, 2**62)
     values = finite_array("values", values, (len(ids), 2), (len(ids), 3)).astype(float)
     if path.suffix.lower() == ".npz":
@@ -104,14 +104,8 @@ def write_sensitivity(
         partial.write_bytes(content)
 
 
-@checked
-def check_sensitivity_output(path: PathLike) -> Path:
-    """Raises `ValueError` for a file that `write_sensitivity` cannot write; returns its path."""
-    return output_path(path, *SENSITIVITIES)
-
-
 _INTERNAL = re.compile(rb"internalField\s+(nonuniform\s+List<vector>|uniform)")
-_END = re.compile(rb"\)\s*\)\s*;")
+_VECTORS_END = re.compile(rb"\)\s*\)\s*;")
 
 
 def is_foam_file(path: Path) -> bool:
@@ -126,13 +120,13 @@ def read_point_vectors(path: Path, mesh: Mesh) -> Float[ndarray, "n d"]:
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
-    file = load(path.parent, path.name)
+    file = load_file(path.parent, path.name)
     kind = file.header.get("class", "no class")
     entry = _INTERNAL.search(file.data, file.end)
     if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
         found = f"{kind}{' with one value for all points' if kind == 'pointVectorField' else ''}"
         raise file.error(f"a pointVectorField with a list of vectors expected, found {found}")
-    stop = None if file.is_binary else _END.search(file.data, entry.end())
+    stop = None if file.is_binary else _VECTORS_END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
     values = file._replace(data=data, end=entry.end()).numbers("scalar", 3)
     content = source.content
@@ -159,7 +153,7 @@ def write_gradient(path: PathLike, parameters: PyTree, gradient: PyTree) -> None
 
     **Raises:** `ValueError` for another ending, and for a gradient of another structure.
     """
-    path = check_gradient_output(path)
+    path = output_path(path, *GRADIENTS)
     variables = jm.shapes.names(parameters)
     given = jm.shapes.names(gradient)
     if given != variables:
@@ -188,9 +182,3 @@ def write_gradient(path: PathLike, parameters: PyTree, gradient: PyTree) -> None
         json.dump(table, stream, indent=1)
     with complete(path) as partial:
         partial.write_text(stream.getvalue(), encoding="utf-8")
-
-
-@checked
-def check_gradient_output(path: PathLike) -> Path:
-    """Raises `ValueError` for a file that `write_gradient` cannot write; returns its path."""
-    return output_path(path, *GRADIENTS)

@@ -2,6 +2,7 @@
 
 import collections
 import dataclasses
+import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,18 +18,19 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
-from ._format import Arrays, MeshLike, Source, faults_of, patch_faces, source_of
+from ._format import ArraysByName, MeshLike, Source, faults_of, patch_faces, source_of
 from ._places import CoordinatePart, PlacedPoints
 from ._registry import check_nodes, check_output
-from ._text import PathLike, Pieces, Section, blank_comments, decoded
+from ._text import PathLike, Pieces, Section, blank_out, decoded
 
 NAME = "SU2"
-TYPES = {number: kind for kind, number in VTK.items()}
-SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
+SU2_TYPES = {number: kind for kind, number in VTK.items()}
+SU2_SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
 """Corners of SU2's types of elements, VTK's numbers; 1 is a SEND_RECEIVE marker's node."""
+blank_comments = functools.partial(blank_out, rb"%[^\r\n]*")
 DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
 """Variants of keywords."""
-ROWS = 1 << 16
+ROWS_TOGETHER = 1 << 16
 WANTED = (
     "`meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write "
     "writes other meshes."
@@ -58,7 +60,7 @@ def read(path: Path) -> Parts:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
-    zones = by_zones(path, text)
+    zones = split_zones(path, text)
     if len(zones) > 1:
         raise ValueError(
             f"the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads "
@@ -66,13 +68,13 @@ def read(path: Path) -> Parts:
             "writes some of them, other zones as they are. On the command line --zone 1 is the "
             "first."
         )
-    return mesh_of(path, text, zones[0])
+    return make_zone_mesh(path, text, zones[0])
 
 
-def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
+def split_zones(path: Path, text: bytes) -> list[list[Keyword]]:
     """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
-    keywords = list(_keywords(path, blank_comments(text)))
-    cuts = [place for place, keyword in enumerate(keywords) if keyword.name == "IZONE"]
+    keywords = list(_read_keywords(path, blank_comments(text)))
+    cuts = find_all(keywords, "IZONE")
     head, *zones = [keywords[a:b] for a, b in itertools.pairwise([0, *cuts, len(keywords)])]
     _check_zones(head, zones)
     zones = sorted(zones, key=lambda zone: zone[0].number())
@@ -81,6 +83,10 @@ def by_zones(path: Path, text: bytes) -> list[list[Keyword]]:
         for zone in zones
     ]
     return found or [head]
+
+
+def find_all(keywords: Sequence[Keyword], name: str) -> list[int]:
+    return [place for place, keyword in enumerate(keywords) if keyword.name == name]
 
 
 def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
@@ -96,33 +102,34 @@ def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
         )
 
 
-def mesh_of(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
-    dimension, rows = (_only(keywords, name) for name in ("NDIME", "NPOIN"))
+def make_zone_mesh(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
+    dimension, rows = (_find_only(keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-    table = _points(rows, d)
-    section = rows.section
+    table = _read_points(rows, d)
     points = np.ascontiguousarray(table[:, :d])
-    elements = _only(keywords, "NELEM")
-    tables = gathered(_tables(elements, elements.section, len(points), "elements"))
+    elements = _find_only(keywords, "NELEM")
+    tables = gathered(_read_element_tables(elements, elements.section, len(points), "elements"))
     if 1 in tables:
         raise elements.section.error(
             "NELEM= holds elements of type 1 (a single node); these are no cells."
         )
-    cells = {TYPES[number]: corners for number, corners in tables.items()}
-    at = (table.shape[1] * np.arange(len(points))[:, None] + np.arange(d)).ravel()
-    part = CoordinatePart(section.start, section.stop, at=at)
+    cells = {SU2_TYPES[number]: corners for number, corners in tables.items()}
+    part = CoordinatePart.in_columns(rows.section, table.shape, slice(d))
     content = PlacedPoints(points.copy(), text, [part], blank_comments)
-    patches = _markers(keywords, len(points))
+    patches = _read_marker_nodes(keywords, len(points))
     if not patches:
         outer = boundary_faces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
     return checked_parts(
-        points, cells, patches, Source(path, NAME, content, notes=tuple(_notes(keywords)))
+        points,
+        cells,
+        patches,
+        Source(path, NAME, content, notes=tuple(_note_shared_tags(keywords))),
     )
 
 
-def _notes(keywords: list[Keyword]) -> Iterator[str]:
+def _note_shared_tags(keywords: list[Keyword]) -> Iterator[str]:
     tags = collections.Counter(
         keyword.value for keyword in keywords if keyword.name == "MARKER_TAG"
     )
@@ -149,27 +156,14 @@ def check(path: Path, mesh: MeshLike) -> None:
     patch_faces(mesh)
 
 
-def write(path: Path, mesh: MeshLike) -> None:
-    """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
-    source = source_of(mesh, NAME)
-    points = np.asarray(mesh.points)
-    if source is not None and points.shape != source.content.points.shape:
-        raise ValueError(
-            f"the mesh has points of shape {points.shape}; {source.path} has "
-            f"{source.content.points.shape}."
-        )
-    with path.open("wb") as file:
-        file.writelines(_new_text(mesh) if source is None else source.content.moved(points))
-
-
-def _keywords(path: Path, text: bytes) -> Iterator[Keyword]:
+def _read_keywords(path: Path, text: bytes) -> Iterator[Keyword]:
     lines = []
     at = text.find(b"=")
     while at >= 0:
         start = text.rfind(b"\n", 0, at) + 1
         end = text.find(b"\n", at) + 1 or len(text)
         name, _, value = text[start:end].partition(b"=")
-        name = name.removeprefix(b"\xef\xbb\xbf").strip().decode(errors="replace")
+        name = decoded(name.removeprefix(b"\xef\xbb\xbf").strip())
         name = DIALECT.get(name, name)
         lines.append((name, decoded(value.strip()), start, end))
         at = text.find(b"=", end)
@@ -178,7 +172,7 @@ def _keywords(path: Path, text: bytes) -> Iterator[Keyword]:
         yield Keyword(name, value, Section(path, text, end, stop))
 
 
-def _only(keywords: list[Keyword], name: str) -> Keyword:
+def _find_only(keywords: list[Keyword], name: str) -> Keyword:
     matches = [keyword for keyword in keywords if keyword.name == name]
     if not matches:
         small = any(keyword.name.upper() == name for keyword in keywords)
@@ -193,7 +187,7 @@ def _only(keywords: list[Keyword], name: str) -> Keyword:
     return matches[0]
 
 
-def _points(keyword: Keyword, d: int) -> ndarray:
+def _read_points(keyword: Keyword, d: int) -> ndarray:
     n = keyword.number(least=1)
     rows = keyword.section.rows(np.float64)
     counts = rows.counts
@@ -204,12 +198,12 @@ def _points(keyword: Keyword, d: int) -> ndarray:
     table = rows.values.reshape(-1, width)
     is_good = np.isfinite(table).all(axis=1) & (table[:, d:] == np.floor(table[:, d:])).all(axis=1)
     rows.refuse(~is_good, lambda k: f"{expected}, found point {k} at {table[k].tolist()}.")
-    _check_count(keyword, n, len(table), "points")
+    _check_rows(keyword, n, len(table), "points")
     return table
 
 
-def _markers(keywords: list[Keyword], n: int) -> Arrays:
-    tags = [place for place, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
+def _read_marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
+    tags = find_all(keywords, "MARKER_TAG")
     found = []
     for at in tags:
         tag, *rest = keywords[at : at + 3]
@@ -218,12 +212,12 @@ def _markers(keywords: list[Keyword], n: int) -> Arrays:
         section = rest[
             -1 if rest[-1].name == "SEND_TO" else 0
         ].section  # of SEND_RECEIVE, it stands before the rows
-        tables = _tables(rest[0], section, n, f"elements of marker {tag.value!r}")
+        tables = _read_element_tables(rest[0], section, n, f"elements of marker {tag.value!r}")
         found += [
             (tag.value, np.zeros(0, np.int64)),
             *((tag.value, corners.ravel()) for _, corners in tables),
         ]
-    stated = _only(keywords, "NMARK")
+    stated = _find_only(keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(
             f"NMARK= {stated.number()}, but {len(tags)} markers are in the file."
@@ -231,48 +225,50 @@ def _markers(keywords: list[Keyword], n: int) -> Arrays:
     return gathered(found)
 
 
-def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[tuple[int, ndarray]]:
+def _read_element_tables(
+    keyword: Keyword, section: Section, n: int, what: str
+) -> Iterator[tuple[int, ndarray]]:
     """Yields types by SU2's number and corners (k, corners), in order of first appearance."""
     count = 0
     more = None
     for block in section.blocks(np.int64):
         if more is None:  # all rows have an index behind the nodes, or none
-            more = min(max(int(block.counts[0]) - 1 - SIZES.get(int(block.values[0]), 0), 0), 1)
-        for kind, rows, table in block.by_kind(0, SIZES, n, more):
+            more = min(max(int(block.counts[0]) - 1 - SU2_SIZES.get(int(block.values[0]), 0), 0), 1)
+        for kind, rows, table in block.by_kind(0, SU2_SIZES, n, more):
             yield kind, table[:, 1:].astype(np.int32 if n < 2**31 else np.int64)
             count += len(rows)
-    _check_count(keyword, keyword.number(), count, what)
+    _check_rows(keyword, keyword.number(), count, what)
 
 
-def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
+def _check_rows(keyword: Keyword, stated: int, count: int, what: str) -> None:
     if count != stated:
         raise keyword.section.error(f"{keyword.name}= {stated}, but {count} rows of {what} follow.")
 
 
-def _new_text(mesh: MeshLike) -> Pieces:
+def new(mesh: MeshLike) -> Pieces:
     points = np.asarray(mesh.points)
     markers = patch_faces(mesh)
     n, d = points.shape
     yield f"NDIME= {d}\nNELEM= {sum(map(len, mesh.cells.values()))}\n".encode()
-    yield from _element_rows(mesh.cells)
+    yield from _format_elements(mesh.cells)
     yield f"NPOIN= {n}\n".encode()
-    yield from _rows(" ".join(["%r"] * d), points)
+    yield from _format_rows(" ".join(["%r"] * d), points)
     yield f"NMARK= {len(markers)}\n".encode()
     for name, faces in markers.items():
         yield f"MARKER_TAG= {name}\nMARKER_ELEMS= {sum(map(len, faces.values()))}\n".encode()
-        yield from _element_rows(faces)
+        yield from _format_elements(faces)
 
 
-def _element_rows(cells: Mapping[str, Any]) -> Pieces:
+def _format_elements(cells: Mapping[str, Any]) -> Pieces:
     for kind, corners in cells.items():
-        yield from _rows(
+        yield from _format_rows(
             " ".join([str(VTK[kind]), *["%d"] * corners.shape[1]]), np.asarray(corners)
         )
 
 
-def _rows(form: str, table: ndarray) -> Pieces:
-    for start in range(0, len(table), ROWS):
-        block = table[start : start + ROWS]
+def _format_rows(form: str, table: ndarray) -> Pieces:
+    for start in range(0, len(table), ROWS_TOGETHER):
+        block = table[start : start + ROWS_TOGETHER]
         yield (f"{form}\n" * len(block) % tuple(block.ravel().tolist())).encode()
 
 
@@ -299,7 +295,7 @@ def read_zones(path: PathLike) -> tuple[Mesh, ...]:
         )
     text = path.read_bytes()
     with faults_of(path):
-        meshes = [mesh_of(path, text, zone) for zone in by_zones(path, text)]
+        meshes = [make_zone_mesh(path, text, zone) for zone in split_zones(path, text)]
     for mesh in meshes:
         check_nodes(path, mesh)
     return tuple(Mesh(*mesh) for mesh in meshes)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.text import decoded as decoded
 
 PathLike = str | os.PathLike[str]
@@ -18,7 +19,7 @@ PathLike = str | os.PathLike[str]
 Pieces = Iterator[bytes | bytearray | memoryview]
 """A file, piece by piece."""
 
-ENOUGH = 1 << 14
+LONG_TEXT = 1 << 14
 """Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
 
 _FORTRAN = bytes.maketrans(b"Dd", b"ee")
@@ -38,10 +39,10 @@ def parse(text: bytes, dtype: type) -> ndarray:
             return np.zeros(0, dtype)
 
 
-def lines(values: ndarray) -> bytes:
+def number_lines(values: ndarray) -> bytes:
     """Writes one number a line, with the fewest digits that read back as the double it is."""
     values = values.astype(float, copy=False)
-    if 16 * len(values) < ENOUGH:
+    if 16 * len(values) < LONG_TEXT:
         return repr(values.tolist())[1:-1].encode().replace(b", ", b"\n")
     import scipy.io  # 40 modules, which a reader does not need
 
@@ -56,7 +57,7 @@ WIDEST = 64
 """Bytes of a text that are one row of a table at most."""
 
 
-def spliced(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
+def splice(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
     """Replaces what stands between `starts` and `ends` of a text by `lines`, without line ends.
 
     Pieces of text and lines alternate. Each is a row of a table as wide as the widest of its kind,
@@ -67,18 +68,19 @@ def spliced(text: bytes, starts: ndarray, ends: ndarray, lines: bytes) -> bytes:
     rows = 1 + (starts - begins) // WIDEST
     last = np.cumsum(rows) - 1
     place = np.repeat(begins - WIDEST * (last + 1 - rows), rows) + WIDEST * np.arange(rows.sum())
-    own = _rows(text, place, np.minimum(np.repeat(starts, rows) - place, WIDEST))
+    own = _gather_bytes(text, place, np.minimum(np.repeat(starts, rows) - place, WIDEST))
     breaks = np.append(np.flatnonzero(np.frombuffer(lines, np.uint8) == ord("\n")), len(lines))
     first, size = np.zeros((2, len(place)), np.int64)
     first[last] = np.append(0, breaks[:-1] + 1)
     size[last] = breaks - first[last]
     table, inside = (
-        np.concatenate(pair, axis=1) for pair in zip(own, _rows(lines, first, size), strict=True)
+        np.concatenate(pair, axis=1)
+        for pair in zip(own, _gather_bytes(lines, first, size), strict=True)
     )
     return table[inside].tobytes() + text[ends[-1] :]
 
 
-def _rows(text: bytes, starts: ndarray, sizes: ndarray) -> tuple[ndarray, ndarray]:
+def _gather_bytes(text: bytes, starts: ndarray, sizes: ndarray) -> Pair:
     """Gathers bytes from each of `starts`, as wide as the longest; a mask marks own bytes."""
     width = max(int(sizes.max()), 1)
     windows = ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))
@@ -106,7 +108,7 @@ class Section(NamedTuple):
         return ValueError(f"{self.path}, line {self._line(row)}: {message}")
 
     def _line(self, row: int | None) -> int:
-        line = sum(chunk.count(b"\n") for chunk in chunks(self.text, 0, self.start))
+        line = sum(chunk.count(b"\n") for chunk in line_chunks(self.text, 0, self.start))
         if row is None:
             return max(line, 1)
         for number, content in enumerate(self._lines(), start=line + 1):
@@ -116,26 +118,26 @@ class Section(NamedTuple):
         return line
 
     def _lines(self) -> Iterator[bytes]:
-        for chunk in chunks(self.text, self.start, self.stop):
+        for chunk in line_chunks(self.text, self.start, self.stop):
             yield from chunk.removesuffix(b"\n").split(b"\n")
 
-    def blocks(self, dtype: type) -> Iterator["Rows"]:
+    def blocks(self, dtype: type) -> Iterator["NumberRows"]:
         row = 0
-        for chunk in chunks(self.text, self.start, self.stop):
+        for chunk in line_chunks(self.text, self.start, self.stop):
             counts = scan(chunk)[2]
             values = parse(chunk, dtype)
             if len(values) != counts.sum():
                 raise self._not_a_number(dtype)
             if len(counts):
-                yield Rows(self, values, counts, row)
+                yield NumberRows(self, values, counts, row)
             row += len(counts)
 
-    def rows(self, dtype: type) -> "Rows":
-        blocks = [Rows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
+    def rows(self, dtype: type) -> "NumberRows":
+        blocks = [NumberRows(self, np.zeros(0, dtype), np.zeros(0, np.int64)), *self.blocks(dtype)]
         values, counts = (
             [getattr(block, name) for block in blocks] for name in ("values", "counts")
         )
-        return Rows(self, np.concatenate(values), np.concatenate(counts))
+        return NumberRows(self, np.concatenate(values), np.concatenate(counts))
 
     def _not_a_number(self, dtype: type) -> ValueError:
         kind, what = (
@@ -152,7 +154,7 @@ class Section(NamedTuple):
         return self.error("the rows that follow hold something that is not a number.")
 
 
-class Rows(NamedTuple):
+class NumberRows(NamedTuple):
     """Lines of a section with numbers, from number `row` on: all `values`, `counts` a line."""
 
     section: Section
@@ -172,6 +174,12 @@ class Rows(NamedTuple):
             raise self.section.error(
                 message if isinstance(message, str) else message(row), self.row + row
             )
+
+    def behind_count(self, message: str) -> "NumberRows":
+        """Returns all lines but the first, which has their number; else raises `ValueError`."""
+        if not len(self.counts) or self.counts[0] != 1 or self.values[0] != len(self.counts) - 1:
+            raise self.section.error(message, 0)
+        return self._replace(values=self.values[1:], counts=self.counts[1:], row=1)
 
     def by_kind(
         self, column: int, sizes: Mapping[int, int], n: int, more: int = 0
@@ -200,15 +208,20 @@ class Rows(NamedTuple):
             yield kind, rows, table
 
 
-def blank_comments(text: bytes) -> bytes:
-    return blanked(text, rb"%[^\r\n]*") if b"%" in text else text
-
-
-def blanked(text: bytes, pattern: bytes) -> bytes:
+def blank_out(pattern: bytes, text: bytes) -> bytes:
+    """Puts blanks in the place of what matches, byte for byte: comments."""
     return re.sub(pattern, lambda found: b" " * len(found[0]), text)
 
 
-def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
+def split_sections(path: Path, text: bytes, pattern: bytes) -> Iterator[tuple[Any, Section]]:
+    """Yields each match of a pattern, and the section up to the next one, or to the end."""
+    heads = list(re.finditer(pattern, text))
+    stops = [*(head.start() for head in heads[1:]), len(text)]
+    for head, stop in zip(heads, stops, strict=False):
+        yield head, Section(path, text, min(head.end(), stop), stop)
+
+
+def line_chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
     """Yields the text from `start` to `stop` in pieces of whole lines, about `CHUNK` bytes each."""
     while start < stop:
         end = text.find(b"\n", min(start + CHUNK, stop - 1), stop) + 1 or stop
@@ -229,14 +242,14 @@ def scan(chunk: bytes) -> tuple[ndarray, ndarray, ndarray]:
     return starts, ends, counts[counts > 0]
 
 
-def replaced(
+def replace_numbers(
     text: bytes,
     part: slice,
     values: ndarray,
     *,
     at: ndarray | None = None,
     plain: Callable[[bytes], bytes] = bytes,
-    form: Callable[[ndarray], bytes] = lines,
+    form: Callable[[ndarray], bytes] = number_lines,
     columns: int = 0,
 ) -> Pieces:
     """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
@@ -249,7 +262,7 @@ def replaced(
     words = 0
     done = 0
     yield memoryview(text)[: part.start]
-    for chunk in chunks(text, part.start, part.stop):
+    for chunk in line_chunks(text, part.start, part.stop):
         numbers = plain(chunk)
         starts, ends, _ = scan(numbers)
         chosen = np.arange(len(starts))
@@ -259,7 +272,7 @@ def replaced(
         changed = np.flatnonzero(new != parse(numbers, np.float64)[chosen].astype(new.dtype))
         last = ends[chosen[changed]]
         first = np.minimum(starts[chosen[changed]], last - columns)
-        yield spliced(chunk, first, last, form(new[changed])) if len(changed) else chunk
+        yield splice(chunk, first, last, form(new[changed])) if len(changed) else chunk
         words = words + len(starts)
         done = done + len(chosen)
     yield memoryview(text)[part.stop :]

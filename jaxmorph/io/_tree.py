@@ -9,18 +9,17 @@ header of dimensions, attributes and variables with their places, and big-endian
 """
 
 import contextlib
+import dataclasses
 import math
 import re
 import shutil
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy import ndarray
-
-from jaxmorph._mesh.exchange import Grid, Parts, Patch
 
 try:
     import h5py
@@ -28,14 +27,14 @@ try:
 except ImportError as error:
     raise ImportError("CGNS, MED and Exodus files need h5py: pip install 'jaxmorph[io]'") from error
 
-from ._format import FilePoints, MeshLike, Source, of_grid, own_source, stamp_of
+from ._format import FilePoints
 from ._text import decoded
 
-WHAT = "a CGNS file in HDF5 or ADF"
+CGNS_FILE = "a CGNS file in HDF5 or ADF"
 
 
 @contextlib.contextmanager
-def opened(path: Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
+def open_tree(path: Path, writes: bool = False, what: str = CGNS_FILE) -> Iterator[Any]:
     """Yields the root of a file's tree as h5py has it: groups with `label`, arrays as " data".
 
     `what` names the format in messages. Raises `ValueError` for another format, and for a file that
@@ -43,7 +42,7 @@ def opened(path: Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
     """
     try:
         with path.open("r+b" if writes else "rb") as file:
-            magic = file.read(TAG + len(ADF))
+            magic = file.read(TAG_SIZE + len(ADF))
             if magic.startswith(CDF):
                 yield _Header(file).tree()
             elif magic.endswith(ADF):
@@ -78,7 +77,7 @@ def _refuse_foreign_data(path: Path, file: Any) -> None:
         raise ValueError(f"{path}: {found[-200:]}. {remedy}")
 
 
-def text_of(value: Any) -> str:
+def read_text(value: Any) -> str:
     """Decodes a text in a file: what stands before its first zero, without blanks around."""
     return (
         value
@@ -87,10 +86,20 @@ def text_of(value: Any) -> str:
     )
 
 
-def only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
+def take_only(groups: Mapping[str, Any], what: str) -> tuple[str, Any]:
     if len(groups) != 1:
         raise ValueError(f"{len(groups)} {what} in the file, one is read")
     return next(iter(groups.items()))
+
+
+def read_labels(group: Any, name: str, n: int) -> ndarray | None:
+    """Reads the file's own numbers of its n nodes; None where it has none."""
+    if name not in group:
+        return None
+    labels = group[name][()]
+    if labels.shape != (n,):
+        raise ValueError(f"{labels.size} numbers of nodes for {n} of them")
+    return labels
 
 
 class Coordinates(NamedTuple):
@@ -102,67 +111,70 @@ class Coordinates(NamedTuple):
     by_rows: bool = False
 
 
-def points_of(coordinates: Sequence[Coordinates], n: int, d: int) -> ndarray:
-    points = np.full((n, d), np.nan)
-    for array, rows, columns, by_rows in coordinates:
-        width = d if columns == slice(None) else 1
-        points[rows, columns] = array[()] if by_rows else array[()].reshape(width, -1).T
-    return points
+Find = Callable[[Any], Iterable[Coordinates]]
+"""Finds the coordinates in the root of a file's tree."""
 
 
-def singles_of(coordinates: Iterable[Coordinates]) -> list[tuple[slice, slice]]:
-    return [(each.rows, each.columns) for each in coordinates if each.array.dtype.itemsize < 8]
+@dataclasses.dataclass(frozen=True, eq=False)
+class TreePoints(FilePoints):
+    """The points of a file that is written as a copy, into which the new ones are put.
 
-
-def of_tree(
-    path: Path,
-    name: str,
-    coordinates: Iterable[Coordinates],
-    grid: Grid,
-    patches: Iterable[Patch] = (),
-    notes: Iterable[str] = (),
-    labels: ndarray | None = None,
-) -> Parts:
-    content = FilePoints(grid.points, stamp=stamp_of(path), singles=singles_of(coordinates))
-    if labels is not None and labels.shape != (len(grid.points),):
-        raise ValueError(f"{labels.size} numbers of nodes for {len(grid.points)} of them")
-    source = Source(path, name, content, labels=labels, notes=tuple(notes), **content.known)
-    return of_grid(path, grid, source, patches)
-
-
-def write_points(
-    path: Path,
-    mesh: MeshLike,
-    format_name: str,
-    coordinates: Callable[[Any], Iterable[Coordinates]],
-    what: str = WHAT,
-) -> None:
-    """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
-
-    `coordinates` finds them in the root of the copy's tree. NumPy rounds them, since HDF5 rounds
-    ties otherwise. A file with data in another one is refused before it is copied.
+    - `path`, `find`, `what`: the file, what finds coordinates in it, and its name in messages.
+    - `stamp`: size and time of the file, by which a changed one is found.
     """
-    source = own_source(mesh, format_name)
-    with opened(source.path, what=what):
-        pass
-    shutil.copyfile(source.path, path)
-    points = source.content.in_file(np.asarray(mesh.points))
-    old = source.content.points
-    if np.array_equal(points, old):
-        return
-    with opened(path, writes=True, what=what) as file:
-        for array, rows, columns, by_rows in coordinates(file):
-            new = points[rows, columns]
-            if not np.array_equal(new, old[rows, columns]):
-                array[...] = (new if by_rows else new.T).reshape(array.shape).astype(array.dtype)
+
+    path: Path
+    find: Find
+    what: str
+    stamp: tuple[int, int]
+
+    @classmethod
+    def of(cls, path: Path, tree: Any, find: Find, what: str = CGNS_FILE) -> "TreePoints":
+        coordinates = list(find(tree))
+        n = max(each.rows.stop for each in coordinates)
+        d = max(each.columns.stop for each in coordinates)
+        points = np.full((n, d), np.nan)
+        for array, rows, columns, by_rows in coordinates:
+            width = columns.stop - columns.start
+            points[rows, columns] = array[()] if by_rows else array[()].reshape(width, -1).T
+        singles = [each[1:3] for each in coordinates if each.array.dtype.itemsize < 8]
+        return cls(points, path, find, what, _read_stamp(path), singles=singles)
+
+    @property
+    def is_current(self) -> bool:
+        return _read_stamp(self.path) == self.stamp
+
+    def write(self, path: Path, points: ndarray) -> None:
+        """Copies the file, and puts the mesh's points into the copy.
+
+        NumPy rounds them, since HDF5 rounds ties otherwise. A file with data in another one is
+        refused before it is copied.
+        """
+        with open_tree(self.path, what=self.what):
+            pass
+        shutil.copyfile(self.path, path)
+        points = self.in_file(points)
+        if np.array_equal(points, self.points):
+            return
+        with open_tree(path, writes=True, what=self.what) as tree:
+            for array, rows, columns, by_rows in self.find(tree):
+                new = points[rows, columns]
+                if not np.array_equal(new, self.points[rows, columns]):
+                    shape = array.shape
+                    array[...] = (new if by_rows else new.T).reshape(shape).astype(array.dtype)
 
 
-BLOCK = 4096
+def _read_stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+ADF_BLOCK = 4096
 ENTRY = 44
 POINTER = 12
-TAG = 4
+TAG_SIZE = 4
 ADF = b"ADF Database Version "
-_ORDERS = {b"L": "<", b"B": ">"}
+_ADF_ORDERS = {b"L": "<", b"B": ">"}
 _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4", 182: b"adf5"}
 _NODE = struct.Struct("4x 32s 32s 8s 8x 12s 32s 2s 96s 4s 12s 4x")
 """A node's name, label, number and table of children, type, number of sizes, sizes, its data."""
@@ -179,8 +191,12 @@ class Array:
         pieces: list[tuple[int, int]],
         attrs: Mapping[str, bytes] | None = None,
     ):
-        self._file, self.dtype, self.pieces, self.attrs = file, dtype, pieces, attrs or {}
-        self.shape, self.size = shape, math.prod(shape)
+        self._file = file
+        self.dtype = dtype
+        self.pieces = pieces
+        self.attrs = attrs or {}
+        self.shape = shape
+        self.size = math.prod(shape)
 
     def __getitem__(self, key: Any) -> ndarray:
         parts = []
@@ -203,7 +219,8 @@ class Node(dict[str, Any]):
 
     def __init__(self, name: str, label: bytes):
         super().__init__()
-        self.name, self.attrs = name, {"label": label}
+        self.name = name
+        self.attrs = {"label": label}
 
 
 def check_spans(spans: list[tuple[int, int]], size: int) -> None:
@@ -215,7 +232,7 @@ def check_spans(spans: list[tuple[int, int]], size: int) -> None:
         raise ValueError("parts of the file lie in one another, or beyond its end")
 
 
-def hexadecimal(digits: bytes) -> int:
+def parse_hexadecimal(digits: bytes) -> int:
     if not re.fullmatch(rb"[0-9A-Fa-f]+", digits):
         raise ValueError(f"{digits!r} where hexadecimal digits should stand")
     return int(digits, 16)
@@ -225,11 +242,16 @@ class Reader:
     """Reads nodes, and records their `spans` of the file: no two may share a byte."""
 
     def __init__(self, path: Path, file: BinaryIO):
-        self.path, self.file, self.size, self.spans = path, file, file.seek(0, 2), [(0, 186)]
+        self.path = path
+        self.file = file
+        self.size = file.seek(0, 2)
+        self.spans = [(0, 186)]
         head = self._read(0, 186)
         self._tagged(head, _HEADER_TAGS)
-        self.is_old, code, long = head[25:26] != b"B", head[100:101], hexadecimal(head[112:114])
-        if code not in _ORDERS:
+        self.is_old = head[25:26] != b"B"
+        code = head[100:101]
+        long = parse_hexadecimal(head[112:114])
+        if code not in _ADF_ORDERS:
             raise ValueError(
                 f"{path}: an ADF file with numbers of format {code.decode(errors='replace')!r}; "
                 "IEEE's "
@@ -237,7 +259,7 @@ class Reader:
             )
         if long not in (4, 8):
             raise ValueError(f"long numbers of {long} bytes")
-        self.order = _ORDERS[code]
+        self.order = _ADF_ORDERS[code]
         kinds = {"I4": "i4", "U4": "u4", "R4": "f4", "R8": "f8", "C1": "i1", "B1": "u1"}
         kinds |= {"I8": f"i{long}", "U8": f"u{long}"}
         self.kinds = {code: np.dtype(self.order + kind) for code, kind in kinds.items()}
@@ -269,28 +291,28 @@ class Reader:
         return self.file.read(count)
 
     def _pointer(self, raw: bytes) -> int:
-        return self._integer(raw[:8]) * BLOCK + self._integer(raw[8:])
+        return self._integer(raw[:8]) * ADF_BLOCK + self._integer(raw[8:])
 
     def _integer(self, raw: bytes) -> int:
         return (
-            hexadecimal(raw)
+            parse_hexadecimal(raw)
             if self.is_old
             else int(np.frombuffer(raw, f"{self.order}u{len(raw)}")[0])
         )
 
     def _tagged(self, raw: bytes, tags: dict[int, bytes]) -> None:
         for at, tag in tags.items():
-            if raw[at : at + TAG].lower() != tag:
-                raise ValueError(f"{raw[at : at + TAG]!r} where {tag!r} should stand")
+            if raw[at : at + TAG_SIZE].lower() != tag:
+                raise ValueError(f"{raw[at : at + TAG_SIZE]!r} where {tag!r} should stand")
 
     def _node(self, at: int, place: str = "") -> tuple[Node, list[int]]:
         raw = self._read(at, _NODE.size)
-        self._tagged(raw, {0: b"node", _NODE.size - TAG: b"tail"})
+        self._tagged(raw, {0: b"node", _NODE.size - TAG_SIZE: b"tail"})
         self.spans.append((at, at + len(raw)))
         name, label, children, below, kind, dimensions, sizes, chunks, data = _NODE.unpack(raw)
         node = Node(decoded(name.rstrip(b" \0")), label.rstrip())
-        code = kind.strip(b" \0").decode(errors="replace").upper()
-        pieces = self._pieces(hexadecimal(chunks), data)
+        code = decoded(kind.strip(b" \0")).upper()
+        pieces = self._pieces(parse_hexadecimal(chunks), data)
         if code == "LK":
             target = b"".join(self._read(first, count) for first, count in pieces)[:200].decode(
                 errors="replace"
@@ -303,14 +325,14 @@ class Reader:
         # HDF5 has the last number of ADF's sizes first
         shape = tuple(
             self._integer(sizes[8 * k : 8 * k + 8])
-            for k in reversed(range(hexadecimal(dimensions)))
+            for k in reversed(range(parse_hexadecimal(dimensions)))
         )
         if code in self.kinds and pieces and shape:
             need = math.prod(shape) * self.kinds[code].itemsize
             if need > sum(count for _, count in pieces):
                 raise ValueError(f"{place}/{node.name} has less data than its shape {shape} says")
             node[" data"] = Array(self.file, self.kinds[code], shape, pieces)
-        entries = self._table(below, (b"sntb", b"snte"), ENTRY, hexadecimal(children))
+        entries = self._table(below, (b"sntb", b"snte"), ENTRY, parse_hexadecimal(children))
         return node, [self._pointer(entry[-POINTER:]) for entry in entries]
 
     def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:
@@ -337,31 +359,20 @@ class Reader:
     def _part(self, raw: bytes, tags: tuple[bytes, bytes]) -> tuple[int, int]:
         """Finds a part's content, behind the place of the last one, and its number of bytes."""
         at = self._pointer(raw)
-        head = self._read(at, TAG + POINTER)
+        head = self._read(at, TAG_SIZE + POINTER)
         first = at + len(head)
-        stop = self._pointer(head[TAG:])
+        stop = self._pointer(head[TAG_SIZE:])
         self._tagged(head, {0: tags[0]})
-        self._tagged(self._read(stop, TAG), {0: tags[1]})
+        self._tagged(self._read(stop, TAG_SIZE), {0: tags[1]})
         if stop < first:
             raise ValueError(f"a part at {at} that ends at {stop}")
-        self.spans.append((at, stop + TAG))
+        self.spans.append((at, stop + TAG_SIZE))
         return first, stop - first
 
 
 CDF = b"CDF"
-_TYPES = {
-    1: "i1",
-    2: "S1",
-    3: ">i2",
-    4: ">i4",
-    5: ">f4",
-    6: ">f8",
-    7: "u1",
-    8: ">u2",
-    9: ">u4",
-    10: ">i8",
-    11: ">u8",
-}
+CDF_TYPES = ("", "i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8")
+"""Types of numbers by CDF's codes, from 1 on."""
 _DIMENSIONS = 10
 _VARIABLES = 11
 _ATTRIBUTES = 12
@@ -371,12 +382,14 @@ _UNSTATED = 2**32 - 4
 
 class _Header:
     def __init__(self, file: BinaryIO):
-        self.file, self.size = file, file.seek(0, 2)
+        self.file = file
+        self.size = file.seek(0, 2)
         file.seek(0)
         version = self.taken(4)[3]
         if version not in (1, 2, 5):
             raise ValueError(f"version {version} of netCDF; 1, 2 and 5 are read")
-        self.count, self.place = (8 if version == 5 else 4), (4 if version == 1 else 8)
+        self.count = 8 if version == 5 else 4
+        self.place = 4 if version == 1 else 8
 
     def taken(self, count: int) -> bytes:
         """Reads some bytes, and the bytes that fill them up to a multiple of four."""
@@ -405,7 +418,7 @@ class _Header:
     def attributes(self) -> dict[str, bytes]:
         texts = {}
         for name in self.entries(_ATTRIBUTES):
-            kind = np.dtype(_TYPES[self.number(4)])
+            kind = np.dtype(CDF_TYPES[self.number(4)])
             texts[name] = self.taken(self.number() * kind.itemsize)
         return texts
 
@@ -423,9 +436,8 @@ class _Header:
         }
         pieces = [(at, at + size) for array in arrays.values() for at, size in array.pieces]
         check_spans([(0, self.file.tell()), *pieces], self.size)
-        arrays = {
-            name: array for name, array in arrays.items() if array.shape[0]
-        }  # a record has none
+        # a record has none
+        arrays = {name: array for name, array in arrays.items() if array.shape[0]}
         return {
             name: Array(self.file, np.dtype("i1"), (n,), []) for name, n in lengths.items()
         } | arrays
@@ -434,7 +446,7 @@ class _Header:
         """Reads the place of a variable; one of a number each record stands behind all else."""
         sizes = [lengths[self.number()] for _ in range(self.number())] or [1]
         attributes = self.attributes()
-        kind = np.dtype(_TYPES[self.number(4)])
+        kind = np.dtype(CDF_TYPES[self.number(4)])
         stated = self.number()
         at = self.number(self.place)
         size = kind.itemsize * math.prod(sizes)

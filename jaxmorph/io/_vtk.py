@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmorph._host.cells.topology import VTK_LAGRANGE
+from jaxmorph._host.package.text import decoded
 from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import PREFIX, Parts
 from jaxmorph._mesh.export import to_vtk
 
 from ._apart import run_apart
-from ._format import EVERYTHING, Arrays, FilePoints, MeshLike, Source, content_of
+from ._format import EVERYTHING, ArraysByName, FilePoints, MeshLike, Source, content_of
 
 NAME = "VTK"
 
@@ -90,7 +91,7 @@ def check(path: Path, mesh: MeshLike) -> None:
         raise ValueError(f"the cells of the mesh are not those of a {holds}; write .vtu.")
 
 
-def write(path: Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> None:
+def write(path: Path, mesh: MeshLike, point_data: ArraysByName, cell_data: ArraysByName) -> None:
     """Writes what was read with other points, or a new grid in double precision."""
     content = content_of(mesh, NAME)
     is_legacy = path.suffix.lower() == ".vtk"
@@ -102,11 +103,11 @@ def write(path: Path, mesh: MeshLike, point_data: Arrays, cell_data: Arrays) -> 
         else Encoding(is_legacy)
     )
     path.write_bytes(
-        text_of(vtk.unstructured(data) if path.suffix.lower() == ".vtu" else data, encoding)
+        file_bytes(vtk.unstructured(data) if path.suffix.lower() == ".vtu" else data, encoding)
     )
 
 
-def text_of(data: Any, encoding: Encoding) -> bytes:
+def file_bytes(data: Any, encoding: Encoding) -> bytes:
     """Makes the file. VTK itself tells no error where a device is full, so it writes to memory.
 
     VTK gives single precision six digits in a legacy text, and it needs nine. So the numbers come
@@ -142,9 +143,8 @@ def _xml_writer(data: Any, encoding: Encoding) -> Any:
 
 
 def _legacy_writer(data: Any, encoding: Encoding) -> Any:
-    kind = data.GetClassName().removeprefix(
-        "vtk"
-    )  # a writer of any kind does not take the precision
+    # a writer of any kind does not take the precision
+    kind = data.GetClassName().removeprefix("vtk")
     writer = getattr(vtk.vtk("vtkIOLegacy"), f"vtk{kind}Writer")()
     writer.SetHeader(encoding.title)
     # before 5.1 files have another order of the nodes of hexahedra, in which VTK does not write
@@ -160,10 +160,10 @@ def _legacy_writer(data: Any, encoding: Encoding) -> Any:
 def _encoding(raw: bytes) -> Encoding:
     legacy = re.match(rb"# vtk DataFile Version (\d\.\d)[^\n]*\n([^\r\n]*)\r?\n\s*(\w+)", raw)
     if legacy:
-        version, title, mode = (word.decode(errors="replace") for word in legacy.groups())
+        version, title, mode = (decoded(word) for word in legacy.groups())
         return Encoding(True, mode.lower(), title=title, version=version)
     tag = re.search(rb"<VTKFile[^>]*>", raw)
-    said = dict(re.findall(r'(\w+)="(\w+)"', tag[0].decode(errors="replace") if tag else ""))
+    said = dict(re.findall(r'(\w+)="(\w+)"', decoded(tag[0]) if tag else ""))
     modes = {*re.findall(rb'format="(\w+)"', raw)}
     mode = next((mode for mode in ("appended", "binary") if mode.encode() in modes), "ascii")
     compressor = re.sub("^vtk|DataCompressor$", "", said.get("compressor", "None"))
@@ -183,7 +183,7 @@ def _read(path: Path) -> VTKContent:
     size = len(raw) + sum(file.stat().st_size for file in named if file.is_file())
     data_sets = _read_apart(path, size)
     if named:
-        return VTKContent(_joined(data_sets), Encoding())
+        return VTKContent(_join_grids(data_sets), Encoding())
     ((_, data),) = data_sets
     if not any(data.IsA(kind) for kind in GRIDS.values()):  # a lattice has no points that can move
         data = vtk.unstructured(data)
@@ -209,7 +209,7 @@ def _read_apart(path: Path, size: int) -> list[tuple[str, Any]]:
         return found
 
 
-def _joined(named: list[tuple[str, Any]]) -> Any:
+def _join_grids(named: list[tuple[str, Any]]) -> Any:
     """Joins pieces and blocks without ghost cells; blocks of lower dimension become patches."""
     grids = [(name, vtk.unstructured(data)) for name, data in named]
     levels = np.array([vtk.dimension_of(grid) for _, grid in grids])

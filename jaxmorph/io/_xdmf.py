@@ -11,23 +11,28 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
-from jaxmorph._host.cells.topology import DIMENSION, NODES
+from jaxmorph._host.cells.topology import DIMENSION, NODES, codes, invert_table, pairs_of
+from jaxmorph._host.ragged import heads_of
+from jaxmorph._host.rows import first_of_equals
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, by_number, check_width, regions_note, sized
 
-from ._format import FilePoints, MeshLike, Source, faults_of, of_grid, own_source
-from ._text import Pieces, blanked, lines, parse, replaced
+from ._format import FilePoints, MeshLike, faults_of, of_grid, own_source
+from ._text import Pieces, blank_out, number_lines, parse, replace_numbers
 
 NAME = "XDMF"
-SHAPES = {"polyvertex": "vertex", "polyline": "line", "edge": "line", "interval": "line"}
-SHAPES |= {"tri": "triangle", "quadrilateral": "quad", "tet": "tetra", "tetrahedron": "tetra"}
-SHAPES |= {"hex": "hexahedron"} | {
-    shape: shape for shape in ("triangle", "quad", "pyramid", "wedge", "hexahedron")
-}
+XDMF_SHAPES = pairs_of(
+    "polyvertex vertex polyline line edge line interval line tri triangle triangle triangle "
+    "quadrilateral quad quad quad tet tetra tetrahedron tetra pyramid pyramid wedge wedge "
+    "hex hexahedron hexahedron hexahedron"
+)
 """Shapes of cells by XDMF's words, which an underscore and the number of nodes may follow."""
-CODES = dict(enumerate(("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron"), start=4))
-CODES |= {1: "vertex", 2: "line", 34: "line3", 35: "quad9", 36: "triangle6", 37: "quad8"}
-CODES |= {38: "tetra10", 39: "pyramid13", 40: "wedge15", 41: "wedge18", 48: "hexahedron20"}
-CODES |= {50: "hexahedron27"}
+XDMF_TYPES = invert_table(
+    codes(
+        "vertex 1 line 2 triangle 4 quad 5 tetra 6 pyramid 7 wedge 8 hexahedron 9 "
+        "line3 34 quad9 35 triangle6 36 quad8 37 tetra10 38 pyramid13 39 wedge15 40 wedge18 41 "
+        "hexahedron20 48 hexahedron27 50"
+    )
+)
 """Types of cells by their numbers in a topology of mixed cells."""
 CENTERS = ("Node", "Cell", "Grid", "Face", "Edge", "Other")
 COUNTED = (1, 2)
@@ -53,7 +58,7 @@ class XDMFDocument:
 
     @property
     def grids(self) -> list[ElementTree.Element]:
-        return [each for grid in self.root.iterfind("Domain/Grid") for each in _uniform(grid)]
+        return [each for grid in self.root.iterfind("Domain/Grid") for each in _list_uniform(grid)]
 
     @property
     def steps(self) -> int:
@@ -85,28 +90,34 @@ class XDMFDocument:
             )
         shape = tuple(map(int, item.get("Dimensions", "").split()))
         text = (item.text or "").strip()
-        values = self._stored(text) if form == "HDF" else _numbers(item, text)
+        values = self._stored(text) if form == "HDF" else _parse_item(item, text)
         if values.size != np.prod(shape, dtype=float):
             raise ValueError(f"an array of {values.size} numbers, of the shape {shape} in the XML.")
         return values.reshape(shape)
 
     def _stored(self, text: str) -> ndarray:
-        from ._tree import opened
+        from ._tree import open_tree  # needs h5py, which files without HDF5 do not
 
         name, _, place = text.rpartition(":")
         file = self.path.parent / name
         if not file.is_file():
             raise ValueError(f"its arrays are in {name}, which is not beside it.")
-        with opened(file, what="a file of arrays in HDF5") as tree:
+        with open_tree(file, what="a file of arrays in HDF5") as tree:
             return tree[place][()]
 
-    def geometry(self, grid: ElementTree.Element) -> ElementTree.Element:
-        """Finds the array of a grid's points; a grid without one has those of the first grid."""
-        found = grid.find("Geometry")
-        found = self.grids[0].find("Geometry") if found is None else found
+    def part(self, grid: ElementTree.Element, name: str) -> tuple[ElementTree.Element, str]:
+        """Finds a grid's Geometry or Topology, else that of the first grid; and its type.
+
+        The type has one name in version 2 of XDMF, and another one in version 3.
+        """
+        found = next((part for each in (grid, self.grids[0]) for part in each.iterfind(name)), None)
         if found is None:
-            raise ValueError("a grid without a Geometry.")
-        kind = _type(found, "Geometry")
+            raise ValueError(f"a grid without a {name}.")
+        return found, found.get(f"{name}Type") or found.get("Type") or "XYZ"
+
+    def geometry(self, grid: ElementTree.Element) -> ElementTree.Element:
+        """Finds the array of a grid's points."""
+        found, kind = self.part(grid, "Geometry")
         if kind not in ("XYZ", "XY"):
             raise ValueError(f"points of the type {kind} are not read; XYZ and XY are.")
         return self.item_of(found, "a Geometry")
@@ -118,13 +129,12 @@ class XDMFDocument:
         return values.astype(float)
 
     def blocks(self, grid: ElementTree.Element) -> list[XDMFBlock]:
-        found = grid.find("Topology")
-        found = self.grids[0].find("Topology") if found is None else found
-        if found is None:
-            raise ValueError("a grid without a Topology.")
-        word = _type(found, "Topology").lower()
+        found, word = self.part(grid, "Topology")
+        word = word.lower()
         ids = self.values(self.item_of(found, "a Topology")).astype(np.int64)
-        return list(_mixed(ids.ravel()) if word == "mixed" else [_alike(word, ids, found)])
+        return list(
+            _read_mixed(ids.ravel()) if word == "mixed" else [_read_one_type(word, ids, found)]
+        )
 
     def arrays(self, grid: ElementTree.Element, center: str) -> dict[str, ndarray]:
         """Reads the attributes of nodes or cells, a column as an array (n,)."""
@@ -144,24 +154,24 @@ class XDMFDocument:
         leaves = [each for each in self.root.iter("DataItem") if not len(each)]
         at = 0
         for leaf, found in zip(leaves, self.places, strict=True):
-            is_points = _same(leaf, item)
+            is_points = _is_same_array(leaf, item)
             if not (is_points or leaf.get("Format", "XML").upper() == "HDF"):
                 continue
             yield self.raw[at : found.start(1)]
-            yield _tag(self.raw[found.start(1) : found.end(1)], is_points)
+            yield _rewrite_tag(self.raw[found.start(1) : found.end(1)], is_points)
             inner = self.raw[found.end(1) : found.end(2)]
             if not is_points:
-                yield b">" + _words(self.values(leaf))
+                yield b">" + _format_words(self.values(leaf))
             elif leaf.get("Format", "XML").upper() == "HDF":
-                yield b">" + lines(points.ravel())
+                yield b">" + number_lines(points.ravel())
             else:
-                yield from replaced(inner, slice(1, len(inner)), points.ravel())
+                yield from replace_numbers(inner, slice(1, len(inner)), points.ravel())
             at = found.end(2)
         yield self.raw[at:]
 
     @property
     def places(self) -> list[re.Match[bytes]]:
-        return list(ITEM.finditer(blanked(self.raw, rb"(?s)<!--.*?-->")))
+        return list(ITEM.finditer(blank_out(rb"(?s)<!--.*?-->", self.raw)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -170,22 +180,25 @@ class XDMFContent(FilePoints):
     item: ElementTree.Element
     arrays: tuple[str, ...] = ()
 
+    def moved(self, points: ndarray) -> Pieces:
+        return self.document.moved(self.item, self.in_file(points))
+
 
 def read(path: Path, tags: Path | None = None) -> Parts:
     """Reads points, cells and patches: numbers of facets in another grid of the file, or in `tags`.
 
     A patch has the name of the array and the number: `facet_tags_3`. Facets numbered 0 are none.
     """
-    document = _document(path)
+    document = _read_document(path)
     grids = document.grids
     of_grids = [document.blocks(grid) for grid in grids]
-    levels = list(map(_level, of_grids))
+    levels = list(map(_find_level, of_grids))
     first = int(np.argmax(levels))
     points = document.points(grids[first])
-    grid = _grid(document, grids[first], of_grids[first], points)
-    patches = list(_patches(document, levels[first], points))
+    grid = _read_grid(document, grids[first], of_grids[first], points)
+    patches = list(_find_facets(document, levels[first], points))
     if tags is not None:
-        patches += _of_file(tags, levels[first], points)
+        patches += _read_tags(tags, levels[first], points)
     others = [each for k, each in enumerate(grids) if levels[k] == levels[first] and k != first]
     notes = list(regions_note(each.get("Name", "a grid") for each in others))
     if document.steps > 1:
@@ -194,10 +207,11 @@ def read(path: Path, tags: Path | None = None) -> Parts:
     content = XDMFContent(
         points, document=document, item=document.geometry(grids[first]), arrays=tuple(names)
     )
-    source = Source(path, NAME, content, notes=tuple(notes), **content.known)
-    parts = of_grid(path, grid, source, patches)
+    parts = of_grid(path, NAME, content, grid, patches, notes)
     if list(parts.patches) == ["boundary"] and not patches:
-        source = dataclasses.replace(parts.source, notes=(*parts.source.notes, *_beside(path)))
+        source = dataclasses.replace(
+            parts.source, notes=(*parts.source.notes, *_note_files_beside(path))
+        )
         parts = parts._replace(source=source)
     return parts
 
@@ -208,22 +222,13 @@ def check(path: Path, mesh: MeshLike) -> None:
     if document.steps > 1:
         raise ValueError(f"a time series of {document.steps} steps is not written; write .vtu.")
     items = map(document.geometry, document.grids)
-    if not all(_same(item, content.item) for item in items):
+    if not all(_is_same_array(item, content.item) for item in items):
         raise ValueError("the grids of the file have points of their own; write .vtu or .msh.")
     if len(document.places) != sum(not len(each) for each in document.root.iter("DataItem")):
         raise ValueError("arrays in parts of XML are not written; write .vtu or .msh.")
 
 
-def write(path: Path, mesh: MeshLike) -> None:
-    """Writes one file: the XML that was read, with all arrays in it, and the mesh's points."""
-    content = own_source(mesh, NAME).content
-    with path.open("wb") as file:
-        file.writelines(
-            content.document.moved(content.item, content.in_file(np.asarray(mesh.points)))
-        )
-
-
-def _document(path: Path) -> XDMFDocument:
+def _read_document(path: Path) -> XDMFDocument:
     raw = path.read_bytes()
     try:
         root = ElementTree.fromstring(raw)
@@ -235,7 +240,7 @@ def _document(path: Path) -> XDMFDocument:
     return document
 
 
-def _uniform(grid: ElementTree.Element) -> list[ElementTree.Element]:
+def _list_uniform(grid: ElementTree.Element) -> list[ElementTree.Element]:
     """Lists the grids of a grid: itself, or what is in a collection, of a time series the first."""
     kind = grid.get("GridType", "Uniform")
     inner = grid.findall("Grid")
@@ -245,61 +250,54 @@ def _uniform(grid: ElementTree.Element) -> list[ElementTree.Element]:
         raise ValueError(f"a grid of the type {kind} is not read.")
     if len(inner) > 1 and grid.get("CollectionType") != "Temporal":
         raise ValueError(f"a collection of {len(inner)} grids in space is not read; join them.")
-    return _uniform(inner[0])
+    return _list_uniform(inner[0])
 
 
-def _type(element: ElementTree.Element, what: str) -> str:
-    """Returns the type of a topology or geometry, by its name in version 2 or in version 3."""
-    return element.get(f"{what}Type") or element.get("Type") or "XYZ"
-
-
-def _level(blocks: Sequence[XDMFBlock]) -> int:
+def _find_level(blocks: Sequence[XDMFBlock]) -> int:
     return max((DIMENSION.get(block.kind, 0) for block in blocks), default=0)
 
 
-def _alike(word: str, ids: ndarray, topology: ElementTree.Element) -> XDMFBlock:
+def _read_one_type(word: str, ids: ndarray, topology: ElementTree.Element) -> XDMFBlock:
     name, _, size = word.partition("_")
-    if name not in SHAPES or not (size or "2").isdecimal():
+    if name not in XDMF_SHAPES or not (size or "2").isdecimal():
         raise ValueError(f"cells of the type {word} are not read.")
-    shape = SHAPES[name]
+    shape = XDMF_SHAPES[name]
     kind = sized(shape, int(size)) if size and shape in NODES else shape
     width = ids.shape[-1] if ids.ndim == 2 else int(topology.get("NodesPerElement") or 0)
     corners = ids.reshape(-1, width or NODES.get(kind, 1))
-    return _block(kind, corners, np.arange(len(corners)))
+    return _make_xdmf_block(kind, corners, np.arange(len(corners)))
 
 
-def _block(kind: str, corners: ndarray, rows: ndarray) -> XDMFBlock:
+def _make_xdmf_block(kind: str, corners: ndarray, rows: ndarray) -> XDMFBlock:
     if kind not in (*NODES, "vertex"):
         raise ValueError(f"cells of type {kind} are not read.")
     check_width(kind, corners.shape[1])
     return XDMFBlock(kind, reordered(kind, corners, VTK_ORDER, None), rows)
 
 
-def _mixed(stream: ndarray) -> Iterator[XDMFBlock]:
+def _read_mixed(stream: ndarray) -> Iterator[XDMFBlock]:
     """Yields the cells of each type: a number of the type, perhaps that of its nodes, the nodes."""
-    heads = {code: 1 + (code in COUNTED) for code in CODES}
-    steps = {code: heads[code] + NODES.get(kind, 1) for code, kind in CODES.items()}
-    numbers = np.ascontiguousarray(stream).data
-    starts = []
-    at = 0
-    while at < len(numbers):
-        if numbers[at] not in steps:
-            raise ValueError(f"cells of the number {numbers[at]} are not read.")
-        starts.append(at)
-        at += steps[numbers[at]]
-    if at != len(numbers):
+    heads = {code: 1 + (code in COUNTED) for code in XDMF_TYPES}
+    steps = {code: heads[code] + NODES.get(kind, 1) for code, kind in XDMF_TYPES.items()}
+
+    def step(code: int) -> int:
+        if code not in steps:
+            raise ValueError(f"cells of the number {code} are not read.")
+        return steps[code]
+
+    first = heads_of(stream, step)
+    if len(first) and first[-1] + steps[stream[first[-1]]] != len(stream):
         raise ValueError("the last of the mixed cells is cut short.")
-    first = np.array(starts, np.int64)
     codes = stream[first]
     for code in dict.fromkeys(codes.tolist()):
         rows = np.flatnonzero(codes == code)
         table = stream[first[rows, None] + np.arange(steps[code])]
-        if code in COUNTED and (table[:, 1] != NODES.get(CODES[code], 1)).any():
-            raise ValueError(f"cells of type {CODES[code]} of other than two nodes.")
-        yield _block(CODES[code], table[:, heads[code] :], rows)
+        if code in COUNTED and (table[:, 1] != NODES.get(XDMF_TYPES[code], 1)).any():
+            raise ValueError(f"cells of type {XDMF_TYPES[code]} of other than two nodes.")
+        yield _make_xdmf_block(XDMF_TYPES[code], table[:, heads[code] :], rows)
 
 
-def _grid(
+def _read_grid(
     document: XDMFDocument, grid: ElementTree.Element, blocks: list[XDMFBlock], points: ndarray
 ) -> Grid:
     arrays = {name: rows for name, rows in document.arrays(grid, "Cell").items() if rows.ndim}
@@ -321,13 +319,13 @@ def _grid(
     )
 
 
-def _patches(document: XDMFDocument, level: int, points: ndarray) -> Iterator[Patch]:
+def _find_facets(document: XDMFDocument, level: int, points: ndarray) -> Iterator[Patch]:
     """Yields the facets of each number of each array, in grids below the dimension of the mesh."""
     for grid in document.grids:
         blocks = document.blocks(grid)
-        if _level(blocks) != level - 1:
+        if _find_level(blocks) != level - 1:
             continue
-        nodes = _nodes(document.points(grid), points)
+        nodes = _find_nodes(document.points(grid), points)
         _check_corners(blocks, nodes)
         for name, values in document.arrays(grid, "Cell").items():
             # the largest number of 64 bits, and 0, are what FEniCS gives to facets without one
@@ -338,7 +336,7 @@ def _patches(document: XDMFDocument, level: int, points: ndarray) -> Iterator[Pa
                     yield Patch(f"{name}_{number}", "facets", members)
 
 
-def _nodes(found: ndarray, points: ndarray) -> ndarray:
+def _find_nodes(found: ndarray, points: ndarray) -> ndarray:
     """Finds the mesh's node at each of some points; -1 where there is none, or more than one."""
     if found.shape == points.shape and np.array_equal(found, points):
         return np.arange(len(points))
@@ -348,8 +346,7 @@ def _nodes(found: ndarray, points: ndarray) -> ndarray:
     both = np.zeros((n + len(found), 3))
     both[:n, : points.shape[1]] = points
     both[n:, : found.shape[1]] = found
-    _, first, place = np.unique(both, axis=0, return_index=True, return_inverse=True)
-    place = place.ravel()
+    first, place = first_of_equals(both)
     node = first[place[n:]]
     is_one = (node < n) & (np.bincount(place[:n], minlength=len(first))[place[n:]] == 1)
     return np.where(is_one, node, -1)
@@ -365,15 +362,15 @@ def _check_corners(blocks: Sequence[XDMFBlock], nodes: ndarray) -> None:
             )
 
 
-def _of_file(path: Path, level: int, points: ndarray) -> list[Patch]:
+def _read_tags(path: Path, level: int, points: ndarray) -> list[Patch]:
     with faults_of(path):
-        found = list(_patches(_document(path), level, points))
+        found = list(_find_facets(_read_document(path), level, points))
         if not found:
             raise ValueError("no grid of facets with numbers.")
     return found
 
 
-def _beside(path: Path) -> Iterator[str]:
+def _note_files_beside(path: Path) -> Iterator[str]:
     """Names other XDMF files of the folder, where the numbers of facets may be."""
     files = (file for file in path.parent.iterdir() if file.suffix.lower() in (".xdmf", ".xmf"))
     names = sorted(file.name for file in files if file.name != path.name)
@@ -386,7 +383,7 @@ def _beside(path: Path) -> Iterator[str]:
         )
 
 
-def _numbers(item: ElementTree.Element, text: str) -> ndarray:
+def _parse_item(item: ElementTree.Element, text: str) -> ndarray:
     kind = item.get("NumberType") or item.get("DataType") or "Float"
     known: dict[str, type] = {"Float": np.float64, "UInt": np.uint64, "UChar": np.uint8}
     values = parse(text.encode(), known.get(kind, np.int64))
@@ -395,19 +392,19 @@ def _numbers(item: ElementTree.Element, text: str) -> ndarray:
     return values
 
 
-def _words(values: ndarray) -> bytes:
+def _format_words(values: ndarray) -> bytes:
     if values.dtype.kind == "f":
-        return lines(values.ravel())
+        return number_lines(values.ravel())
     return "\n".join(map(str, values.ravel().tolist())).encode()
 
 
-def _same(item: ElementTree.Element, other: ElementTree.Element) -> bool:
+def _is_same_array(item: ElementTree.Element, other: ElementTree.Element) -> bool:
     """Checks whether two elements are one array, or name one of a file."""
     is_stored = item.get("Format", "XML").upper() == other.get("Format", "XML").upper() == "HDF"
     return item is other or (is_stored and (item.text or "").strip() == (other.text or "").strip())
 
 
-def _tag(attributes: bytes, is_points: bool) -> bytes:
+def _rewrite_tag(attributes: bytes, is_points: bool) -> bytes:
     """Returns the attributes of an array that is in the XML; of points in double precision."""
     tag = re.sub(rb"\bFormat\s*=\s*([\"'])\w+\1", b'Format="XML"', attributes)
     if not is_points or re.search(rb"\bPrecision\s*=\s*[\"']8", tag):

@@ -11,7 +11,7 @@ from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
 from ._plane import Axes, given_or_new, legend_above, plt
-from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE, WIDTH, Column
+from ._style import BLUE, DARK, GREEN, GREY, LINE_WIDTH, ORANGE, RULE, PlotColumn
 
 
 @checked
@@ -54,7 +54,7 @@ def histogram(
     return ax
 
 
-def _counted_values(report: jm.QualityReport, measure: str) -> Column:
+def _counted_values(report: jm.QualityReport, measure: str) -> PlotColumn:
     values = np.asarray(getattr(report, measure))
     return values[report.counted & np.isfinite(values)]
 
@@ -103,7 +103,7 @@ def convergence(
 def _stack(ax: Axes | None, count: int) -> list[Axes]:
     """Makes axes one below the other, with one axis of iterations, in the place of one."""
     if ax is None:
-        size = WIDTH, 0.6 + 1.15 * count
+        size = LINE_WIDTH, 0.6 + 1.15 * count
         figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=size)
         figure.set_layout_engine("constrained")
         return list(axes.ravel())

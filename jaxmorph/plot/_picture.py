@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import checked, complete, output_path, rows_of
@@ -16,17 +17,17 @@ from ._plane import Figure, plt
 from ._space import before_after_3d, surface
 from ._style import (
     BLUE,
+    LINE_WIDTH,
     STILL,
-    WIDTH,
-    Column,
-    Ids,
-    Places,
+    PlotColumn,
+    PlotIds,
+    PlotPlaces,
     body_patches,
     check_cells,
     finite_points,
 )
 
-FLAT = 0.45  # height over width of a window below which two of them stand one above the other
+FLAT_VIEW = 0.45  # height over width of a window below which two of them stand one above the other
 
 
 @checked
@@ -35,7 +36,7 @@ def picture(
     before: jm.Mesh,
     points: Float[Any, "n d"] | None = None,
     *,
-    moving: Ids | None = None,
+    moving: PlotIds | None = None,
     verdict: jm.Verdict | None = None,
 ) -> None:
     """Writes a mesh, or a mesh before and after: in 2-D the skewness, in 3-D bodies and what moved.
@@ -60,32 +61,34 @@ def picture(
     )
     path = output_path(path, ".png")
     nodes = (
-        _moved(before, places) if moving is None else rows_of("moving", moving, len(before.points))
+        _draw_moved(before, places)
+        if moving is None
+        else rows_of("moving", moving, len(before.points))
     )
     side = FlatSide.of(before, places)
     if side is None and points is not None:
         return _in_3d(path, before, places, nodes)
     verdict = jm.judge(before, points) if verdict is None or verdict.judged is None else verdict
     if side is not None:
-        return _in_2d(path, side, nodes, verdict)
+        return _draw_in_2d(path, side, nodes, verdict)
     label = _measure(verdict).replace("_", " ")
-    _save(path, surface(before, values=_of_cells(verdict), label=label))
+    _save_picture(path, surface(before, values=_values_of_cells(verdict), label=label))
 
 
-def _moved(mesh: jm.Mesh, places: Places) -> Ids:
+def _draw_moved(mesh: jm.Mesh, places: PlotPlaces) -> PlotIds:
     lengths = np.linalg.norm(places - np.asarray(mesh.points), axis=1)
     return np.intersect1d(
         mesh.patch(*mesh.patches), np.flatnonzero(lengths > STILL * lengths.max())
     )
 
 
-def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: Places, moving: np.ndarray) -> None:
+def _in_3d(path: pathlib.Path, mesh: jm.Mesh, places: PlotPlaces, moving: ndarray) -> None:
     nodes = np.union1d(moving, mesh.patch(*body_patches(mesh)))
     only = jm.Mesh(mesh.points, mesh.cells, {"drawn": nodes}, mesh.source)
-    _save(path, before_after_3d(only, places, patch="drawn" if len(nodes) else None))
+    _save_picture(path, before_after_3d(only, places, patch="drawn" if len(nodes) else None))
 
 
-def _save(path: pathlib.Path, plotter: Any) -> None:
+def _save_picture(path: pathlib.Path, plotter: Any) -> None:
     with complete(path) as partial:
         plt.imsave(partial, plotter.screenshot(return_img=True), format="png")
     plotter.close()
@@ -96,7 +99,7 @@ def _measure(verdict: jm.Verdict) -> str:
     return next(name for _, name in verdict.rows if name.endswith("skewness"))
 
 
-def _of_cells(verdict: jm.Verdict) -> Column:
+def _values_of_cells(verdict: jm.Verdict) -> PlotColumn:
     """Skewness of the file's cells; NaN for cells that do not count."""
     judged: Any = verdict.judged
     values = np.full(len(judged.report.counted), np.nan)
@@ -104,7 +107,7 @@ def _of_cells(verdict: jm.Verdict) -> Column:
     return values
 
 
-def _in_2d(path: pathlib.Path, side: "FlatSide", moving: np.ndarray, verdict: jm.Verdict) -> None:
+def _draw_in_2d(path: pathlib.Path, side: "FlatSide", moving: ndarray, verdict: jm.Verdict) -> None:
     mesh = side.mesh
     name = _measure(verdict)
     label = name.replace("_", " ")
@@ -114,7 +117,7 @@ def _in_2d(path: pathlib.Path, side: "FlatSide", moving: np.ndarray, verdict: jm
     seen = np.flatnonzero(np.isin(side.nodes, moving))
     window = _plane.window_of(mesh, seen, *(points for points, _ in states.values()))
     figure, axes = _panels(window, len(states))
-    colours = [_averaged(mesh, _of_cells(own)[side.cells]) for _, own in states.values()]
+    colours = [_averaged(mesh, _values_of_cells(own)[side.cells]) for _, own in states.values()]
     largest = np.nanmax([np.nanmax(values, initial=0) for values in colours])
     for axis, values, (state, (points, own)) in zip(
         axes.ravel(), colours, states.items(), strict=True
@@ -138,14 +141,18 @@ def _in_2d(path: pathlib.Path, side: "FlatSide", moving: np.ndarray, verdict: jm
 def _panels(window: _plane.Window, count: int) -> tuple[Figure, Any]:
     """Axes beside each other, or one above the other for a flat window."""
     width, height = (end - start for start, end in window)
-    rows = count if height < FLAT * width else 1
+    rows = count if height < FLAT_VIEW * width else 1
     columns = count // rows
-    tall = rows * (0.4 + (WIDTH - 0.9) / columns * min(height / width, 1.5)) + 1.15 + 0.2 * columns
-    figure = Figure(figsize=(WIDTH, tall), dpi=300, layout="constrained")
+    tall = (
+        rows * (0.4 + (LINE_WIDTH - 0.9) / columns * min(height / width, 1.5))
+        + 1.15
+        + 0.2 * columns
+    )
+    figure = Figure(figsize=(LINE_WIDTH, tall), dpi=300, layout="constrained")
     return figure, figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
 
 
-def _averaged(mesh: jm.Mesh, values: Column) -> Column:
+def _averaged(mesh: jm.Mesh, values: PlotColumn) -> PlotColumn:
     """Means over the cells at each node, then over its nodes: single triangles are noise."""
     kinds = [np.asarray(ids) for ids in mesh.cells.values()]
     cell = np.repeat(
@@ -170,13 +177,13 @@ class FlatSide:
     """
 
     mesh: jm.Mesh
-    points: Places
-    nodes: Ids
-    cells: Ids
+    points: PlotPlaces
+    nodes: PlotIds
+    cells: PlotIds
     axes: list[int]
 
     @classmethod
-    def of(cls, mesh: jm.Mesh, places: Places) -> "FlatSide | None":
+    def of(cls, mesh: jm.Mesh, places: PlotPlaces) -> "FlatSide | None":
         base = np.asarray(mesh.points)
         if base.shape[1] == 2:
             return cls(mesh, places, np.arange(len(base)), np.asarray(mesh.cell_ids), [0, 1])

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 from scipy.spatial import Delaunay
 
 import jaxmorph as jm
@@ -17,15 +18,15 @@ from ._style import (
     DARK,
     GREY,
     LIGHT,
+    LINE_WIDTH,
     ORANGE,
     TALLEST,
     UNNAMED,
-    WIDTH,
-    Column,
-    Ids,
     Limits,
-    Places,
-    Values,
+    PlotColumn,
+    PlotIds,
+    PlotPlaces,
+    PlotValues,
     body_patches,
     cell_values,
     check_cells,
@@ -50,14 +51,14 @@ except ImportError as error:
     ) from error
 
 Window = tuple[tuple[float, float], tuple[float, float]]
-Outlines = Float[np.ndarray, "_ c 2"]
+Outlines = Float[ndarray, "_ c 2"]
 
 # widths of lines in points: of cells, a sixth of the cell; of walls
 THINNEST = 0.01
 THICKEST = 0.5
 WALL = 1.4
 
-NARROW = 0.8  # width in points below which cells show their colour and no line
+NARROW_FIGURE = 0.8  # width in points below which cells show their colour and no line
 
 # the part of the area below which lines of the cells that are wide enough for one are left out
 WIDE_PART = 0.5
@@ -66,7 +67,7 @@ LABEL = 0.3  # inches of an axis for a number at least: numbers of a small windo
 UNLABELLED = 0.775  # the part of a figure's width that axes have until their labels are laid out
 ROUND_STEPS = (1, 2, 2.5, 5, 10)  # between round numbers, times powers of ten
 PLANE_PIECES = 200_000  # pieces of curved cells that a picture has about at most
-ROOM = 0.4  # margin around the bodies, relative to their extent, unless a window is given
+FIGURE_ROOM = 0.4  # margin around the bodies, relative to their extent, unless a window is given
 INNER_FLOW = 0.7  # part of the mesh, along one axis, beyond which the window is the mesh's own
 
 
@@ -75,7 +76,7 @@ def mesh(
     mesh: jm.Mesh,
     points: Float[Any, "n 2"] | None = None,
     *,
-    values: Values | None = None,
+    values: PlotValues | None = None,
     limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
@@ -127,7 +128,7 @@ def mesh(
             ax.figure.colorbar(
                 faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or UNNAMED, extend=extend
             )
-    draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW)
+    draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW_FIGURE)
     draw_walls(ax, cells, DARK)
     return ax
 
@@ -219,10 +220,10 @@ class PlaneCells:
     - `steps`: pieces along an edge.
     """
 
-    points: Places
-    ids: Int[np.ndarray, "k 4"]
-    cell: Ids
-    whole: Ids
+    points: PlotPlaces
+    ids: Int[ndarray, "k 4"]
+    cell: PlotIds
+    whole: PlotIds
     steps: int
 
     @classmethod
@@ -252,16 +253,16 @@ class PlaneCells:
         return self.points[self.ids]
 
     @property
-    def areas(self) -> Column:
+    def areas(self) -> PlotColumn:
         corners = self.outlines
         (a, b), (c, d) = (np.moveaxis(corners[:, k + 2] - corners[:, k], 1, 0) for k in (0, 1))
         return np.abs(a * d - b * c) / 2
 
-    def drawn(self, window: Window | None) -> Ids:
+    def drawn(self, window: Window | None) -> PlotIds:
         """Lists the cells in a given window; else all, for views that move."""
         return np.arange(len(self.ids)) if window is None else seen_in(self.outlines, window)
 
-    def edges(self, cells: Ids) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def edges(self, cells: PlotIds) -> tuple[ndarray, ndarray, ndarray]:
         """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""
         ids = self.ids[cells]
         ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
@@ -283,7 +284,7 @@ class PlaneCells:
         return self.points[edges], np.bincount(which.ravel(), count[shown]), narrowest
 
 
-def seen_in(corners: Outlines, window: Window) -> Ids:
+def seen_in(corners: Outlines, window: Window) -> PlotIds:
     low = corners.min(axis=1)
     high = corners.max(axis=1)
     (left, right), (bottom, top) = window
@@ -299,7 +300,7 @@ def fill(ax: Axes, outlines: Outlines, **style: Any) -> PolyCollection:
 
 
 def draw_lines(
-    ax: Axes, cells: PlaneCells, seen: Ids, window: Window, colour: str, least: float | int = 0
+    ax: Axes, cells: PlaneCells, seen: PlotIds, window: Window, colour: str, least: float | int = 0
 ) -> None:
     edges, _, narrowest = cells.edges(seen)
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
@@ -327,13 +328,12 @@ def given_or_new(
     if ax is not None:
         return ax
     if window is None:
-        return plt.subplots(figsize=(WIDTH, 0.7 * WIDTH), layout="constrained")[1]
+        return plt.subplots(figsize=(LINE_WIDTH, 0.7 * LINE_WIDTH), layout="constrained")[1]
     width, height = (side[1] - side[0] for side in window)
-    beside, below = (
-        0.85 + 1.0 * bar,
-        0.55 + above,
-    )  # inches for labels, in which the mesh has no part
-    scale = min((WIDTH - beside) / width, (TALLEST - below) / height)
+    # inches for labels, in which the mesh has no part
+    beside = 0.85 + 1.0 * bar
+    below = 0.55 + above
+    scale = min((LINE_WIDTH - beside) / width, (TALLEST - below) / height)
     size = scale * width + beside, max(scale * height + below, 1.5)
     ax = plt.subplots(figsize=size, layout="constrained")[1]
     for axis, length in ((ax.xaxis, scale * width), (ax.yaxis, scale * height)):
@@ -376,7 +376,7 @@ def show(ax: Axes, window: Window) -> Axes:
     return ax
 
 
-def in_2d(points: Any) -> Places:
+def in_2d(points: Any) -> PlotPlaces:
     points = finite_points(points)
     if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(
@@ -392,11 +392,12 @@ def whole(points: Float[Any, "n 2"]) -> Window:
     **Raises:** `ValueError` for points that are not in 2-D.
     """
     points = in_2d(points)
-    (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    left, bottom = points.min(axis=0).tolist()
+    right, top = points.max(axis=0).tolist()
     return (left, right), (bottom, top)
 
 
-def window_of(mesh: jm.Mesh, nodes: Ids | None, *states: Any) -> Window:
+def window_of(mesh: jm.Mesh, nodes: PlotIds | None, *states: Any) -> Window:
     """Chooses the window round nodes, by default the bodies', in all states of the mesh."""
     states = tuple(np.asarray(mesh.points if points is None else points) for points in states)
     everything = np.concatenate(states)
@@ -406,11 +407,11 @@ def window_of(mesh: jm.Mesh, nodes: Ids | None, *states: Any) -> Window:
     return window_round(np.concatenate([points[nodes] for points in states]), everything)
 
 
-def window_round(body: Places, points: Places) -> Window:
+def window_round(body: PlotPlaces, points: PlotPlaces) -> Window:
     """Leaves room round a body; of internal flow it is the whole mesh's."""
     low = body.min(axis=0)
     high = body.max(axis=0)
-    room = ROOM * (high - low).max()
+    room = FIGURE_ROOM * (high - low).max()
     low = np.maximum(low - room, points.min(axis=0))
     high = np.minimum(high + room, points.max(axis=0))
     return whole(

@@ -9,12 +9,12 @@ from matplotlib.patches import Rectangle
 import jaxmorph as jm
 from jaxmorph.extend import checked
 
-from ._plane import ROOM, Axes, Window, given_or_new, in_2d, legend_above, show, whole
-from ._style import GREEN, GREY, ORANGE, Places
+from ._plane import FIGURE_ROOM, Axes, Window, given_or_new, in_2d, legend_above, show, whole
+from ._style import GREEN, GREY, ORANGE, PlotPlaces
 
-FEW = 30  # sources up to which they are drawn as large dots, without covering each other
+FEW_SOURCES = 30  # sources up to which they are drawn as large dots, without covering each other
 
-Parts = list[tuple[Places, jm.AbstractReduction]]
+Parts = list[tuple[PlotPlaces, jm.AbstractReduction]]
 """Nodes (k, 2), and the reduction that chooses among them."""
 
 
@@ -40,28 +40,28 @@ def sources(
     **Raises:** `ValueError` for points in 3-D, a plan without radial basis functions, points
     without a `reduction` and a plan with one.
     """
-    parts, chosen = _parts(surface, reduction, fixed)
+    parts, chosen = _split_sources(surface, reduction, fixed)
     nodes = np.concatenate([own for own, _ in parts])
     trees = [(tree, own) for own, tree in parts if isinstance(tree, jm.KDTree) and len(own)]
     corners = [corner for tree, own in trees for corner in tree.boxes(own)]
     if window is None:
         drawn = np.concatenate([nodes, *corners])
-        room = ROOM / 10 * np.ptp(drawn, axis=0).max()
+        room = FIGURE_ROOM / 10 * np.ptp(drawn, axis=0).max()
         window = whole(np.concatenate([drawn - room, drawn + room]))
     ax = show(given_or_new(ax, window, above=0.35), window)
     for k, (low, high) in enumerate(corners):
         label = f"{len(corners)} leaves" if k == 0 else None
         ax.add_patch(Rectangle(low, *(high - low), fill=False, color=GREEN, lw=1.2, label=label))
-    size = float(np.clip(7 * np.sqrt(FEW / max(len(chosen), 1)), 3.5, 7))
+    size = float(np.clip(7 * np.sqrt(FEW_SOURCES / max(len(chosen), 1)), 3.5, 7))
     ax.plot(*nodes.T, ".", color=GREY, markersize=0.7 * size, label=f"{len(nodes)} nodes", zorder=2)
     ax.plot(*chosen.T, "o", color=ORANGE, markersize=size, label=f"{len(chosen)} sources", zorder=3)
     legend_above(ax)
     return ax
 
 
-def _parts(
+def _split_sources(
     surface: Any, reduction: jm.AbstractReduction | None, fixed: bool
-) -> tuple[Parts, Places]:
+) -> tuple[Parts, PlotPlaces]:
     """Finds nodes with their reductions, and the sources."""
     if not isinstance(surface, jm.Plan):
         if reduction is None:
@@ -78,7 +78,7 @@ def _parts(
     return parts, points[shown]
 
 
-def _parts_of_plan(plan: jm.Plan, points: Places) -> Parts:
+def _parts_of_plan(plan: jm.Plan, points: PlotPlaces) -> Parts:
     """The moving nodes of a plan, then the fixed ones, with their reductions."""
     rbf = plan.method
     while isinstance(rbf, jm.SurfaceReconstruction):

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import checked, lagrange_types
 
-from ._plane import ROOM, TextPath, findfont, plt, round_numbers
+from ._plane import FIGURE_ROOM, TextPath, findfont, plt, round_numbers
 from ._style import (
     BLUE,
     DARK,
@@ -18,7 +19,7 @@ from ._style import (
     STILL,
     UNNAMED,
     Limits,
-    Values,
+    PlotValues,
     body_patches,
     cell_values,
     check_cells,
@@ -33,7 +34,7 @@ LIT = {"ambient": 0.4, "diffuse": 0.7}
 PLAIN = LIT | {"color": GREY}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
 
-Direction = Sequence[float] | np.ndarray
+Direction = Sequence[float] | ndarray
 
 # the direction towards the viewer: x right, y away, z up; mirrored for an open surface
 VIEWER = (-1.0, -2.5, 1.8)
@@ -54,7 +55,7 @@ def surface(
     mesh: jm.Mesh,
     points: Float[Any, "n 3"] | None = None,
     *,
-    values: Values | None = None,
+    values: PlotValues | None = None,
     limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
@@ -76,8 +77,8 @@ def surface(
 
     **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, an unknown `patch`, and no faces.
     """
-    return _draw(
-        outside(mesh, points, values, patches_of(mesh, patch)), limits, label, bar, plotter
+    return _draw_mesh(
+        outside(mesh, points, values, select_patches(mesh, patch)), limits, label, bar, plotter
     )
 
 
@@ -91,7 +92,7 @@ def before_after_3d(
     errors are as of `surface`.
     """
     before, after = (
-        outside(mesh, state, None, patches_of(mesh, patch)) for state in (None, points)
+        outside(mesh, state, None, select_patches(mesh, patch)) for state in (None, points)
     )
     new = plotter is None
     plotter = new_plotter() if plotter is None else plotter
@@ -119,7 +120,7 @@ def cut(
     points: Float[Any, "n 3"] | None = None,
     *,
     plane: jm.Plane,
-    values: Values | None = None,
+    values: PlotValues | None = None,
     limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
@@ -150,7 +151,7 @@ def cut(
         )
         for part in (grid, outside(mesh, points, None, ()))
     )
-    drawn = _draw(section, limits, label, bar, plotter, is_cut=True)
+    drawn = _draw_mesh(section, limits, label, bar, plotter, is_cut=True)
     for lines, width in ((outlines(section), 1), (walls, 3.5)):
         if lines.n_cells:
             _in_front(drawn.add_mesh(lines, color=DARK, line_width=width, lighting=False))
@@ -159,16 +160,16 @@ def cut(
     return drawn
 
 
-def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:
+def _cropped(section: Any, body: ndarray | None, axes: Sequence[ndarray]) -> Any:
     if body is None:
         return section
-    room = ROOM * max(np.ptp(body @ axis) for axis in axes)
+    room = FIGURE_ROOM * max(np.ptp(body @ axis) for axis in axes)
     for axis in (*axes, *(-axis for axis in axes)):
         section = section.clip(normal=axis, origin=axis * ((body @ axis).max() + room))
     return section
 
 
-def _draw(
+def _draw_mesh(
     part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, is_cut: bool = False
 ) -> Any:
     if part.n_cells == 0:
@@ -219,7 +220,7 @@ def _in_front(actor: Any) -> None:
     actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -200)
 
 
-def viewer_of(part: Any, motion: np.ndarray | None = None) -> np.ndarray:
+def viewer_of(part: Any, motion: ndarray | None = None) -> ndarray:
     """Chooses the viewer's direction: not into an open surface, but across a motion (3,)."""
     only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
     viewer = np.array(VIEWER)
@@ -354,7 +355,7 @@ def aim(plotter: Any, viewer: Direction = VIEWER) -> None:
     plotter.renderer.reset_camera_clipping_range()
 
 
-def view_axes(viewer: Direction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def view_axes(viewer: Direction) -> tuple[ndarray, ndarray, ndarray]:
     """Returns unit vectors to the viewer, right, and up in the picture: z, or y seen along z."""
     towards = np.array(viewer) / np.linalg.norm(viewer)
     across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
@@ -382,7 +383,7 @@ def pyvista() -> Any:
     return pyvista
 
 
-def lines_of(points: Any, ids: np.ndarray) -> Any:
+def lines_of(points: Any, ids: ndarray) -> Any:
     return pyvista().PolyData(points, lines=np.insert(ids, 0, 2, axis=1).ravel())
 
 
@@ -400,7 +401,7 @@ def outlines(section: Any) -> Any:
     return lines_of(section.points, np.unique(edges[counts == 1, :2], axis=0))
 
 
-def patches_of(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
+def select_patches(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
     check_cells(mesh)
     return body_patches(mesh) if patch is None else (patch,)
 
@@ -417,7 +418,7 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
     return faces
 
 
-def _skin(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]) -> Any:
+def _skin(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -> Any:
     surface, owner = mesh.moved(places).skin(*patches)
     if not len(owner):
         return pyvista().PolyData()
@@ -437,7 +438,7 @@ def _skin(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]
     return pyvista().wrap(used.GetOutput())
 
 
-def _polygons(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[str]) -> Any:
+def _polygons(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -> Any:
     """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
     whole: Any = mesh.polyhedra
     whole = whole.faces
@@ -461,7 +462,7 @@ def _polygons(mesh: jm.Mesh, places: np.ndarray, values: Any, patches: Sequence[
     return faces
 
 
-def _space_points(mesh: jm.Mesh, points: Any) -> np.ndarray:
+def _space_points(mesh: jm.Mesh, points: Any) -> ndarray:
     if mesh.points.shape[1] != 3:
         raise ValueError(
             f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`."
@@ -469,9 +470,7 @@ def _space_points(mesh: jm.Mesh, points: Any) -> np.ndarray:
     return finite_points(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
 
 
-def _near_plane(
-    mesh: jm.Mesh, points: Any, values: Any, normal: np.ndarray, origin: np.ndarray
-) -> Any:
+def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: ndarray, origin: ndarray) -> Any:
     """Returns solid cells that a plane may cut, curved ones in pieces; `whole` are the file's."""
     x = _space_points(mesh, points)
     kinds = lagrange_types()

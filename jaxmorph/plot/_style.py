@@ -5,15 +5,16 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Real
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import finite_array, lagrange_types
 
 Limits = tuple[float | int, float | int]
-Column = Float[np.ndarray, " k"]
-Places = Float[np.ndarray, "_ d"]
-Ids = Int[np.ndarray, " _"]
-Values = Real[Any, " k"] | Sequence[float | int]
+PlotColumn = Float[ndarray, " k"]
+PlotPlaces = Float[ndarray, "_ d"]
+PlotIds = Int[ndarray, " _"]
+PlotValues = Real[Any, " k"] | Sequence[float | int]
 
 DARK = "#1b1b1b"
 GREY = "#9a9a9a"
@@ -32,7 +33,7 @@ COLOURS = "YlOrBr"
 UNNAMED = "values of the cells"  # what a bar says of values without a label
 
 # a new figure's width and largest height in inches: 10 points are legible at 3.5 inches too
-WIDTH = 5.0
+LINE_WIDTH = 5.0
 TALLEST = 5.0
 
 # share of values that may lie beyond the colours, and the stretch from which they do
@@ -44,7 +45,7 @@ SEGMENTS = 4  # pieces of a curved edge, for each order of its polynomial
 MOST_PIECES = 1_000_000  # of a picture
 
 
-def finite_points(points: Any) -> np.ndarray:
+def finite_points(points: Any) -> ndarray:
     array = np.asarray(points, dtype=float)
     return finite_array("points", array, array.shape)
 
@@ -54,7 +55,7 @@ def check_cells(mesh: jm.Mesh) -> None:
         raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
 
 
-def refined(mesh: jm.Mesh, most: int = MOST_PIECES) -> tuple[jm.Mesh, Ids]:
+def refined(mesh: jm.Mesh, most: int = MOST_PIECES) -> tuple[jm.Mesh, PlotIds]:
     """Cuts curved cells into linear pieces, which share points; returns the cell of each too."""
     types = [(lagrange_types()[kind], len(ids)) for kind, ids in mesh.cells.items() if len(ids)]
     order = max(cell.order for cell, _ in types)
@@ -63,7 +64,7 @@ def refined(mesh: jm.Mesh, most: int = MOST_PIECES) -> tuple[jm.Mesh, Ids]:
     return mesh.refined(order * int(np.clip((most / count) ** (1 / dimension), 1, SEGMENTS)))
 
 
-def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
+def cell_values(mesh: jm.Mesh, values: Any) -> ndarray:
     """Returns a value for each of `mesh.cells`, from one a cell, or one a whole polyhedron."""
     ids = np.asarray(mesh.cell_ids)
     shape = np.shape(values)
@@ -78,7 +79,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
 
 
 def scale_of(
-    values: Real[np.ndarray, " k"], sizes: Column, limits: Limits | None
+    values: Real[ndarray, " k"], sizes: PlotColumn, limits: Limits | None
 ) -> tuple[str, Limits, bool, bool]:
     """Returns the colour map, reversed where the dark end is smaller, its limits, ascending, and
     whether values are below them, and above.
@@ -95,7 +96,7 @@ def scale_of(
     return colours, (low, high), bool(np.any(values < low)), bool(np.any(values > high))
 
 
-def _usual_limits(values: Real[np.ndarray, " k"], sizes: Column) -> Limits:
+def _usual_limits(values: Real[ndarray, " k"], sizes: PlotColumn) -> Limits:
     """Returns the least and largest value without outliers: 1 % of the area would pale others."""
     chosen = np.isfinite(values)
     values = values[chosen].astype(float)

@@ -9,18 +9,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
+from numpy import ndarray
 
 from jaxmorph.extend import Module, finite_array, is_known
 from jaxmorph.extend import rows_of as listed_rows
 
 M = TypeVar("M", bound=Module)
-Number = Real[ArrayLike, ""]
+ShapeNumber = Real[ArrayLike, ""]
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
 Scalar = Float[Array, ""]
 Column = Float[Array, " m"]
 Vector = Float[Array, " d"]
 Positions = Float[Array, "m d"]
-Weights = Float[Array, "m k"]
+ShapeWeights = Float[Array, "m k"]
 
 
 def positions(x: Numbers, name: str = "x", like: tuple[int, ...] | None = None) -> Positions:
@@ -44,7 +45,7 @@ def cast(module: M, x: Positions) -> M:
     )
 
 
-def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
+def known_positions(x: Numbers, name: str = "x") -> Float[ndarray, "m d"]:
     """Turns positions that can be read into a finite array (m, d) of NumPy."""
     places = positions(x, name)
     check_known(**{name: places})
@@ -66,7 +67,7 @@ def check_parameters(parameters: Any) -> None:
             )
 
 
-def rows_like(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
+def rows_like(name: str, ids: Any, count: int) -> Int[ndarray, "..."]:
     try:
         array = np.asarray(ids)
     except ValueError:
@@ -122,7 +123,7 @@ def axis_for(values: Any, like: Positions) -> Float[Array, " 3"]:
     return direction("axis", values, like)
 
 
-def piecewise(t: Column, breaks: Any, coefficients: Sequence[Any]) -> Weights:
+def piecewise(t: Column, breaks: Any, coefficients: Sequence[Any]) -> ShapeWeights:
     """Evaluates polynomials between breaks; coefficients (pieces, k) by rising power."""
     breaks = jnp.asarray(breaks, t.dtype)
     piece = jnp.clip(jnp.searchsorted(breaks, t, side="right") - 1, 0, len(breaks) - 2)

@@ -91,7 +91,7 @@ def pullback(
         raise ValueError(f"`cotangent` has shape {np.shape(cotangent)}; expected {expected}.")
     x = plans[0].points[plans[0].moving]
     total, transpose = jax.vjp(
-        lambda values: path(shape, x, values, len(plans)), _floats(parameters, x)
+        lambda values: path(shape, x, values, len(plans)), _as_floats(parameters, x)
     )
     cotangent = jnp.asarray(cotangent, x.dtype)
     if len(plans) == 1:
@@ -118,11 +118,11 @@ def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) 
         raise ValueError(
             f"`gradient` has shape {np.shape(gradient)}; the wall has positions {x.shape}."
         )
-    transpose = jax.vjp(lambda values: moves(shape, x, values), _floats(parameters, x))[1]
+    transpose = jax.vjp(lambda values: moves(shape, x, values), _as_floats(parameters, x))[1]
     return transpose(jnp.asarray(gradient, x.dtype))[0]
 
 
-def _floats(parameters: PyTree, x: Positions) -> PyTree:
+def _as_floats(parameters: PyTree, x: Positions) -> PyTree:
     check_parameters(parameters)
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), parameters)
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
+from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -15,12 +16,12 @@ from jaxmorph.extend import Module
 
 from ._arguments import Column, Positions, rows_like, shown_place
 
-Ids = Int[np.ndarray | Array, " _"]
+NodeIds = Int[ndarray | Array, " _"]
 Planes = Plane | Sequence[Plane]
-Borders = tuple[tuple[Plane, Ids], ...]
+Borders = tuple[tuple[Plane, NodeIds], ...]
 
 # shares of the extent: distance of points that are on a plane, and of the farthest edge or corner
-SAME = 1e-6
+SAME_NORMAL = 1e-6
 FARTHEST = 0.25
 
 
@@ -30,9 +31,9 @@ class Rail(Module):
     `beside` (c, 2) are the neighbours of each node along the wall's own curve.
     """
 
-    rows: Ids
-    beside: Int[np.ndarray | Array, "c 2"]
-    ids: Ids | None = None
+    rows: NodeIds
+    beside: Int[ndarray | Array, "c 2"]
+    ids: NodeIds | None = None
     curve: Facets | None = None
 
     def places(self, x: Positions, facing: Positions, points: Array) -> Any:
@@ -48,8 +49,8 @@ class Clip(Module):
     are one point twice, or the ends of an edge. Those `on` the plane stand where it cuts the edge.
     """
 
-    pairs: Int[np.ndarray | Array, "n 2"]
-    on: Bool[np.ndarray | Array, " n"]
+    pairs: Int[ndarray | Array, "n 2"]
+    on: Bool[ndarray | Array, " n"]
     plane: Plane
 
     def __call__(self, points: Array) -> Positions:
@@ -68,7 +69,7 @@ def borders_of(wall: Facets, symmetry: Planes) -> Borders:
     planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
     x = np.asarray(wall.points, float)
     rim = np.unique(wall.rim)
-    slack = SAME * np.ptp(x, axis=0).max()
+    slack = SAME_NORMAL * np.ptp(x, axis=0).max()
     d = x.shape[1]
     if others := {len(plane.normal) for plane in planes} - {d}:
         raise ValueError(f"the wall is in {d}-D, a plane in {max(others)}-D.")
@@ -119,12 +120,12 @@ class Curves:
     the border in the k-th plane, then named ones. At `corners` kinds meet, the bits of `codes`.
     """
 
-    points: np.ndarray
-    normals: np.ndarray
-    edges: np.ndarray
-    kinds: np.ndarray
-    corners: np.ndarray
-    codes: np.ndarray
+    points: ndarray
+    normals: ndarray
+    edges: ndarray
+    kinds: ndarray
+    corners: ndarray
+    codes: ndarray
 
     @classmethod
     def of(
@@ -154,14 +155,13 @@ class Curves:
             codes=codes,
         )
 
-    def chains(self, kind: int) -> list[np.ndarray]:
+    def chains(self, kind: int) -> list[ndarray]:
         """The edges of a kind in parts between corners; none in 2-D, where all are corners."""
         edges = self.edges[self.kinds == kind]
         if edges.shape[1] == 1 or not len(edges):
             return []
-        own = len(self.points) + np.arange(edges.size).reshape(
-            edges.shape
-        )  # a corner joins no edges
+        # a corner joins no edges
+        own = len(self.points) + np.arange(edges.size).reshape(edges.shape)
         ends = np.where(np.isin(edges, self.corners), own, edges)
         links = coo_array((np.ones(len(ends)), tuple(ends.T)), (len(self.points) + edges.size,) * 2)
         part = connected_components(links, directed=False)[1][ends[:, 0]]
@@ -169,8 +169,8 @@ class Curves:
 
 
 def _meeting_points(
-    points: np.ndarray, edges: np.ndarray, kinds: np.ndarray, rim: np.ndarray, planes: int
-) -> tuple[np.ndarray, np.ndarray]:
+    points: ndarray, edges: ndarray, kinds: ndarray, rim: ndarray, planes: int
+) -> tuple[ndarray, ndarray]:
     nodes, number = np.unique(edges, return_inverse=True)
     number = number.reshape(edges.shape)
     is_corner = np.ones(len(nodes), bool)
@@ -194,7 +194,7 @@ def guides_of(
     wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]
 ) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
-    slack = SAME * np.ptp(np.asarray(wall.points), axis=0).max()
+    slack = SAME_NORMAL * np.ptp(np.asarray(wall.points), axis=0).max()
     if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
         raise ValueError(
             "`features` must be pairs: ids of nodes of the wall, and of points of the target."
@@ -239,9 +239,7 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
     return [Rail(rows=rows, beside=np.stack([rows, rows], axis=1), ids=ids)] if len(rows) else []
 
 
-def _best(
-    own: Curves, rows: np.ndarray, places: np.ndarray, looks: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _best(own: Curves, rows: ndarray, places: ndarray, looks: ndarray) -> tuple[ndarray, ndarray]:
     """Whether each node has a candidate (q, d) or (c, q, d) within reach, and the best one."""
     reach = FARTHEST * np.ptp(own.points, axis=0).max()
     away = np.linalg.norm(own.points[rows][:, None] - places, axis=2)
@@ -250,7 +248,7 @@ def _best(
     return away[np.arange(len(rows)), best] <= reach, best
 
 
-def _on_curves(own: Curves, other: Curves, kind: int, taken: np.ndarray) -> list[Rail]:
+def _on_curves(own: Curves, other: Curves, kind: int, taken: ndarray) -> list[Rail]:
     """A chain goes onto the chains of its kind that are closest to its nodes, and look alike."""
     guides = []
     chains = other.chains(kind)
@@ -270,7 +268,7 @@ def _on_curves(own: Curves, other: Curves, kind: int, taken: np.ndarray) -> list
     return guides
 
 
-def _neighbours_along(rows: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _neighbours_along(rows: ndarray, edges: ndarray) -> ndarray:
     """Neighbours (c, 2) of nodes along edges; the node itself in place of a missing one."""
     both = np.concatenate([edges, edges[:, ::-1]])
     both = both[np.lexsort(both.T[::-1])]

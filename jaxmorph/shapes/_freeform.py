@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -22,8 +23,8 @@ from ._arguments import (
     Column,
     Numbers,
     Positions,
+    ShapeWeights,
     Vector,
-    Weights,
     check_known,
     known_positions,
     piecewise,
@@ -34,7 +35,7 @@ from ._arguments import (
 from ._shape import AbstractLinearShape, Linked, Move
 
 Control = Float[Array, "..."]  # (*counts, d)
-Mask = Bool[np.ndarray, "..."]
+FreeMask = Bool[ndarray, "..."]
 Groups = Sequence[Sequence[tuple[int, ...]]]
 Counts = Sequence[int]
 Degree = int | Sequence[int | None] | None
@@ -42,7 +43,7 @@ Degree = int | Sequence[int | None] | None
 SLAB = 8192  # points in a block: intermediate sums are larger than the result
 
 
-def splines(t: Column, count: int, degree: int) -> Weights:
+def splines(t: Column, count: int, degree: int) -> ShapeWeights:
     """B-splines on clamped, equal knots in [0, 1]; Bernstein polynomials at the highest degree."""
     if degree == count - 1:
         return bernstein(t, degree)
@@ -55,7 +56,7 @@ def splines(t: Column, count: int, degree: int) -> Weights:
     )
 
 
-def bernstein(t: Column, degree: int) -> Weights:
+def bernstein(t: Column, degree: int) -> ShapeWeights:
     return jnp.stack(
         [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)], axis=1
     )
@@ -168,7 +169,7 @@ class FreeForm(AbstractLinearShape):
         return jnp.zeros((*self.counts, len(self.counts)))
 
     @property
-    def free(self) -> Mask:
+    def free(self) -> FreeMask:
         """Mask (*counts,) of the control points that `continuity` leaves free."""
         layers = 0 if self.continuity is None else self.continuity + 1
         return np.pad(np.ones([count - 2 * layers for count in self.counts], bool), layers)
@@ -207,7 +208,7 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def linked(
-        self, *, free: np.ndarray | None = None, groups: Groups = (), mirror: int | None = None
+        self, *, free: ndarray | None = None, groups: Groups = (), mirror: int | None = None
     ) -> Linked:
         """Makes a shape with fewer parameters (q,): frozen, linked and mirrored control points.
 
@@ -287,8 +288,8 @@ def _lattice_of(counts: Counts, degree: Degree, d: int) -> tuple[tuple[int, ...]
 
 
 def _link_matrix(
-    free: Mask, groups: Groups, mirror: tuple[int, np.ndarray] | None
-) -> Float[np.ndarray, "p q"]:
+    free: FreeMask, groups: Groups, mirror: tuple[int, ndarray] | None
+) -> Float[ndarray, "p q"]:
     """Builds the matrix from free parameters to the flattened displacements of all controls.
     `mirror` is the reflected direction of the lattice, with the signs (d,) of the reflection.
     """
@@ -315,7 +316,7 @@ def _link_matrix(
     return matrix
 
 
-def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.ndarray]:
+def _reflection(axes: Float[ndarray, "d d"], mirror: int) -> tuple[int, ndarray]:
     if whole("mirror", mirror, 0) >= len(axes):
         raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
     edge = np.abs(axes[mirror])
@@ -330,8 +331,8 @@ def _reflection(axes: Float[np.ndarray, "d d"], mirror: int) -> tuple[int, np.nd
 NEWTON_STEPS = 30  # a box that is no parallelepiped takes about six
 OUTSIDE = 2.0  # coordinate of a position far from the box, whose place is not found
 
-SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-ORDER = {2: SQUARE, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE])}
+SQUARE_FACES = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+ORDER = {2: SQUARE_FACES, 3: np.array([(*corner, k) for k in (0, 1) for corner in SQUARE_FACES])}
 """Place of each corner in the lattice, in VTK's order: one face, then the opposite face."""
 
 
@@ -390,12 +391,12 @@ class Hexahedron(AbstractLinearShape):
         return self.box.continuity
 
     @property
-    def free(self) -> Mask:
+    def free(self) -> FreeMask:
         """Mask (*counts,) of the control points that `continuity` leaves free."""
         return self.box.free
 
     @property
-    def given_corners(self) -> Float[np.ndarray, "c d"]:
+    def given_corners(self) -> Float[ndarray, "c d"]:
         return np.asarray(self.corners)[tuple(ORDER[len(self.counts)].T)]
 
     def neutral(self) -> Control:

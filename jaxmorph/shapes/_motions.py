@@ -7,15 +7,16 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy import ndarray
 
 from jaxmorph.extend import checked, finite_array, is_known
 
 from ._arguments import (
-    Number,
     Numbers,
     Positions,
+    ShapeNumber,
+    ShapeWeights,
     Vector,
-    Weights,
     above_zero,
     arms,
     axis_for,
@@ -32,7 +33,7 @@ from ._shape import AbstractShape
 
 @checked
 def rotate(
-    x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None
+    x: Numbers, angle: ShapeNumber | Numbers, about: Numbers, axis: Numbers | None = None
 ) -> Positions:
     """Rotates positions about a point in 2-D, about an axis through a point in 3-D.
 
@@ -62,7 +63,7 @@ def translate(x: Numbers, by: Numbers) -> Positions:
 
 
 @checked
-def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Positions:
+def scale(x: Numbers, factors: Numbers | ShapeNumber, about: Numbers) -> Positions:
     """Scales positions (m, d) about a point (d,) that stays, by one factor or (d,); 1 is neutral.
 
     **Raises:** `ValueError` for wrong shapes.
@@ -75,7 +76,9 @@ def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Positions:
 
 
 @checked
-def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Positions:
+def twist(
+    x: Numbers, angle: ShapeNumber, about: Numbers, axis: Numbers, length: ShapeNumber
+) -> Positions:
     """Twists positions about an axis, in proportion to the distance along it. Positions before
     `about` stay, positions beyond `length` turn by the whole angle.
 
@@ -101,10 +104,10 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 @checked
 def bend(
     x: Numbers,
-    angle: Number,
+    angle: ShapeNumber,
     about: Numbers,
     along: Numbers,
-    length: Number,
+    length: ShapeNumber,
     axis: Numbers | None = None,
 ) -> Positions:
     """Bends a straight line, with all that is around it, into an arc of equal length.
@@ -255,13 +258,13 @@ class ReferenceAxis(AbstractShape):
         upward = jnp.cross(chordwise, spanwise)
         return x + (growth + turn + sweep * chordwise + dihedral * upward + span * spanwise)
 
-    def weights(self, x: Positions) -> Weights:
+    def weights(self, x: Positions) -> ShapeWeights:
         """Computes the weight of each station at each position, by its place along the span."""
         stations = (self.points @ self.spanwise).astype(x.dtype)
         y = clamp(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
         return piecewise(y, stations, self.coefficients)
 
 
-def _unit_vector(name: str, values: Numbers) -> Float[np.ndarray, " 3"]:
+def _unit_vector(name: str, values: Numbers) -> Float[ndarray, " 3"]:
     known = finite_array(name, values, (3,))
     return known / np.linalg.norm(known)

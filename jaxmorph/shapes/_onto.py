@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy import ndarray
 from scipy import sparse
 from scipy.linalg import null_space
 from scipy.sparse.linalg import splu
@@ -18,21 +19,30 @@ from jaxmorph import Facets, FarthestPoints, MeshError, Plane
 from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
-from ._features import SAME, Borders, Clip, Planes, Rail, borders_of, clipped, guides_of, height_of
+from ._features import (
+    SAME_NORMAL,
+    Borders,
+    Clip,
+    Planes,
+    Rail,
+    borders_of,
+    clipped,
+    guides_of,
+    height_of,
+)
 from ._smooth import stiffness_of
 
 Target = Facets | Callable
-Motion = tuple[np.ndarray, np.ndarray]
+Motion = tuple[ndarray, ndarray]
 
 FIRST = 0.5
 LAST = 0.01  # first and last length over the wall's extent
-STEPS = 8
+PROJECTION_STEPS = 8
 SETTLED = 4  # steps from one to the other, and at the last
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
-HARD, STILL = (
-    100.0,
-    1e-4,
-)  # weight of edges, corners and planes over the stiffness; of staying, against sliding away
+# weight of edges, corners and planes over the stiffness; of staying, against sliding away
+HARD = 100.0
+STAYING = 1e-4
 
 
 class Onto(Module):
@@ -67,9 +77,9 @@ class Onto(Module):
     clips: tuple[Clip, ...]
     guides: tuple[Rail, ...]
     borders: Borders
-    turn: Float[Array | np.ndarray, "d d"]
-    shift: Float[Array | np.ndarray, " d"]
-    lengths: Float[Array | np.ndarray, " s"]
+    turn: Float[Array | ndarray, "d d"]
+    shift: Float[Array | ndarray, " d"]
+    lengths: Float[Array | ndarray, " s"]
     is_exact: bool = eqx.field(static=True)
 
     @checked
@@ -92,25 +102,29 @@ class Onto(Module):
             raise ValueError(
                 f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
             )
-        self.wall, self.is_exact, self.function, self.target = wall, length == 0, None, None
+        self.wall = wall
+        self.is_exact = length == 0
+        self.function = None
+        self.target = None
         closest = target.closest if isinstance(target, Facets) else target
         self.turn, self.shift = _rigid(wall, target, closest, planes)
-        self.clips, self.guides = (), ()
+        self.clips = ()
+        self.guides = ()
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
             for plane in planes:
                 clip, target = clipped(
-                    target, plane, np.sign(np.median(plane.height(x))), SAME * extent
+                    target, plane, np.sign(np.median(plane.height(x))), SAME_NORMAL * extent
                 )
                 self.clips += (clip,)
-            self.target = _turned(target, wall.at(start))
+            self.target = _turn_normals(target, wall.at(start))
             if self.is_exact or features:  # edges of noise are none
                 self.guides = guides_of(wall.at(start), self.target, planes, features)
             closest = target.closest
         else:
             self.function = target
         far = np.linalg.norm(np.asarray(closest(start)) - start, axis=1).max()
-        steps = STEPS * (1 + 2 * int(far > FAR * extent))
+        steps = PROJECTION_STEPS * (1 + 2 * int(far > FAR * extent))
         self.lengths = np.append(
             np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last)
         )
@@ -124,7 +138,7 @@ class Onto(Module):
             for clip in self.clips:
                 points = clip(points)
             target = target.at(points)
-        return _moved(self, x, target)
+        return _move_walls(self, x, target)
 
     def _places(self, y: Positions, facing: Positions, target: Facets | None) -> Positions:
         if target is None:
@@ -168,7 +182,8 @@ class Onto(Module):
         # drawn to the tangent plane at its closest place c: N y = N c. The length of K falls: the
         # wall first goes as a whole, at the end its faces only resist sliding.
         length, is_last = step
-        faces, (m, d) = jnp.asarray(self.wall.faces), y.shape
+        faces = jnp.asarray(self.wall.faces)
+        m, d = y.shape
         size, local = stiffness_of(start[faces])
         local = length**2 * local
         mass = jnp.zeros(m, y.dtype).at[faces].add(size[:, None] / d)
@@ -182,24 +197,24 @@ class Onto(Module):
                 is_last, _rotated(shape, area_vectors(shape), area_vectors(y[faces])), shape
             )
         off = off.at[faces].add(_times(local, shape - y[faces]))
-        weights = weights + STILL * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
+        weights = weights + STAYING * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
 
         def product(v):
             return _times(weights, v).at[faces].add(_times(local, v[faces]))
 
         def solve(_, right):
             return host_call(
-                _solved, jax.ShapeDtypeStruct((m, d), y.dtype), faces, local, weights, right
+                _solve_motion, jax.ShapeDtypeStruct((m, d), y.dtype), faces, local, weights, right
             )
 
         return y + jax.lax.custom_linear_solve(product, off, solve, symmetric=True)
 
 
 @eqx.filter_jit
-def _moved(onto: Onto, x: Positions, target: Facets | None) -> Positions:
+def _move_walls(onto: Onto, x: Positions, target: Facets | None) -> Positions:
     turn, shift = (jnp.asarray(part, x.dtype) for part in (onto.turn, onto.shift))
     start = jnp.matmul(x, turn.T, precision="highest") + shift[None]
-    is_last = np.arange(len(onto.lengths)) >= STEPS
+    is_last = np.arange(len(onto.lengths)) >= PROJECTION_STEPS
     nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
     y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
     return (
@@ -227,9 +242,7 @@ def _rotated(
     return (corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01))[..., :d]
 
 
-def _solved(
-    faces: np.ndarray, local: np.ndarray, weights: np.ndarray, right: np.ndarray
-) -> np.ndarray:
+def _solve_motion(faces: ndarray, local: ndarray, weights: ndarray, right: ndarray) -> ndarray:
     m, d = right.shape
     places = [
         np.broadcast_to(ids, local.shape).ravel() for ids in (faces[:, :, None], faces[:, None])
@@ -241,7 +254,7 @@ def _solved(
     return factors.solve(right.ravel().astype(float)).reshape(m, d)
 
 
-def _turned(target: Facets, start: Facets) -> Facets:
+def _turn_normals(target: Facets, start: Facets) -> Facets:
     """Turns parts of the target that look the other way than the wall's nodes that are closest."""
     face = np.asarray(target.face(start.points))
     areas = np.asarray(target.areas())
@@ -257,7 +270,7 @@ def _turned(target: Facets, start: Facets) -> Facets:
 
 FITS = 20
 SAMPLE = 300
-NEAR = 0.05
+NEAR_TARGET = 0.05
 WHOLE = 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
@@ -282,7 +295,7 @@ def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Pla
     best = starts[0]
     least = np.sqrt(np.mean(off(*starts[0])[1] ** 2))
     for turn, shift in starts:
-        for _ in range(FITS if least > NEAR * np.ptp(x, axis=0).max() else 0):
+        for _ in range(FITS if least > NEAR_TARGET * np.ptp(x, axis=0).max() else 0):
             turn, shift, is_done = _fitted(
                 *off(turn, shift), normals[some] @ turn.T, motions, turn, shift
             )
@@ -293,7 +306,7 @@ def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Pla
     return best
 
 
-def _starts(x: np.ndarray, target: Target, planes: Sequence[Plane]) -> list[Motion]:
+def _starts(x: ndarray, target: Target, planes: Sequence[Plane]) -> list[Motion]:
     """From where the wall is, and with its axes laid on the target's, the smallest turn first."""
     d = x.shape[1]
     starts = [(np.eye(d), np.zeros(d))]
@@ -325,7 +338,7 @@ def _fitted(y, off, normals, motions, turn, shift):
     return *new, is_done
 
 
-def _free_motions(planes: Sequence[Plane], d: int) -> np.ndarray:
+def _free_motions(planes: Sequence[Plane], d: int) -> ndarray:
     """A basis (6, k) of turns and shifts that keep planes, and in 2-D that of the drawing."""
     rows = [np.zeros((1, 6))]
     for normal in [np.pad(plane.normal, (0, 3 - d)) for plane in planes] + [np.eye(3)[2]] * (3 - d):
@@ -344,7 +357,7 @@ def onto(
     symmetry: Planes = (),
     features: Sequence[Any] = (),
     length: float = 0.0,
-) -> Float[np.ndarray, "m d"]:
+) -> Float[ndarray, "m d"]:
     """Computes the displacement (m, d) of a wall's nodes onto a target, on the host.
 
     Arguments and errors are those of `Onto`, which is traced. `target.distance(x)` tells how far
@@ -363,7 +376,7 @@ def onto(
 COLLAPSED = 0.01  # share of a face's size that must be left, of the median of all
 
 
-def _check_one_to_one(made: Onto, x: np.ndarray, moved: np.ndarray) -> None:
+def _check_one_to_one(made: Onto, x: ndarray, moved: ndarray) -> None:
     faces = np.asarray(made.wall.faces)
     before = made.wall.at(x)
     after = made.wall.at(moved)

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from numpy import ndarray
 
 from jaxmorph import DesignedMesh
 from jaxmorph.extend import (
@@ -41,15 +42,15 @@ class QualityRows:
     - `cells` (k,): the cells, in the order of `quality`.
     """
 
-    values: Float[np.ndarray, " k"]
-    matrix: Float[np.ndarray, "k p"]
-    cells: Int[np.ndarray, " k"]
+    values: Float[ndarray, " k"]
+    matrix: Float[ndarray, "k p"]
+    cells: Int[ndarray, " k"]
 
 
 class LastDesign:
     """Mutable, so that a guard compares it by identity."""
 
-    value: Float[np.ndarray, " p"] | None = None
+    value: Float[ndarray, " p"] | None = None
 
 
 class MeshGuard(Module):
@@ -99,7 +100,7 @@ class MeshGuard(Module):
         """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
         return float(eqx.filter_jit(self.mesh.ratios)(_flat(design)).min())
 
-    def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
+    def gradient(self, design: Numbers) -> Float[ndarray, " p"]:
         """Computes the derivative by each design variable (p,), for NumPy."""
         return np.asarray(eqx.filter_jit(eqx.filter_grad(self))(_flat(design)), float)
 
@@ -197,7 +198,9 @@ class History:
     def __init__(self, path: str | os.PathLike[str]):
         self.path = output_path(path)
         self.rows: list[dict[str, Any]] = []
-        self._end, self._began, self._word = 0, time.monotonic(), ", with compiling"
+        self._end = 0
+        self._began = time.monotonic()
+        self._word = ", with compiling"
         if not self.path.exists():
             return
         content = input_path(self.path).read_bytes()
@@ -223,17 +226,17 @@ class History:
         return len(self.rows)
 
     @property
-    def designs(self) -> Float[np.ndarray, "k p"]:
+    def designs(self) -> Float[ndarray, "k p"]:
         """The design variables of each iteration."""
         return np.array([row["design"] for row in self.rows], float).reshape(len(self), -1)
 
     @property
-    def values(self) -> Float[np.ndarray, " k"]:
+    def values(self) -> Float[ndarray, " k"]:
         """The objective of each iteration; NaN where it was not finite."""
         return np.array([row["value"] for row in self.rows], float)
 
     @checked
-    def column(self, name: str) -> Float[np.ndarray, "k *n"]:
+    def column(self, name: str) -> Float[ndarray, "k *n"]:
         """Collects one constraint or measure over the iterations; NaN where an iteration lacks it.
 
         **Raises:** `ValueError` for a name that no iteration has.
@@ -273,9 +276,11 @@ class History:
                 f"`design` has {len(variables)} variables; {self.path} has "
                 f"{len(self.rows[0]['design'])}."
             )
-        row = {"design": variables.astype(float).tolist(), "value": _numbers("value", value)}
+        row = {"design": variables.astype(float).tolist(), "value": _count_numbers("value", value)}
         for kind, given in (("constraints", constraints), ("measures", measures)):
-            row[kind] = {name: _numbers(name, numbers) for name, numbers in (given or {}).items()}
+            row[kind] = {
+                name: _count_numbers(name, numbers) for name, numbers in (given or {}).items()
+            }
         with self.path.open("r+b" if self.path.exists() else "xb") as file:
             file.truncate(self._end)  # a line that was cut off
             file.seek(self._end)
@@ -284,19 +289,20 @@ class History:
             os.fsync(file.fileno())
             self._end = file.tell()
         others = [
-            f"{name} {_shown(numbers)}"
+            f"{name} {_show_variable(numbers)}"
             for name, numbers in (row["constraints"] | row["measures"]).items()
         ]
-        shown = ", ".join([_shown(row["value"]), *others])
+        shown = ", ".join([_show_variable(row["value"]), *others])
         seconds = f"{time.monotonic() - self._began:.3g}"
         print(
             f"iteration {len(self)}: {shown} ({seconds} s{self._word})", file=sys.stderr, flush=True
         )
         self.rows.append(row)
-        self._began, self._word = time.monotonic(), ""
+        self._began = time.monotonic()
+        self._word = ""
 
 
-def _shown(value: Any) -> str:
+def _show_variable(value: Any) -> str:
     numbers = np.array(value, float).ravel()
     ends = (
         dict.fromkeys(f"{end:.6g}" for end in (numbers.min(), numbers.max()))
@@ -306,7 +312,7 @@ def _shown(value: Any) -> str:
     return " to ".join(ends)
 
 
-def _numbers(name: str, value: Any) -> Any:
+def _count_numbers(name: str, value: Any) -> Any:
     array = real_array(
         name, value if isinstance(value, list | tuple) else np.asarray(value), (), (None,)
     )

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
+from numpy import ndarray
 
 from jaxmorph import Mesh
 from jaxmorph.extend import Module, checked, finite_array
@@ -74,7 +75,7 @@ class Chord(Module):
 
 
 @checked
-def upper_side(mesh: Mesh, *patches: str, chord: Chord | None = None) -> Bool[np.ndarray, " m"]:
+def upper_side(mesh: Mesh, *patches: str, chord: Chord | None = None) -> Bool[ndarray, " m"]:
     """Marks the nodes of an airfoil or wing whose normals look to the upper side, as SU2 does.
 
     Where a normal is along the chord, as at a symmetric nose or on a blunt tail, nodes on the chord

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
+from numpy import ndarray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -21,7 +22,7 @@ from ._features import Borders, Planes, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._walls import FANS, faces_of, wall_faces
 
-BALLS = 40  # tried at a node at most: the last ones hardly differ
+SMOOTHING_BALLS = 40  # tried at a node at most: the last ones hardly differ
 NO_BALL = 1e30  # radius where no ball touches another node
 
 FOUR = [*FANS[4], (0, 1, 3), (1, 2, 3)]
@@ -53,7 +54,7 @@ class Smoother(AbstractLinearShape):
     values: Float[Array, " e"]
     free: Column
     dimension: int = eqx.field(static=True)
-    solve: Callable[[np.ndarray], np.ndarray] = eqx.field(static=True)
+    solve: Callable[[ndarray], ndarray] = eqx.field(static=True)
 
     @checked
     def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
@@ -126,7 +127,7 @@ class Smoother(AbstractLinearShape):
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
 
-def _linear_elements(points: np.ndarray, kinds: list[np.ndarray]) -> tuple[np.ndarray, Any]:
+def _linear_elements(points: ndarray, kinds: list[ndarray]) -> tuple[ndarray, Any]:
     """Assembles lumped masses (m,) and the stiffness matrix (m, m) of linear elements."""
     m = len(points)
     cuts = [(ids, corners) for ids in kinds for corners in {**FANS, 4: FOUR}[ids.shape[1]]]
@@ -147,7 +148,7 @@ def _linear_elements(points: np.ndarray, kinds: list[np.ndarray]) -> tuple[np.nd
 
 def stiffness_of(corners: Any) -> tuple[Any, Any]:
     """Returns sizes (k,) and stiffnesses (k, c, c) of segments or triangles (k, c, d)."""
-    xp = np if isinstance(corners, np.ndarray) else jnp
+    xp = np if isinstance(corners, ndarray) else jnp
     if corners.shape[1] == 2:
         size = norm(corners[:, 1] - corners[:, 0])
         local = np.array([[1, -1], [-1, 1]])[None]
@@ -186,7 +187,7 @@ class Offset(AbstractShape):
     field: Column | None
     smoother: Smoother | None
     borders: Borders
-    touching: Int[np.ndarray | Array, "2 m"]  # of growth, then of erosion; the node itself: none
+    touching: Int[ndarray | Array, "2 m"]  # of growth, then of erosion; the node itself: none
     share: float
 
     @checked
@@ -254,13 +255,13 @@ class Offset(AbstractShape):
         )
 
 
-def _touching(x: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+def _touching(x: ndarray, ahead: ndarray) -> ndarray:
     """Finds the node that the largest ball at each node touches; the node itself without one."""
     # A ball shrinks onto the node that is nearest to its centre, until none is inside.
     tree = Tree(x)
     found = np.arange(len(x))
     radius = np.full(len(x), 10 * np.ptp(x, axis=0).max())
-    for _ in range(BALLS):
+    for _ in range(SMOOTHING_BALLS):
         distance, other = map(np.asarray, tree.query(x + radius[:, None] * ahead))
         arm = x[other] - x
         above = np.sum(arm * ahead, axis=1)

@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import depth_first_order
 
@@ -29,7 +30,7 @@ from ._arguments import (
 
 
 @checked
-def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
+def wall_loop(mesh: Mesh, patch: str) -> Int[ndarray, " k"]:
     """Finds the nodes (k,) of a closed wall, a patch of a mesh in 2-D, in order, counter-clockwise.
 
     **Raises:** `ValueError` for a patch that is not one closed loop.
@@ -54,7 +55,7 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 
 
 @checked
-def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
+def wall_normals(mesh: Mesh, *patches: str) -> Float[ndarray, "m d"]:
     """Sums the areas of a wall's faces at its nodes: vectors from the body into the mesh.
 
     A face gives each corner an equal share. Solvers take the side of an airfoil's node from the
@@ -71,7 +72,7 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     return normals[nodes]
 
 
-def wall_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
+def wall_faces(mesh: Mesh, *patches: str) -> dict[str, ndarray]:
     faces = {kind: ids for kind, ids in boundary_faces(mesh, *patches).items() if len(ids)}
     if not faces:
         raise ValueError(
@@ -84,7 +85,7 @@ FANS = {2: [(0, 1)], 3: [(0, 1, 2)], 4: [(0, 1, 2), (0, 2, 3)]}
 """Simplices into which a face is cut, by the number of its corners."""
 
 
-def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]:
+def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[ndarray, "k c"]]:
     n, d = shape
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
     arrays = [rows_like("faces", ids, n) for ids in (faces if is_list else [faces])]
@@ -95,7 +96,7 @@ def faces_of(faces: Any, shape: tuple[int, ...]) -> list[Int[np.ndarray, "k c"]]
     return arrays
 
 
-def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[np.ndarray, "k d"]:
+def simplices_of(faces: Any, shape: tuple[int, ...]) -> Int[ndarray, "k d"]:
     kinds = faces_of(faces, shape)
     return np.concatenate([ids[:, cut] for ids in kinds for cut in FANS[ids.shape[1]]])
 
@@ -171,7 +172,7 @@ def _ends_of_loop(x: Numbers, loop: Any) -> tuple[Positions, Positions]:
     return x[loop], x[np.roll(loop, -1)]
 
 
-def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray, " k"]]:
+def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[ndarray, " k"]]:
     x = positions(x)
     if x.shape[1] != 2:
         raise ValueError(f"`x` has shape {x.shape}; expected (n, 2).")
@@ -181,7 +182,7 @@ def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[np.ndarray
     return x, loop
 
 
-def _check_closed(x: Positions, triangles: Int[np.ndarray, "k 3"], plane: Vector | None) -> None:
+def _check_closed(x: Positions, triangles: Int[ndarray, "k 3"], plane: Vector | None) -> None:
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     border = unique[count == 1]
@@ -239,7 +240,7 @@ class Stations(Module):
         ids = simplices_of(faces, wall.shape)
         same = 1e-9 * np.ptp(wall, axis=0).max()
         ends = [
-            _first_and_last(_places_on(wall[ids], *line), same)
+            _first_and_last(_place_on_wall(wall[ids], *line), same)
             for line in zip(own, lines, strict=True)
         ]
         missed = [row for row, faces in enumerate(ends) if not faces]
@@ -251,16 +252,16 @@ class Stations(Module):
         return Stations(jnp.asarray(own), jnp.asarray(lines), jnp.asarray(ids[np.array(ends)]))
 
 
-def _first_and_last(place: Float[np.ndarray, " k"], same: float) -> list[int]:
+def _first_and_last(place: Float[ndarray, " k"], same: float) -> list[int]:
     """The faces that are met first and last: of those at one place, as around a node, the first."""
     if np.isnan(place).all() or not np.nanmax(place) - np.nanmin(place) > same:
         return []
     return [int(np.argmax(s <= np.nanmin(s) + same)) for s in (place, -place)]
 
 
-def _places_on(
-    corners: Float[np.ndarray, "k d d"], point: np.ndarray, line: np.ndarray
-) -> Float[np.ndarray, " k"]:
+def _place_on_wall(
+    corners: Float[ndarray, "k d d"], point: ndarray, line: ndarray
+) -> Float[ndarray, " k"]:
     """Where a line meets each face, as distances from its point; NaN where it does not."""
     # point + s line = first corner + weights times edges
     first = corners[:, 0]

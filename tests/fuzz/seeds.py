@@ -20,7 +20,7 @@ from cgns import joined_polyhedra
 from foam import PATCHES, mixed, split, strip
 from formats import floor_of, write
 from meshes import bricks, gmsh_session
-from mfem_meshes import SOLID2, straight
+from mfem_meshes import SOLID, straight
 from plot3d import box
 from plot3d import write as write_plot3d
 from xdmf import Writer, in_own_grid
@@ -137,7 +137,7 @@ def fluent_files(folder: pathlib.Path) -> list[Seed]:
 
 def mfem_files(folder: pathlib.Path) -> list[Seed]:
     """Order 1 and 2: from order 3 on one number of the file makes several of the mesh."""
-    for name, text in {"straight": straight(mesh_3d(), "floor"), "solid": SOLID2}.items():
+    for name, text in {"straight": straight(mesh_3d(), "floor"), "solid": SOLID}.items():
         (folder / f"{name}.mesh").write_text(text)
     return [single(folder / f"{name}.mesh") for name in ("straight", "solid")]
 

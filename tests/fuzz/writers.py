@@ -242,18 +242,18 @@ def forked(work: Callable[[], object]) -> tuple[int | None, str, str]:
 @contextlib.contextmanager
 def hooked(hook: Callable[[pathlib.Path], object]) -> Iterator[None]:
     """Calls a function with each temporary file that is made."""
-    make = files._new
+    make = files._make_partial
 
     def new(*arguments) -> pathlib.Path:
         made = make(*arguments)
         hook(made)
         return made
 
-    files._new = new
+    files._make_partial = new
     try:
         yield
     finally:
-        files._new = make
+        files._make_partial = make
 
 
 def to_full_device(partial: pathlib.Path) -> None:

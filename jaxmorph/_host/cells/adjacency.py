@@ -5,6 +5,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from numpy import ndarray
 from scipy.sparse import coo_array
 
 from ..package.cores import by_blocks, in_order
@@ -34,7 +35,7 @@ def neighbours(cells: ByType) -> Pair:
         for number, face in enumerate(faces):
             side = [nodes[corner] for corner in face]
             columns.append(sorted_columns(side, width))
-            turns.append(_turns(side, columns[-1]))
+            turns.append(_senses(side, columns[-1]))
             owners.append(np.arange(first, first + len(corners), dtype=np.int32))
             slots.append(np.arange(slot + number, slot + len(faces) * len(corners), len(faces)))
         first = first + len(corners)
@@ -50,7 +51,7 @@ def neighbours(cells: ByType) -> Pair:
     return neighbour, flipped
 
 
-def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.ndarray:
+def _senses(nodes: Sequence[ndarray], ordered: Sequence[ndarray]) -> ndarray:
     if len(nodes) == 2:
         return nodes[0] < nodes[1]
     here = np.stack(nodes)
@@ -59,7 +60,7 @@ def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.nda
     return ((here == ordered[0]) & (after != here) & (after < before)).any(axis=0)
 
 
-def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
+def _has_extent(rows: Sequence[ndarray]) -> ndarray:
     """Marks faces of three different nodes or more, edges of two: their sorted nodes by column."""
     steps = [(a != b) & (b >= 0) for a, b in itertools.pairwise(rows)]
     return (
@@ -69,7 +70,7 @@ def _has_extent(rows: Sequence[np.ndarray]) -> np.ndarray:
     )
 
 
-def handedness(cells: ByType, neighbour: np.ndarray, flipped: np.ndarray) -> Pair:
+def handedness(cells: ByType, neighbour: ndarray, flipped: ndarray) -> Pair:
     """Returns each cell's orientation sign, 1 or -1, and the id of its connected part, from
     `neighbour` and `flipped` of `neighbours`: ids alone decide, no coordinates. A part that cannot
     be oriented (a Moebius strip) has sign 1 throughout.
@@ -94,7 +95,7 @@ def handedness(cells: ByType, neighbour: np.ndarray, flipped: np.ndarray) -> Pai
     return np.where(sheet[:count] <= sheet[count:], 1, -1), np.minimum(sheet[:count], sheet[count:])
 
 
-def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+def parts_of(first: ndarray, second: ndarray, count: int) -> ndarray:
     """Connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
     graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
     from scipy.sparse.csgraph import connected_components  # 0.1 s, which few commands need
@@ -102,7 +103,7 @@ def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     return connected_components(graph, directed=False)[1]
 
 
-def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
+def sorted_columns(nodes: Sequence[ndarray], width: int) -> list[ndarray]:
     """Sorts nodes of faces, by columns (f,); columns of -1 follow, up to the `width`."""
     columns = [np.empty_like(column) for column in nodes]
 
@@ -114,7 +115,8 @@ def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
             for low in range(sweep % 2, len(parts) - 1, 2):
                 a = parts[low]
                 b = parts[low + 1]
-                parts[low], parts[low + 1] = np.minimum(a, b), np.maximum(a, b)
+                parts[low] = np.minimum(a, b)
+                parts[low + 1] = np.maximum(a, b)
         for column, part in zip(columns, parts, strict=True):
             column[rows] = part
 
@@ -122,23 +124,24 @@ def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
     return columns + [np.full_like(columns[0], -1)] * (width - len(columns))
 
 
-def columns_of(corners: np.ndarray) -> list[np.ndarray]:
+def columns_of(corners: ndarray) -> list[ndarray]:
     """Splits corner ids (k, c) into c columns (k,): contiguous, in 32 bits where the ids fit."""
     dtype = np.int32 if corners.max(initial=0) < 2**31 else np.int64
     return [np.ascontiguousarray(corners[:, column], dtype) for column in range(corners.shape[1])]
 
 
-def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
+def twins(columns: Sequence[ndarray]) -> ndarray:
     """The row of the other face with equal nodes (f,); -1 for none or several."""
     order, first, size = _groups(columns)
     one = order[first[size == 2]]
     other = order[first[size == 2] + 1]
     partner = np.full(len(order), -1)
-    partner[one], partner[other] = other, one
+    partner[one] = other
+    partner[other] = one
     return partner
 
 
-def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
+def is_single(columns: Sequence[ndarray]) -> ndarray:
     """Marks (f,) the faces that equal no other face, by their sorted nodes."""
     order, first, size = _groups(columns)
     single = np.zeros(len(order), dtype=bool)
@@ -146,7 +149,7 @@ def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
     return single
 
 
-def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _groups(columns: Sequence[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
     """Brings equal faces side by side: their order, where each group begins, and its size."""
     keys = list(columns)
     if columns[0].dtype == np.int32:  # two nodes make one key; -1 stays the least
@@ -161,7 +164,7 @@ def _groups(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.n
     return order, first, np.diff(first, append=len(order))
 
 
-def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
+def unpaired(parts: Sequence[Sequence[ndarray]], n: int) -> list[ndarray]:
     """The rows of each part, columns of nodes below n, without most faces that come twice."""
     # A face has a random number, made of its nodes in any order. The numbers of two equal faces
     # cancel each other in an "exclusive or" over all faces of their first node. Few faces of a mesh
@@ -170,7 +173,7 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
     left = np.zeros(n, np.uint64)
     firsts = []
 
-    def numbered(columns: Sequence[np.ndarray]) -> Pair:
+    def numbered(columns: Sequence[ndarray]) -> Pair:
         number = functools.reduce(np.add, (random[column] for column in columns))
         return functools.reduce(np.minimum, columns), number * (number | np.uint64(1))
 
@@ -180,7 +183,7 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[np.ndarray]:
     return list(in_order(lambda first: np.flatnonzero(left[first]), firsts))
 
 
-def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
+def is_among(faces: ndarray, others: ndarray) -> ndarray:
     """Marks (f,) the faces (f, c) that equal one of the `others` (k, e), which are distinct."""
     width = max(faces.shape[1], others.shape[1])
     first, second = (sorted_columns(columns_of(table), width) for table in (faces, others))
@@ -188,13 +191,6 @@ def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
     return twin[: len(faces)] >= len(faces)
 
 
-def repeated_cells(corners: np.ndarray) -> np.ndarray:
+def repeated_cells(corners: ndarray) -> ndarray:
     """Rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
     return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))
-
-
-def rows_among(known: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds the row of each id among the `known` ones; -1 where it is absent."""
-    order = np.argsort(known, kind="stable")
-    rows = order[np.minimum(np.searchsorted(known, ids, sorter=order), len(order) - 1)]
-    return np.where(known[rows] == ids, rows, -1)

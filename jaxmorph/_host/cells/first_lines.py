@@ -4,6 +4,7 @@ import functools
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
 from .pieces import owned_sides
@@ -13,14 +14,10 @@ from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType
 class WallSides(NamedTuple):
     """Sides of cells of one type on the wall."""
 
-    ids: np.ndarray  # (f, s) nodes of each side
-    rows: (
-        np.ndarray
-    )  # (f, s) their rows among the wall nodes; a node without a line has the row after them
-    sign: (
-        np.ndarray
-    )  # (f,) 1 or -1, of triangles the half, so that area vectors point into the mesh
-    slopes: np.ndarray  # (s, s, d - 1) derivatives of the shape functions at the nodes of a side
+    ids: ndarray  # (f, s) nodes of each side
+    rows: ndarray  # (f, s) their rows among the wall nodes; without a line the row after them
+    sign: ndarray  # (f,) 1 or -1, of triangles the half, so that area vectors point into the mesh
+    slopes: ndarray  # (s, s, d - 1) derivatives of the shape functions at the nodes of a side
 
     def areas(self, x: Any) -> Any:
         """Area vectors (f, s, d) at the nodes of the sides, by NumPy or JAX."""
@@ -32,11 +29,11 @@ class WallSides(NamedTuple):
 class Lines(NamedTuple):
     """First grid lines of w wall nodes, and the sides of the wall by type."""
 
-    nodes: np.ndarray  # (w,) ids of the wall nodes
-    ends: np.ndarray  # (w,) ids of the other ends of their lines
-    near: np.ndarray  # (w, k) nodes of a sum, the derivative along a line at its wall node
-    weights: np.ndarray  # (w, k) their weights in it
-    beside: np.ndarray  # (w,) ids of neighbours on the wall
+    nodes: ndarray  # (w,) ids of the wall nodes
+    ends: ndarray  # (w,) ids of the other ends of their lines
+    near: ndarray  # (w, k) nodes of a sum, the derivative along a line at its wall node
+    weights: ndarray  # (w, k) their weights in it
+    beside: ndarray  # (w,) ids of neighbours on the wall
     sides: tuple[WallSides, ...]
 
     def directions(self, x: Any) -> Any:
@@ -57,11 +54,13 @@ def _node_areas(x: Any, slopes: Any) -> Any:
     a, *others = along
     if not others:
         return a[..., ::-1] * np.array([[[-1.0, 1.0]]], dtype=x.dtype)
-    (b,), after, before = others, np.array([1, 2, 0]), np.array([2, 0, 1])
+    (b,) = others
+    after = np.array([1, 2, 0])
+    before = np.array([2, 0, 1])
     return a[..., after] * b[..., before] - a[..., before] * b[..., after]
 
 
-def first_lines(cells: ByType, points: np.ndarray, wall: np.ndarray) -> Lines:
+def first_lines(cells: ByType, points: ndarray, wall: ndarray) -> Lines:
     """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
     From a node inside of an edge or a side, a line goes to the node opposite. Raises `ValueError`
     if no boundary side of a cell has all nodes among the wall nodes.
@@ -95,7 +94,7 @@ def first_lines(cells: ByType, points: np.ndarray, wall: np.ndarray) -> Lines:
     return Lines(nodes, end[chosen], cell_nodes[chosen], weights[chosen], beside[nodes], every)
 
 
-def _neighbours(kind: str) -> np.ndarray:
+def _neighbours(kind: str) -> ndarray:
     """A node beside each of a side's nodes: the corner before, or the nearest on the lattice."""
     cell = lagrange_types()[kind]
     if cell.order == 1:
@@ -104,7 +103,7 @@ def _neighbours(kind: str) -> np.ndarray:
     return np.where(squared > 0, squared, squared.max() + 1).argmin(axis=1)
 
 
-def _sides(cells: ByType, points: np.ndarray, wall: np.ndarray) -> dict[str, WallSides]:
+def _sides(cells: ByType, points: ndarray, wall: ndarray) -> dict[str, WallSides]:
     """Sides of single cells with all nodes on the wall, by type; rows are ids here."""
     corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
     centre = np.concatenate(corners or [points[:0]])
@@ -122,7 +121,7 @@ def _sides(cells: ByType, points: np.ndarray, wall: np.ndarray) -> dict[str, Wal
     return result
 
 
-def _candidates(cells: ByType, starts: np.ndarray, on_wall: np.ndarray) -> tuple[np.ndarray, ...]:
+def _candidates(cells: ByType, starts: ndarray, on_wall: ndarray) -> tuple[ndarray, ...]:
     """Lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
     width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
     parts = []
@@ -138,7 +137,7 @@ def _candidates(cells: ByType, starts: np.ndarray, on_wall: np.ndarray) -> tuple
 
 
 @functools.cache
-def _lines(kind: str) -> tuple[tuple[int, int, np.ndarray, np.ndarray], ...]:
+def _lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
     """Lines of a type that may leave a wall: start, end, and weights of some nodes."""
     cell = lagrange_types()[kind]
     lines = []

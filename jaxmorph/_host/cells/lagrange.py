@@ -18,21 +18,24 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.polynomial import legendre
 
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, numbers
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SIDE_TYPES, Pair, numbers_by_name
 
 ORDERS = (1, 2, 3, 4)
 
-PLACES = {  # corners of the reference cells
-    "line": numbers("0 1"),
-    "triangle": numbers("00 10 01"),
-    "quad": numbers("00 10 11 01"),
-    "tetra": numbers("000 100 010 001"),
-    "pyramid": numbers("000 100 110 010 001"),
-    "wedge": numbers("000 100 010 001 101 011"),
-    "hexahedron": numbers("000 100 110 010 001 101 111 011"),
-}
+PLACES = numbers_by_name(
+    {  # corners of the reference cells
+        "line": "0 1",
+        "triangle": "00 10 01",
+        "quad": "00 10 11 01",
+        "tetra": "000 100 010 001",
+        "pyramid": "000 100 110 010 001",
+        "wedge": "000 100 010 001 101 011",
+        "hexahedron": "000 100 110 010 001 101 111 011",
+    }
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ class Lagrange:
 
     shape: str
     order: int
-    lattice: np.ndarray
+    lattice: ndarray
     is_complete: bool = True
 
     @property
@@ -65,18 +68,18 @@ class Lagrange:
         return DIMENSION[self.shape]
 
     @property
-    def reference(self) -> np.ndarray:
+    def reference(self) -> ndarray:
         """The place (k, d) of each node in the reference cell."""
         return self.lattice / self.order
 
-    def nodes_at(self, places: np.ndarray) -> np.ndarray:
+    def nodes_at(self, places: ndarray) -> ndarray:
         """The nodes at places (..., d) of the lattice; -1 for none."""
         table = np.full((self.order + 1,) * self.dimension, -1)
         table[tuple(self.lattice.T)] = np.arange(len(self.lattice))
         return table[tuple(np.moveaxis(places, -1, 0))]
 
     @property
-    def edges(self) -> np.ndarray:
+    def edges(self) -> ndarray:
         """Nodes (edges, order + 1) of each edge of `EDGES`: first, second, inner nodes."""
         ends = np.array(EDGES[self.shape])
         inner = self.corners + np.arange(len(ends) * (self.order - 1)).reshape(
@@ -85,7 +88,7 @@ class Lagrange:
         return np.concatenate([ends, inner], axis=1)
 
     @property
-    def sides(self) -> list[tuple[str, np.ndarray]]:
+    def sides(self) -> list[tuple[str, ndarray]]:
         """Type of each face of `FACES` (2-D: edge), and its nodes in that type's own order."""
         corners = np.array(PLACES[self.shape])
         sides = []
@@ -96,12 +99,12 @@ class Lagrange:
             sides.append((side.name, self.nodes_at(at)))
         return sides
 
-    def side(self, corners: Iterable[int]) -> np.ndarray:
+    def side(self, corners: Iterable[int]) -> ndarray:
         """Finds the nodes of the face between some corners."""
         faces = [{*face} for face in FACES[self.shape]]
         return self.sides[faces.index({*corners})][1]
 
-    def completion(self) -> tuple[str, np.ndarray]:
+    def completion(self) -> tuple[str, ndarray]:
         """The type with all lattice nodes, and the matrix (nodes, k) that makes them. The cell
         keeps its curved shape: a missing node is where the serendipity functions put it.
         """
@@ -112,16 +115,15 @@ class Lagrange:
         for side, nodes in (
             self.sides if self.dimension == 3 else [(self.name, np.arange(len(self.lattice)))]
         ):
-            if (
-                side == "quad8"
-            ):  # in its middle functions of corners are -1/4, functions of edges 1/2
+            # in its middle functions of corners are -1/4, functions of edges 1/2
+            if side == "quad8":
                 matrix[next(middles), nodes] = np.repeat([-0.25, 0.5], 4)
         for row in middles:  # of a hexahedron
             matrix[row] = np.repeat([-0.25, 0.25], [8, 12])
         return complete.name, matrix
 
 
-def depth(shape: str, order: int, at: np.ndarray) -> Any:
+def depth(shape: str, order: int, at: ndarray) -> Any:
     """Steps (k,) of lattice places (k, d) from the nearest side; negative outside."""
     beyond = at
     if shape in ("triangle", "tetra"):
@@ -133,7 +135,7 @@ def depth(shape: str, order: int, at: np.ndarray) -> Any:
     return np.minimum(at.min(axis=1), order - beyond.max(axis=1))
 
 
-def inner_places(shape: str, order: int) -> np.ndarray:
+def inner_places(shape: str, order: int) -> ndarray:
     """The inner lattice (k, d) of a shape, the first coordinate fastest."""
     grid = np.indices((order + 1,) * DIMENSION[shape]).reshape(DIMENSION[shape], -1)[::-1].T
     return grid[depth(shape, order, grid) > 0]
@@ -141,7 +143,7 @@ def inner_places(shape: str, order: int) -> np.ndarray:
 
 def lattice(
     shape: str, order: int, is_complete: bool, edges=EDGES, faces=FACES, inner=inner_places
-) -> np.ndarray:
+) -> ndarray:
     """The places (k, d) of nodes: corners, then the inner ones of edges, faces, cell."""
     corners = np.array(PLACES[shape])
     t = np.arange(1, order)[:, None]
@@ -170,7 +172,7 @@ def lagrange_types() -> dict[str, Lagrange]:
 
 
 @functools.cache
-def derivatives_at_nodes(kind: str) -> np.ndarray:
+def derivatives_at_nodes(kind: str) -> ndarray:
     """Derivatives (s, nodes, d) of the shape functions at the nodes of a type."""
     return derivatives(kind, collapsed(kind, lagrange_types()[kind].reference))
 
@@ -201,25 +203,25 @@ def jacobian_samples(kind: str) -> Pair:
     )
 
 
-def derivatives(kind: str, places: np.ndarray) -> np.ndarray:
+def derivatives(kind: str, places: ndarray) -> ndarray:
     """Derivatives (s, nodes, d) of the shape functions of a type at places (s, d)."""
-    (_, slopes), inverse, completion = _expanded(kind, places)
+    (_, slopes), inverse, completion = _expand(kind, places)
     return np.einsum("skd,kn,nm->smd", slopes, inverse, completion, optimize=True)
 
 
-def values(kind: str, places: np.ndarray) -> np.ndarray:
-    (at_places, _), inverse, completion = _expanded(kind, places)
+def values(kind: str, places: ndarray) -> ndarray:
+    (at_places, _), inverse, completion = _expand(kind, places)
     return at_places @ inverse @ completion
 
 
-def _expanded(kind: str, places: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
+def _expand(kind: str, places: ndarray) -> tuple[Pair, ndarray, ndarray]:
     name, completion = lagrange_types()[kind].completion()
     complete = lagrange_types()[name]
     at_nodes, _ = _basis(complete, collapsed(name, complete.reference))
     return _basis(complete, places), np.linalg.inv(at_nodes), completion
 
 
-def _basis(cell: Lagrange, places: np.ndarray) -> Pair:
+def _basis(cell: Lagrange, places: ndarray) -> Pair:
     """The basis (s, k) at places, and its derivatives (s, k, d)."""
     # A function is a product of Legendre polynomials, one a coordinate; a derivative has the slope
     # of one factor in its place.
@@ -244,7 +246,7 @@ def _basis(cell: Lagrange, places: np.ndarray) -> Pair:
     return basis * c**n, slopes * (c ** np.maximum(n - 1, 0))[:, :, None]
 
 
-def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
+def collapsed(kind: str, places: ndarray) -> ndarray:
     """Maps reference places to arguments of the basis; a pyramid's apex is seen from the middle."""
     if lagrange_types()[kind].shape != "pyramid":
         return places
@@ -254,13 +256,12 @@ def collapsed(kind: str, places: np.ndarray) -> np.ndarray:
     )
 
 
-def node_keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
+def node_keys(ids: ndarray, cell: Lagrange) -> ndarray:
     """Ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
     places = collapsed(cell.shape, cell.reference[cell.corners :])
     weights = np.rint(12**3 * values(cell.shape, places)).astype(np.int64)  # of corners, linear
-    weights = (
-        weights // np.gcd.reduce(weights, axis=1)[:, None]
-    )  # alike in cells of all types that share a face
+    # alike in cells of all types that share a face
+    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]
     corners = np.where(weights > 0, ids[:, None], -1)
     order = np.argsort(corners, axis=2, kind="stable")
     both = np.stack([np.maximum(corners, 0), np.broadcast_to(weights, corners.shape)], axis=3)

@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from .lagrange import PLACES, inner_places, lagrange_types, lattice
-from .topology import SHAPES, numbers
+from .topology import SHAPES, numbers_by_name
 
 Sides = Mapping[str, tuple[tuple[int, ...], ...]]  # corners of the edges, or of the faces, by shape
 
@@ -19,13 +20,13 @@ class NodeOrder:
 
     edges: Sides
     faces: Sides
-    inner: Callable[[str, int], np.ndarray]
+    inner: Callable[[str, int], ndarray]
 
-    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
+    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> ndarray:
         return lattice(shape, order, is_complete, self.edges, self.faces, self.inner)
 
     @functools.cache  # noqa: B019
-    def places(self, kind: str) -> np.ndarray:
+    def places(self, kind: str) -> ndarray:
         """The place (k,) in the format's list of each node of the canonical order."""
         cell = lagrange_types()[kind]
         listed = self.lattice(cell.shape, cell.order, is_complete=cell.is_complete)
@@ -40,7 +41,7 @@ def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder |
     return ids if target is None else ids[:, np.argsort(target.places(kind))]
 
 
-def _as_gmsh(shape: str, order: int) -> np.ndarray:
+def _as_gmsh(shape: str, order: int) -> ndarray:
     """gmsh's inner lattice: the nodes of a cell of the order that is left."""
     if shape == "line":
         return inner_places(shape, order)
@@ -60,35 +61,41 @@ def _as_gmsh(shape: str, order: int) -> np.ndarray:
 
 
 GMSH = NodeOrder(
-    {
-        "tetra": numbers("01 12 20 30 32 31"),
-        "pyramid": numbers("01 03 04 12 14 23 24 34"),
-        "wedge": numbers("01 02 03 12 14 25 34 35 45"),
-        "hexahedron": numbers("01 03 04 12 15 23 26 37 45 47 56 67"),
-    },
-    {
-        "tetra": numbers("021 013 032 312"),
-        "pyramid": numbers("014 304 124 234 0321"),
-        "wedge": numbers("021 345 0143 0352 1254"),
-        "hexahedron": numbers("0321 0154 0473 1265 2376 4567"),
-    },
+    numbers_by_name(
+        {
+            "tetra": "01 12 20 30 32 31",
+            "pyramid": "01 03 04 12 14 23 24 34",
+            "wedge": "01 02 03 12 14 25 34 35 45",
+            "hexahedron": "01 03 04 12 15 23 26 37 45 47 56 67",
+        }
+    ),
+    numbers_by_name(
+        {
+            "tetra": "021 013 032 312",
+            "pyramid": "014 304 124 234 0321",
+            "wedge": "021 345 0143 0352 1254",
+            "hexahedron": "0321 0154 0473 1265 2376 4567",
+        }
+    ),
     _as_gmsh,
 )
 """gmsh's order: its manual, section "Node ordering"."""
 
 VTK_ORDER = NodeOrder(
-    {"quad": numbers("01 12 32 03"), "hexahedron": numbers("01 12 32 03 45 56 76 47 04 15 26 37")},
-    {
-        "tetra": numbers("013 231 032 021"),
-        "wedge": numbers("012 345 0143 1254 2035"),
-        "hexahedron": numbers("0374 1265 0154 3267 0123 4567"),
-    },
+    numbers_by_name({"quad": "01 12 32 03", "hexahedron": "01 12 32 03 45 56 76 47 04 15 26 37"}),
+    numbers_by_name(
+        {
+            "tetra": "013 231 032 021",
+            "wedge": "012 345 0143 1254 2035",
+            "hexahedron": "0374 1265 0154 3267 0123 4567",
+        }
+    ),
     inner_places,
 )
 """The order of VTK's quadratic and Lagrange cells, from VTK 9 on: parametric coordinates."""
 
 
-def _spirals(shape: str, order: int) -> np.ndarray:
+def _spirals(shape: str, order: int) -> ndarray:
     """CGNS's inner lattice: layer by layer, each layer of a square in rings."""
     rows = inner_places(shape, order)
     if shape == "quad":
@@ -99,7 +106,7 @@ def _spirals(shape: str, order: int) -> np.ndarray:
     return rows
 
 
-def _spiral(square: np.ndarray) -> np.ndarray:
+def _spiral(square: ndarray) -> ndarray:
     """Orders a square's places in rings inwards, each from its least corner along axis 0."""
     low = 1
     high = square[:, :2].max(initial=0)
@@ -114,23 +121,27 @@ def _spiral(square: np.ndarray) -> np.ndarray:
 
 
 CGNS_ORDER = NodeOrder(
-    {
-        "wedge": numbers("01 12 20 03 14 25 34 45 53"),
-        "hexahedron": numbers("01 12 23 30 04 15 26 37 45 56 67 74"),
-    },
-    {
-        "tetra": numbers("012 013 123 203"),
-        "pyramid": numbers("0123 014 124 234 304"),
-        "wedge": numbers("012 0143 1254 2035 345"),
-        "hexahedron": numbers("0123 0154 1265 2376 3047 4567"),
-    },
+    numbers_by_name(
+        {
+            "wedge": "01 12 20 03 14 25 34 45 53",
+            "hexahedron": "01 12 23 30 04 15 26 37 45 56 67 74",
+        }
+    ),
+    numbers_by_name(
+        {
+            "tetra": "012 013 123 203",
+            "pyramid": "0123 014 124 234 304",
+            "wedge": "012 0143 1254 2035 345",
+            "hexahedron": "0123 0154 1265 2376 3047 4567",
+        }
+    ),
     _spirals,
 )
 """CGNS's order: SIDS, section "Unstructured grid element numbering conventions"."""
 
 
 class _Meshio(NodeOrder):
-    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
+    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> ndarray:
         origin = VTK_ORDER if order == 2 and not (shape == "pyramid" and is_complete) else GMSH
         return origin.lattice(shape, order, is_complete=is_complete)
 

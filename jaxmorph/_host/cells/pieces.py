@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from .adjacency import columns_of, is_single, sorted_columns, unpaired
 from .lagrange import collapsed, depth, lagrange_types, of_order, values
-from .topology import CORNERS, NODES, SHAPES, ByType, Pair, numbers
+from .topology import CORNERS, NODES, SHAPES, ByType, Pair, numbers, numbers_by_name
 
 
 def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[str, Any]:
@@ -26,7 +27,7 @@ def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[s
     return {shape: parts[0] if len(parts) == 1 else join(parts) for shape, parts in result.items()}
 
 
-def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def owners(cells: Mapping[str, Any]) -> dict[str, ndarray]:
     """The cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
     nodes = {}
     first = 0
@@ -36,11 +37,11 @@ def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return {shape: corners[:, 0] for shape, corners in linear_cells(nodes).items()}
 
 
-def boundary_faces(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def boundary_faces(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, ndarray]:
     return linear_cells(boundary_sides(cells, n, among))
 
 
-def boundary_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def boundary_sides(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, ndarray]:
     """Finds faces (f, nodes) that belong to one cell only (2-D: edges), by type, with all of their
     nodes, counterclockwise as seen from outside. `cells` are node ids (k, nodes) by type, below
     `n`; all nodes of a face are `among` these ids.
@@ -48,11 +49,11 @@ def boundary_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> di
     return {side: ids for side, (ids, _) in owned_sides(cells, n, among).items()}
 
 
-def owned_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[str, Pair]:
+def owned_sides(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, Pair]:
     """Finds the `boundary_sides`, and the cell (f,) of each; cells are numbered as in `cells`."""
     is_candidate = np.zeros(n, bool)
     is_candidate[[] if among is None else among] = True
-    found: dict[str, list[tuple[list[np.ndarray], np.ndarray]]] = {}
+    found: dict[str, list[tuple[list[ndarray], ndarray]]] = {}
     first = 0
     for kind, ids in cells.items():
         nodes = columns_of(ids)
@@ -70,10 +71,10 @@ def owned_sides(cells: ByType, n: int, among: np.ndarray | None = None) -> dict[
             found.setdefault(side, []).append((columns, owner))
         first += len(ids)
     sides = sorted(found, key=lambda side: (CORNERS[SHAPES[side]], NODES[side]))
-    return {side: _single(found[side], n) for side in sides}
+    return {side: _keep_single(found[side], n) for side in sides}
 
 
-def _single(parts: list[tuple[list[np.ndarray], np.ndarray]], n: int) -> Pair:
+def _keep_single(parts: list[tuple[list[ndarray], ndarray]], n: int) -> Pair:
     """Finds unique faces and their cells, from faces by column, and their cells."""
     rows = unpaired([columns for columns, _ in parts], n)
     columns = [
@@ -86,7 +87,7 @@ def _single(parts: list[tuple[list[np.ndarray], np.ndarray]], n: int) -> Pair:
 
 
 @functools.cache
-def pieces_of(kind: str) -> dict[str, np.ndarray]:
+def pieces_of(kind: str) -> dict[str, ndarray]:
     """The pieces of a type: their nodes, as rows of the cell's nodes, by their own type."""
     if kind in ON_EDGES:
         return {shape: np.array(rows) for shape, rows in ON_EDGES[kind].items()}
@@ -94,13 +95,13 @@ def pieces_of(kind: str) -> dict[str, np.ndarray]:
 
 
 @functools.cache
-def places_of(kind: str, m: int) -> np.ndarray:
+def places_of(kind: str, m: int) -> ndarray:
     """The shape functions (s, nodes) of a type at a lattice of m steps."""
     return values(kind, collapsed(kind, of_order(SHAPES[kind], m).reference))
 
 
 @functools.cache
-def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
+def steps_of(shape: str, m: int) -> dict[str, ndarray]:
     """The linear pieces of a lattice of m steps, as rows of it, by type."""
     cell = of_order(shape, m)
     pieces = {}
@@ -121,19 +122,25 @@ def steps_of(shape: str, m: int) -> dict[str, np.ndarray]:
 
 
 ON_EDGES = {
-    "quad8": {"triangle": numbers("047 154 265 376"), "quad": numbers("4567")},
-    "pyramid13": {
-        "tetra": numbers("0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9"),
-        "pyramid": numbers("9abc4 56789"),
-    },
-    "wedge15": {
-        "tetra": numbers("068c 176d 287e 3b9c 49ad 5abe 678a 68ca 76da 87ea b9ca"),
-        "pyramid": numbers("c9d6a ebc8a"),
-    },
-    "hexahedron20": {
-        "tetra": numbers("08bg 198h 2a9i 3baj 4fcg 5cdh 6dei 7efj 8bge 98he a9ie baje fcge cdhe"),
-        "pyramid": numbers("89abe gch8e hdi9e jfgbe"),
-    },
+    "quad8": numbers_by_name({"triangle": "047 154 265 376", "quad": "4567"}),
+    "pyramid13": numbers_by_name(
+        {
+            "tetra": "0589 165a 276b 387c ab69 bc79 65a9 76b9 87c9",
+            "pyramid": "9abc4 56789",
+        }
+    ),
+    "wedge15": numbers_by_name(
+        {
+            "tetra": "068c 176d 287e 3b9c 49ad 5abe 678a 68ca 76da 87ea b9ca",
+            "pyramid": "c9d6a ebc8a",
+        }
+    ),
+    "hexahedron20": numbers_by_name(
+        {
+            "tetra": "08bg 198h 2a9i 3baj 4fcg 5cdh 6dei 7efj 8bge 98he a9ie baje fcge cdhe",
+            "pyramid": "89abe gch8e hdi9e jfgbe",
+        }
+    ),
 }
 """Pieces of cells without inner nodes; a is node 10. Each corner is cut off, with the middles of
 its edges. The rest goes from one of its nodes to its sides: inner polygons of the faces, and

@@ -4,45 +4,41 @@ import functools
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 from scipy import sparse
 
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
-DAMPING = (
-    1e-2,
-    1e-1,
-    1.0,
-    10.0,
-)  # damping terms of the diagonal, tried in turn until a matrix is positive
+# damping terms of the diagonal, tried in turn until a matrix is positive
+DAMPING = (1e-2, 1e-1, 1.0, 10.0)
 ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 
 
 class Pattern(NamedTuple):
     """The blocks of a matrix in compressed rows."""
 
-    starts: np.ndarray  # where rows begin
-    columns: np.ndarray  # column of every block
-    block: np.ndarray  # the block to which a pair of a cell's corners adds
-    order: np.ndarray  # row i belongs to node `order[i]`
+    starts: ndarray  # where rows begin
+    columns: ndarray  # column of every block
+    block: ndarray  # the block to which a pair of a cell's corners adds
+    order: ndarray  # row i belongs to node `order[i]`
 
 
-def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
+def pattern(cells: list[ndarray], n: int, dimension: int) -> Pattern:
     """Makes the pattern of cells, given by corner ids (k, c), type by type. Pairs of a type run
     over first corners, then over second corners, then, fastest, over cells.
     """
-    starts, columns, block = _rows(cells, n)
+    starts, columns, block = _compressed_rows(cells, n)
     order = np.arange(n)
-    if is_factored(
-        n * dimension, dimension
-    ):  # ordering nodes takes half the time of ordering components
+    # ordering nodes takes half the time of ordering components
+    if is_factored(n * dimension, dimension):
         graph = sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(n, n))
         order = Factors(graph + sparse.diags(np.diff(starts) + 1.0)).order
         rank = np.argsort(order)
-        starts, columns, block = _rows([rank[ids] for ids in cells], n)
+        starts, columns, block = _compressed_rows([rank[ids] for ids in cells], n)
     return Pattern(*(part.astype(np.int32) for part in (starts, columns, block, order)))
 
 
-def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _compressed_rows(cells: list[ndarray], n: int) -> tuple[ndarray, ndarray, ndarray]:
     # Each pair of corners of a cell adds a block at (row, column). The key row * n + column is one
     # integer: unique keys are the matrix in CSR order, and their inverse the blocks' places.
     rows = [np.repeat(ids.T, ids.shape[1], axis=0).ravel() for ids in cells]
@@ -52,9 +48,9 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
     return np.searchsorted(unique // n, np.arange(n + 1)), unique % n, block
 
 
-def _solved(
+def _solve_blocks(
     accuracy: float | None, starts, columns, block, order, blocks, shift, right
-) -> np.ndarray:
+) -> ndarray:
     # The entries (a, b) of all blocks that fall on one place of the matrix are summed, then lie as
     # (d, d) blocks in CSR order; rows of nodes stand in `order`, and the solution is put back.
     n, d = right.shape
@@ -69,9 +65,9 @@ def _solved(
     )
     wanted = right[order].astype(float).ravel()
     if is_factored(n * d, d):
-        solved = _factored(matrix, wanted, (0.0,) if accuracy else (0.0, *DAMPING))
+        solved = _solve_by_factors(matrix, wanted, (0.0,) if accuracy else (0.0, *DAMPING))
     else:
-        solved = _iterated(matrix.tobsr((d, d)), wanted, accuracy or ROUGH)
+        solved = _solve_by_iterations(matrix.tobsr((d, d)), wanted, accuracy or ROUGH)
     if accuracy and not np.linalg.norm(matrix @ solved - wanted) <= 1e-6 * np.linalg.norm(wanted):
         solved = np.full_like(solved, np.nan)
     solution = np.empty_like(right)
@@ -79,18 +75,18 @@ def _solved(
     return solution
 
 
-solve = functools.partial(_solved, None)
+solve = functools.partial(_solve_blocks, None)
 """Solves (H + diag(shift)) x = right (n, d) for a step that descends, with the sum H of `blocks`
 (d, d, pairs), after the four fields of a `Pattern`. A small matrix is factored, and damped if it is
 not positive. For a large one, conjugate gradients run to 1 % of the right side. The result is zero
 if H is not finite.
 """
 
-solve_exactly = functools.partial(_solved, 1e-10)
+solve_exactly = functools.partial(_solve_blocks, 1e-10)
 """Solves as `solve`, to round-off or 1e-10; NaN if not positive, or without convergence."""
 
 
-def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.ndarray:
+def _solve_by_factors(matrix: Any, right: ndarray, damping: tuple[float, ...]) -> ndarray:
     """Solves by pivots on the diagonal, with the first `damping` term that makes it positive."""
     for added in damping:
         factors = Factors(matrix + added * sparse.identity(len(right)), is_ordered=True)
@@ -99,7 +95,7 @@ def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.
     return np.full_like(right, np.nan) if len(damping) == 1 else right / damping[-1]
 
 
-def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
+def _solve_by_iterations(matrix: Any, right: ndarray, accuracy: float) -> ndarray:
     """Solves by conjugate gradients, with the inverses of the blocks on the diagonal."""
     d = matrix.blocksize[0]
     rows = np.repeat(np.arange(len(right) // d), np.diff(matrix.indptr))

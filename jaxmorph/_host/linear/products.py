@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 # a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
 Components = Any
@@ -38,17 +39,16 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
     return [cross(b, c), cross(c, a), cross(a, b)]
 
 
-def smallest_height(corners: np.ndarray) -> np.ndarray:
+def smallest_height(corners: ndarray) -> ndarray:
     """Least heights (k,) of simplices (k, d + 1, d)."""
     edges = list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
-    rows = cofactor_rows(
-        edges
-    )  # area vectors of all sides but the first, whose area vector is minus their sum
+    # area vectors of all sides but the first, whose area vector is minus their sum
+    rows = cofactor_rows(edges)
     largest = np.max([np.linalg.norm(side, axis=1) for side in (*rows, sum(rows))], axis=0)
     return np.abs(np.einsum("kd,kd->k", rows[0], edges[0])) / np.where(largest > 0, largest, 1)
 
 
-def normals(corners: np.ndarray) -> np.ndarray:
+def normals(corners: ndarray) -> ndarray:
     """Normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
     edges = corners[:, 1:] - corners[:, :1]
     return (
@@ -56,23 +56,23 @@ def normals(corners: np.ndarray) -> np.ndarray:
     )
 
 
-def cofactor_rows(edges: list[np.ndarray]) -> list[np.ndarray]:
+def cofactor_rows(edges: list[ndarray]) -> list[ndarray]:
     """Rows of the adjugate of the matrix whose columns are the edges, each (k, d)."""
     return [np.stack(row, axis=1) for row in cofactors([edge.T for edge in edges])]
 
 
-def cross_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross_rows(a: ndarray, b: ndarray) -> ndarray:
     """Cross products of rows; `numpy.cross` is slow for many short vectors."""
     return np.stack(cross(a.T, b.T), axis=1)
 
 
-def unit_rows(vectors: np.ndarray) -> np.ndarray:
+def unit_rows(vectors: ndarray) -> ndarray:
     """Divides vectors (..., d) by their lengths; zero stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0, length, 1)
 
 
-def outward(corners: np.ndarray) -> np.ndarray:
+def outward(corners: ndarray) -> ndarray:
     """Outward normals (k, d) of faces (k, corners, d), as long as the area (2-D: edge)."""
     if corners.shape[1] == 2:
         return normals(corners)

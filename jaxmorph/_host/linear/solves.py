@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from scipy.sparse import linalg
 
-Operator = Callable[[np.ndarray], np.ndarray]
+Operator = Callable[[ndarray], ndarray]
 
 # unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse
 DIRECT = 12_000
@@ -34,7 +35,7 @@ class Factors:
         except RuntimeError:  # singular
             self._factors = None
 
-    def __call__(self, right: np.ndarray) -> np.ndarray:
+    def __call__(self, right: ndarray) -> ndarray:
         """Solves for right sides (k,) or (k, c); NaN if the matrix is singular."""
         return (
             np.full_like(right, np.nan)
@@ -48,13 +49,13 @@ class Factors:
         return self._factors is not None and bool((self._factors.U.diagonal() > 0).all())
 
     @property
-    def order(self) -> np.ndarray:
+    def order(self) -> ndarray:
         return np.argsort(self._factors.perm_c) if self._factors is not None else np.arange(0)
 
 
 def conjugate_gradients(
-    matrix: Any, right: np.ndarray, inverse: Callable, is_enough: Callable, limit: int
-) -> tuple[np.ndarray, bool]:
+    matrix: Any, right: ndarray, inverse: Callable, is_enough: Callable, limit: int
+) -> tuple[ndarray, bool]:
     """Solves for a right side (k,), up to negative curvature (Nocedal and Wright, algorithm 7.1).
     `inverse` is the preconditioner. `is_enough` decides from the solution, the residual and the
     residual's image under `inverse`. Returns x (k,), and whether it `is_enough` within `limit`
@@ -80,7 +81,7 @@ def conjugate_gradients(
     return x, False
 
 
-def inner_product(a: np.ndarray, b: np.ndarray) -> float:
+def inner_product(a: ndarray, b: ndarray) -> float:
     return float(np.einsum("i,i->", a, b))
 
 
@@ -103,12 +104,12 @@ class Level:
     matrix: Any
     prolongation: Any  # (k, coarse) from the next level
     restriction: Any  # its transpose
-    inverse: np.ndarray  # (k,) one over the diagonal
+    inverse: ndarray  # (k,) one over the diagonal
     top: (
         float  # a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles
     )
 
-    def smoothed(self, right: np.ndarray) -> np.ndarray:
+    def smoothed(self, right: ndarray) -> ndarray:
         """Solves roughly for (k,), by Chebyshev's second polynomial for upper eigenvalues."""
         middle = (1 + 1 / SPREAD) * self.top / 2
         half = (1 - 1 / SPREAD) * self.top / 2
@@ -125,7 +126,7 @@ class Multigrid:
     levels: Sequence[Level]
     last: Operator
 
-    def __call__(self, right: np.ndarray, depth: int = 0) -> np.ndarray:
+    def __call__(self, right: ndarray, depth: int = 0) -> ndarray:
         if depth == len(self.levels):
             return self.last(right)
         level = self.levels[depth]
@@ -134,7 +135,7 @@ class Multigrid:
         return x + level.smoothed(right - level.matrix @ x)
 
 
-def hierarchy(matrix: Any, mode: np.ndarray) -> Multigrid:
+def hierarchy(matrix: Any, mode: ndarray) -> Multigrid:
     """Makes the cycle of a positive CSR matrix (k, k), which takes `mode` (k,) nearly to zero."""
     import pyamg  # pyright: ignore[reportMissingImports]
 

@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from scipy import sparse
 from scipy.sparse import linalg
 
@@ -15,13 +16,13 @@ from .solves import Factors, Operator, conjugate_gradients, hierarchy, inner_pro
 
 # residual relative to the right side, and error relative to the solution, that end CG
 ACCURACY = 1e-9
-LIMIT = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
+MOST_STEPS = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
 # unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
 RESORT = 60_000
 LATEST = 2  # number of the latest systems whose factors are cached
 
 
-def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
+def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> ndarray:
     """Solves A x = right for the free unknowns; x is zero for all other unknowns.
 
     - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
@@ -47,14 +48,14 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
 def inverse_of(system: tuple[tuple[tuple[int, ...], str, bytes], ...], multigrid: bool) -> Callable:
     """The solver of a system, whose arrays are given by their bytes."""
     pairs, values, diagonal, masses, free = (
-        np.ndarray(shape, dtype, data) for shape, dtype, data in system
+        ndarray(shape, dtype, data) for shape, dtype, data in system
     )
     if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
         return lambda right: np.full_like(right, np.nan)
     values, diagonal, masses = (
         array.astype(float, copy=False) for array in (values, diagonal, masses)
     )
-    return _inverse(pairs, values, diagonal, masses, free, multigrid)
+    return _make_inverse(pairs, values, diagonal, masses, free, multigrid)
 
 
 def check_solver(unknowns: int, dimension: int) -> None:
@@ -65,7 +66,7 @@ def check_solver(unknowns: int, dimension: int) -> None:
         )
 
 
-def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator:
+def _make_inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator:
     # Of blocks there is one system; of numbers one for all columns with the same free unknowns.
     n, d = free.shape
     kinds = free.any(axis=1)[:, None]
@@ -77,15 +78,19 @@ def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator
         rows = np.flatnonzero(is_free)
         columns = np.flatnonzero(np.ravel(kind) == number)
         if masses.size:
-            root = sparse.diags(masses**-0.5) @ _matrix(pairs, values, diagonal, np.arange(n))
-            parts.append((rows, columns, _of_square(root[:, rows])))
+            root = sparse.diags(masses**-0.5) @ _select_matrix(
+                pairs, values, diagonal, np.arange(n)
+            )
+            parts.append((rows, columns, _solve_square(root[:, rows])))
         elif len(rows):
             used = free[rows].ravel() if values.ndim == 3 else np.ones(len(rows), dtype=bool)
             parts.append(
                 (
                     rows,
                     columns,
-                    _of_matrix(_matrix(pairs, values, diagonal, rows), used, d, multigrid),
+                    _solve_matrix(
+                        _select_matrix(pairs, values, diagonal, rows), used, d, multigrid
+                    ),
                 )
             )
 
@@ -98,10 +103,11 @@ def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Operator
     return apply
 
 
-def _matrix(pairs, values, diagonal, rows) -> Any:
+def _select_matrix(pairs, values, diagonal, rows) -> Any:
     """The matrix of the nodes `rows`, ascending: numbers in CSR, or blocks in BSR."""
     # SciPy sorts and selects the numbers of the entries, from 1 on.
-    i, j, node = *pairs.T, np.arange(len(diagonal))
+    i, j = pairs.T
+    node = np.arange(len(diagonal))
     turned = values.transpose(0, *range(values.ndim - 1, 0, -1))
     entries = np.concatenate([values, turned, diagonal])
     places = np.concatenate([i, j, node]), np.concatenate([j, i, node])
@@ -110,16 +116,16 @@ def _matrix(pairs, values, diagonal, rows) -> Any:
     return kind((entries[chosen.data - 1], chosen.indices, chosen.indptr))
 
 
-def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operator:
+def _solve_matrix(matrix: Any, used: ndarray, d: int, multigrid: bool) -> Operator:
     """The solver of the `used` unknowns for right sides; other unknowns are zero."""
     diagonal = np.where(used, matrix.diagonal(), 1)
     if not (diagonal > 0).all():
         return lambda right: np.full_like(right, np.nan)
     scale = used / np.sqrt(diagonal)
-    _scale(matrix, scale)
+    _scale_in_place(matrix, scale)
     factors = functools.cache(lambda: Factors(matrix))
     multigrid &= not (is_direct := is_factored(len(scale), d))
-    cycle = _cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid else None
+    cycle = _make_cycle(matrix, 1 / np.where(used, scale, 1)) if multigrid else None
     may_factor = is_direct or (multigrid and len(scale) <= RESORT)
 
     def apply(right):
@@ -127,7 +133,7 @@ def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operat
         x = np.full_like(columns, np.nan)
         if not (is_direct or factors.cache_info().currsize):
             x = np.apply_along_axis(
-                lambda column: iterated(matrix, column, cycle, scale), 0, columns
+                lambda column: iterate_to_accuracy(matrix, column, cycle, scale), 0, columns
             )
         if may_factor and np.isfinite(right).all() and not np.isfinite(x).all():
             x = factors()(columns)
@@ -136,7 +142,7 @@ def _of_matrix(matrix: Any, used: np.ndarray, d: int, multigrid: bool) -> Operat
     return apply
 
 
-def _scale(matrix: Any, scale: np.ndarray) -> None:
+def _scale_in_place(matrix: Any, scale: ndarray) -> None:
     """Multiplies rows and columns by `scale`, in place; where it is 0, the diagonal becomes 1."""
     factor = scale.reshape(len(matrix.indptr) - 1, -1)
     data = matrix.data.reshape(-1, factor.shape[1], factor.shape[1])
@@ -146,9 +152,9 @@ def _scale(matrix: Any, scale: np.ndarray) -> None:
     data[owner == matrix.indices] += (factor == 0)[:, :, None] * np.eye(factor.shape[1])
 
 
-def iterated(
-    matrix: Any, right: np.ndarray, cycle: Operator | None, scale: np.ndarray
-) -> np.ndarray:
+def iterate_to_accuracy(
+    matrix: Any, right: ndarray, cycle: Operator | None, scale: ndarray
+) -> ndarray:
     """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive. The
     wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
     error: a residual that is small beside stiff cells moves soft cells far.
@@ -163,12 +169,12 @@ def iterated(
         )
 
     # Without a cycle, twice as many steps are allowed.
-    inverse, limit = (cycle, LIMIT) if cycle else (lambda residual: residual, 2 * LIMIT)
+    inverse, limit = (cycle, MOST_STEPS) if cycle else (lambda residual: residual, 2 * MOST_STEPS)
     x, is_solved = conjugate_gradients(matrix, right, inverse, is_enough, limit)
     return x if is_solved else np.full_like(right, np.nan)
 
 
-def _cycle(matrix: Any, mode: np.ndarray) -> Operator:
+def _make_cycle(matrix: Any, mode: ndarray) -> Operator:
     """A matrix's multigrid cycle; for blocks, one a component, by Korn's inequality."""
     d = len(mode) // (len(matrix.indptr) - 1)
     cycles = []
@@ -186,7 +192,7 @@ def _cycle(matrix: Any, mode: np.ndarray) -> Operator:
     return cycle
 
 
-def _of_square(root: Any) -> Operator:
+def _solve_square(root: Any) -> Operator:
     """The solver of B^T B x = right for a sparse B (n, k), without squaring its condition."""
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
@@ -206,13 +212,13 @@ def _of_square(root: Any) -> Operator:
     return apply
 
 
-def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
+def reached(pairs: ndarray, known: ndarray) -> ndarray:
     """Marks the nodes (n,) that pairs (e, 2) connect to a node that is `known` (n,)."""
     part = parts_of(pairs[:, 0], pairs[:, 1], len(known))
     return np.bincount(part, known)[part] > 0
 
 
-def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
+def coincident(points: ndarray, first: ndarray) -> ndarray:
     """The point that represents each point's place (n,); one of `first` if there is any."""
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
     index, inverse = distinct(points[order])

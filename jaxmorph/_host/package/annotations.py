@@ -57,13 +57,13 @@ SINGLE = {
     types.NoneType: Rule("None", lambda value: value is None),
     type: Rule("a class", lambda value: isinstance(value, type)),
 }
-MANY = {
+COLLECTIONS = {
     tuple: ("a tuple", (tuple, list)),
     Sequence: ("a list", (list, tuple, range, set, frozenset)),
     Mapping: ("a dict", (Mapping,)),
 }
 """What a collection is called, and the classes that are taken; arrays are lists and tuples too."""
-NUMBERS = {
+ARRAY_KINDS = {
     "Float": ("real numbers", "fiuV"),
     "Real": ("real numbers", "fiuV"),
     "Shaped": ("real numbers", "fiubcV"),
@@ -73,7 +73,7 @@ NUMBERS = {
 }
 """What an annotated array holds, and NumPy's letters for it. V is bfloat16 and similar types."""
 SILENT = ("Any", "PyTree", "_empty", "object")  # classes that restrict nothing
-PLAIN = ((Any,), (int,))  # members of lists that are arrays where an array may stand
+PLAIN_MEMBERS = ((Any,), (int,))  # members of lists that are arrays where an array may stand
 
 
 @functools.cache
@@ -88,7 +88,7 @@ def rule_of(annotation: Any) -> Rule:
         return SINGLE[cls]
     if not isinstance(cls, type) or cls.__name__ in SILENT:
         return Rule("", lambda value: True)
-    for kind in MANY if members else ():
+    for kind in COLLECTIONS if members else ():
         if issubclass(cls, kind):
             return _of_members(kind, members)
     return Rule(f"a {cls.__name__}", lambda value: isinstance(value, cls))
@@ -101,7 +101,7 @@ def _of_union(members: Sequence[Any]) -> Rule:
         rule_of(member)
         for member in members
         if not (is_array[member] or (member is int and float in members))
-        and not (arrays and typing.get_args(member) in PLAIN)
+        and not (arrays and typing.get_args(member) in PLAIN_MEMBERS)
     ]
 
     def fits(value: Any) -> bool:
@@ -111,7 +111,7 @@ def _of_union(members: Sequence[Any]) -> Rule:
 
 
 def _of_array(annotation: Any) -> Rule:
-    numbers, letters = NUMBERS[annotation.__name__.partition("[")[0]]
+    numbers, letters = ARRAY_KINDS[annotation.__name__.partition("[")[0]]
     dims = annotation.dim_str.split()
     shape = f" ({', '.join(dims)}{',' * (len(dims) == 1)})" if dims and "..." not in dims else ""
 
@@ -128,7 +128,7 @@ def _of_array(annotation: Any) -> Rule:
 
 def _of_members(kind: type, members: Sequence[Any]) -> Rule:
     """Of a tuple of as many members; else of any number of one member, of a dict its values."""
-    words, classes = MANY[kind]
+    words, classes = COLLECTIONS[kind]
     rules = [rule_of(member) for member in members if member is not ...]
     is_row = kind is tuple and ... not in members
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy import ndarray
 
 from .annotations import array_of, has_type, is_real, is_whole, rule_of
 
@@ -41,7 +42,7 @@ def checked(function: Function) -> Function:
 
 def native(value: Any) -> Any:
     """NumPy's arrays in this machine's byte order, and in float64 if they are longer."""
-    if not isinstance(value, np.ndarray) or (value.dtype.isnative and value.dtype != np.longdouble):
+    if not isinstance(value, ndarray) or (value.dtype.isnative and value.dtype != np.longdouble):
         return value
     return value.astype(float if value.dtype == np.longdouble else value.dtype.newbyteorder("="))
 
@@ -49,7 +50,7 @@ def native(value: Any) -> Any:
 def freeze(array: Any) -> Any:
     """Returns a read-only array: itself if nobody can write into it, else a copy; others as is."""
     base = array
-    while isinstance(base, np.ndarray):
+    while isinstance(base, ndarray):
         if base.flags.writeable:
             array = array.copy()
             array.flags.writeable = False
@@ -114,7 +115,7 @@ def between(
     raise ValueError(f"`{name}` must be a real number {words}, not {shown(value)}.")
 
 
-def as_array(name: str, values: Any) -> np.ndarray:
+def as_array(name: str, values: Any) -> ndarray:
     try:
         return np.asarray(values)
     except ValueError:
@@ -123,7 +124,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
         ) from None
 
 
-def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
+def rows_of(name: str, ids: Any, count: int) -> ndarray:
     """Returns ids (k,), such as a caller's list of nodes. Raises `ValueError` for what is no list
     of whole numbers, with a hint for a mask, and for ids that are not in 0 to `count` - 1.
     """
@@ -147,7 +148,7 @@ def check_patch(name: str, patch: Any) -> None:
         rows_of(name, patch, 2**62)
 
 
-def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
+def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> ndarray:
     """Returns floats, in their precision, of one of the shapes, in which None is any length. Raises
     `ValueError` for other shapes, and for what are no real numbers.
     """
@@ -161,7 +162,7 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.nd
     return array if array.dtype.kind == "f" else array.astype(float)
 
 
-def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
+def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> ndarray:
     """Returns what `real_array` does; raises `ValueError` also for numbers that are not finite."""
     array = real_array(name, values, *shapes)
     if not np.isfinite(array).all():

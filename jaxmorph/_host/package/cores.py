@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 SWITCH = "JAXMORPH_CPUS"  # the environment variable that limits the cores to use
-BLOCK = 1 << 16  # rows in a block of one core
+ROWS_OF_A_CORE = 1 << 16  # rows in a block of one core
 AHEAD = 2  # pieces of work for each core in advance
 
 
@@ -71,6 +71,10 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
 def by_blocks(function: Callable[[slice], Any], count: int) -> None:
     """Calls `function` with slices of `count` rows, whatever the number of cores, on all cores."""
     for _ in in_order(
-        function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
+        function,
+        (
+            slice(start, min(start + ROWS_OF_A_CORE, count))
+            for start in range(0, count, ROWS_OF_A_CORE)
+        ),
     ):
         pass

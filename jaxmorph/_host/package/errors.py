@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 
 class MeshError(ValueError):
@@ -13,14 +14,15 @@ class MeshError(ValueError):
     replaces `{node}` in its `message` by the worst.
     """
 
-    def __init__(self, message: str, nodes: Sequence[int] | np.ndarray):
+    def __init__(self, message: str, nodes: Sequence[int] | ndarray):
         super().__init__(message, nodes)
-        self.message, self.nodes = message, np.asarray(nodes, dtype=np.int64)
+        self.message = message
+        self.nodes = np.asarray(nodes, dtype=np.int64)
 
     def __str__(self) -> str:
         return self.message.replace("{node}", str(self.nodes[0]))
 
-    def renumbered(self, ids: np.ndarray) -> "MeshError":
+    def renumbered(self, ids: ndarray) -> "MeshError":
         """Renumbers the nodes for a larger mesh: node k becomes `ids[k]`."""
         return MeshError(self.message, np.asarray(ids)[self.nodes])
 
@@ -39,13 +41,13 @@ def warn(message: str) -> None:
     warnings.warn(message, stacklevel=level)
 
 
-def worst_first(off: np.ndarray, allowed: Any) -> np.ndarray:
+def worst_first(off: ndarray, allowed: Any) -> ndarray:
     """Rows where `off` (k,) exceeds the `allowed`, the largest first."""
     wrong = np.flatnonzero(off > allowed)
     return wrong[np.argsort(-off[wrong], kind="stable")]
 
 
-def check_none(wrong: np.ndarray, message: str, points: np.ndarray | None = None) -> None:
+def check_none(wrong: ndarray, message: str, points: ndarray | None = None) -> None:
     """Raises a `MeshError` if there are `wrong` nodes, the worst first: `{count}` of them, of which
     the worst is `{node}` at `{place}`.
     """
@@ -56,5 +58,15 @@ def check_none(wrong: np.ndarray, message: str, points: np.ndarray | None = None
         )
 
 
-def place_of(point: np.ndarray) -> str:
+def place_of(point: ndarray) -> str:
     return ", ".join(f"{x:.6g}" for x in point)
+
+
+def check_all_finite(points: ndarray) -> None:
+    """Raises `ValueError` for points (n, d) that are not finite, with the first one."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise ValueError(
+            f"{len(bad)} of {len(points)} points are not finite, first node {bad[0]}: "
+            f"{points[bad[0]].tolist()}."
+        )

@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterator
 
 import numpy as np
+from numpy import ndarray
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
@@ -60,7 +61,7 @@ def is_same(a: pathlib.Path, b: pathlib.Path) -> bool:
         return a.resolve() == b.resolve()
 
 
-def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
+def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, ndarray]:
     """Reads arrays by name. Raises `ValueError` for objects, a damaged file, or not `what`."""
     with path.open("rb") as file:
         try:
@@ -82,7 +83,7 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
             ) from error
 
 
-def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+def real_values(path: pathlib.Path, arrays: dict[str, ndarray], name: str) -> ndarray:
     if arrays[name].dtype.kind not in "fiu":
         raise ValueError(
             f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected."
@@ -90,10 +91,8 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
     return arrays[name].astype(float)
 
 
-UNPACKED = (
-    2 * 10**8,
-    100,
-)  # bytes that a packed file may become in any case, and that a byte of it may become
+# bytes that a packed file may become in any case, and that a byte of it may become
+UNPACKED = (2 * 10**8, 100)
 
 
 @contextlib.contextmanager
@@ -151,12 +150,12 @@ def complete(
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
     _check_replaceable(path, target, folder)
-    with named(path):
-        partial = _new(target, folder)
+    with name_errors_by(path):
+        partial = _make_partial(target, folder)
     try:
-        with named(path) if name_errors else contextlib.nullcontext():
+        with name_errors_by(path) if name_errors else contextlib.nullcontext():
             yield partial
-        with named(path):
+        with name_errors_by(path):
             partial.replace(target)
     finally:
         if partial.is_dir() and not partial.is_symlink():
@@ -175,7 +174,7 @@ def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -
 
 
 @contextlib.contextmanager
-def named(path: pathlib.Path) -> Iterator[None]:
+def name_errors_by(path: pathlib.Path) -> Iterator[None]:
     """Makes a system error name the target file instead of the temporary file or none."""
     try:
         yield
@@ -203,10 +202,9 @@ def _is_of_another(error: Exception) -> bool:
     return bool(names) and not any(".partial" in name for name in names)
 
 
-def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
-    room = (
-        255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")
-    )  # of a file system's 255 bytes
+def _make_partial(target: pathlib.Path, folder: bool) -> pathlib.Path:
+    # of a file system's 255 bytes
+    room = 255 - len(os.fsencode(target.suffix)) - len("..12345678.partial")
     stem = os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
     while True:
         partial = target.with_name(f".{stem}.{secrets.token_hex(4)}.partial{target.suffix}")

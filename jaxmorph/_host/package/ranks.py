@@ -4,6 +4,9 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from numpy import ndarray
+
+from ..rows import Rows
 
 T = TypeVar("T")
 
@@ -74,9 +77,10 @@ class Agreement:
 
     def __init__(self, ranks: Ranks):
         self.ranks = ranks
-        self.ids, self.values = np.zeros(0, np.int64), np.zeros((0, 0))
+        self.ids = np.zeros(0, np.int64)
+        self.values = np.zeros((0, 0))
 
-    def __call__(self, ids: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def __call__(self, ids: ndarray, values: ndarray) -> ndarray:
         """Returns common values (k, d) of ids (k,); all processes call it, also without nodes."""
         # The keeper of an id is the process `id % size`. Every process sends ids and values to
         # their keepers, which add new ids and answer with their values.
@@ -87,9 +91,8 @@ class Agreement:
         )
         self.ids, first = np.unique(np.concatenate(ids_sent), return_index=True)
         self.values = np.concatenate(values_sent)[first]
-        answers = self.ranks.alltoall(
-            [self.values[np.searchsorted(self.ids, names)] for names, _ in received]
-        )
+        known = Rows(self.ids)
+        answers = self.ranks.alltoall([self.values[known.of(names)] for names, _ in received])
         common = values.copy()
         for row, answer in zip(rows, answers, strict=True):
             common[row] = answer

@@ -4,14 +4,16 @@ import itertools
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial import KDTree
 
 from ..cells.topology import Pair
+from ..rows import first_of_equals
 from .cores import cores
 
 SAME = 1e-9  # relative difference up to which two numbers count as equal
 TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
-FEW = 4096  # points of a search up to which threads cost more than they gain
+FEW_POINTS = 4096  # points of a search up to which threads cost more than they gain
 
 
 NEAR_ZERO = 1e-290  # far above the smallest normal number, with a square that is zero
@@ -28,31 +30,31 @@ class Tree(KDTree):
 
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return super().query(
-            x, *arguments, **{"workers": cores() if len(x) > FEW else 1} | keywords
+            x, *arguments, **{"workers": cores() if len(x) > FEW_POINTS else 1} | keywords
         )
 
-    def within(self, x: np.ndarray, radius: np.ndarray) -> Pair:
+    def within(self, x: ndarray, radius: ndarray) -> Pair:
         """Pairs of a row of `x` (k, d) and a point within its radius (k,), by row, then point."""
         around = self.query_ball_point(x, radius, return_sorted=True)
         rows = np.repeat(np.arange(len(x)), [len(ids) for ids in around])
         return rows, np.fromiter(itertools.chain.from_iterable(around), np.int64, len(rows))
 
 
-def roundoff(points: np.ndarray) -> float:
+def roundoff(points: ndarray) -> float:
     return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))
 
 
-def resolution(points: np.ndarray) -> float:
+def resolution(points: ndarray) -> float:
     """Returns the difference up to which two coordinates of points (n, d) count as equal."""
     return max(SAME * float(np.ptp(points, axis=0).max(initial=0)), roundoff(points))
 
 
-def spacing(points: np.ndarray) -> np.ndarray:
+def spacing(points: ndarray) -> ndarray:
     """Each point's distance (n,) from its nearest neighbour; infinite for one point."""
     return np.asarray(Tree(points).query(points, k=2)[0])[:, 1]
 
 
-def ranked(values: np.ndarray, slack: float) -> np.ndarray:
+def ranked(values: ndarray, slack: float) -> ndarray:
     """Ranks numbers from 0; one at most `slack` above its predecessor has the same rank."""
     order = np.argsort(values, kind="stable")
     rank = np.zeros(len(values), dtype=np.int64)
@@ -60,31 +62,30 @@ def ranked(values: np.ndarray, slack: float) -> np.ndarray:
     return rank
 
 
-def distinct(points: np.ndarray) -> Pair:
+def distinct(points: ndarray) -> Pair:
     """Each place's first point (k,), and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)
-    _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return first, place.ravel()
+    return first_of_equals(rows)
 
 
-def first_largest(values: np.ndarray, slack: float | None = None) -> int:
+def first_largest(values: ndarray, slack: float | None = None) -> int:
     """The first number within a slack of the largest; by default `SAME` times the largest."""
     top = values.max()
     return int((values >= top - (SAME * abs(top) if slack is None else slack)).argmax())
 
 
-def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
+def nearest_of(points: ndarray, chosen: ndarray, ids: ndarray) -> ndarray:
     """Each point's nearest `chosen` place, as an entry of `ids`; ties go to the first."""
     return ids[nearest_few(points, chosen, 1)[:, 0]]
 
 
-def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
+def nearest_few(points: ndarray, chosen: ndarray, count: int) -> ndarray:
     """Each point's `count` nearest `chosen` places (k, count), nearest first, then lowest."""
     return few_by(Tree(chosen), points, count, max(roundoff(points), roundoff(chosen)))
 
 
-def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarray:
+def few_by(tree: Tree, points: ndarray, count: int, slack: float) -> ndarray:
     """`nearest_few` in a tree of the places; equal distances differ by a `slack` at most."""
     # If all distances from the last wanted one on are equal, more places are searched.
     nearest = np.zeros((len(points), count), dtype=np.int64)
@@ -99,7 +100,7 @@ def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarr
     return nearest
 
 
-def lowest_of_equals(places: np.ndarray, is_more: np.ndarray) -> np.ndarray:
+def lowest_of_equals(places: ndarray, is_more: ndarray) -> ndarray:
     """Sorts rows of places (k, c), nearest first, by number where a distance is not `is_more` than
     the one before it (k, c - 1).
     """
@@ -112,19 +113,13 @@ def lowest_of_equals(places: np.ndarray, is_more: np.ndarray) -> np.ndarray:
 BETWEEN = 0.618
 
 
-def canonical_order(points: np.ndarray) -> np.ndarray:
+def canonical_order(points: ndarray) -> ndarray:
     """Sorts points by their coordinates, so that results do not depend on the order given."""
     slack = resolution(points)
     return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
 
 
-def rows_in(ids: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The row in `ids` (k,) of each of `wanted`, which are all among them."""
-    order = np.argsort(ids, kind="stable")
-    return order[np.searchsorted(ids[order], wanted)]
-
-
-def morton_order(points: np.ndarray) -> np.ndarray:
+def morton_order(points: ndarray) -> ndarray:
     """Sorts points along Morton's curve, so that successive points are close to each other."""
     # A point has an integer coordinate on every axis. The key interleaves their bits: bit 0 of x, y
     # and z, then bit 1 of x, y and z. Points with equal upper bits lie in one box. A table moves

@@ -8,73 +8,48 @@ import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-MESHES = {
-    "SU2": (".su2",),
-    "VTK": (".vtu", ".vtk", ".vts", ".vtp", ".pvtu", ".vtm"),
-    "gmsh": (".msh", ".msh2", ".msh4"),
-    "Fluent": (".cas", ".msh"),
-    "Fluent HDF5": (".h5",),
-    "CGNS": (".cgns",),
-    "MFEM": (".mesh",),
-    "MED": (".med",),
-    "Exodus": (".e", ".exo", ".ex2", ".exoii", ".g"),
-    "PLOT3D": (
-        ".xyz",
-        ".p3d",
-        ".p3dfmt",
-        ".x",
-        ".g",
-        ".grd",
-        ".fmt",
-        ".ufmt",
-        ".bin",
-        ".p2d",
-        ".p2dfmt",
-    ),
-    "Medit": (".mesh", ".meshb"),
-    "Abaqus": (".inp", ".msh"),
-    "I-deas": (".unv",),
-    "XDMF": (".xdmf", ".xmf"),
-    "AFLR": (".ugrid",),
-    "OpenFOAM": (),
+_ENDINGS = {
+    "SU2": ".su2",
+    "VTK": ".vtu .vtk .vts .vtp .pvtu .vtm",
+    "gmsh": ".msh .msh2 .msh4",
+    "Fluent": ".cas .msh",
+    "Fluent HDF5": ".h5",
+    "CGNS": ".cgns",
+    "MFEM": ".mesh",
+    "MED": ".med",
+    "Exodus": ".e .exo .ex2 .exoii .g",
+    "PLOT3D": ".xyz .p3d .p3dfmt .x .g .grd .fmt .ufmt .bin .p2d .p2dfmt",
+    "Medit": ".mesh .meshb",
+    "Abaqus": ".inp .msh",
+    "I-deas": ".unv",
+    "XDMF": ".xdmf .xmf",
+    "AFLR": ".ugrid",
+    "OpenFOAM": "",
 }
+MESHES = {name: tuple(endings.split()) for name, endings in _ENDINGS.items()}
 """Endings of meshes by the name of their format; a case of OpenFOAM is a folder."""
 
 SENSITIVITIES = (".csv", ".npz")
 GRADIENTS = (".csv", ".json")
 LATTICES = (".vts",)
 
-UNREAD = {
+_KINDS_UNREAD = {
     ".neu": "a Gambit neutral file; OpenFOAM's gambitToFoam keeps its patches",
     ".ccm": "a mesh of STAR-CCM+; its export to CGNS, or OpenFOAM's ccmToFoam, keeps its patches",
-    **dict.fromkeys(
-        (".vrt", ".cel", ".bnd"), "a mesh of STAR-CD; OpenFOAM's star4ToFoam keeps its patches"
-    ),
-    **dict.fromkeys(
-        (".node", ".ele"), "a mesh of TetGen; OpenFOAM's tetgenToFoam keeps its patches"
-    ),
+    ".vrt .cel .bnd": "a mesh of STAR-CD; OpenFOAM's star4ToFoam keeps its patches",
+    ".node .ele": "a mesh of TetGen; OpenFOAM's tetgenToFoam keeps its patches",
     ".cdb": "an archive of Ansys; its export to Fluent's .msh or to CGNS keeps its patches",
-    **dict.fromkeys(
-        (".bdf", ".nas", ".fem"),
-        "a deck of Nastran; gmsh makes a .msh of it, where no GRID has a system CP",
-    ),
+    ".bdf .nas .fem": ("a deck of Nastran; gmsh makes a .msh of it, where no GRID has a system CP"),
     ".vol": "a mesh of Netgen; its export to gmsh's .msh keeps its patches",
     ".re2": "a mesh of Nek5000; the .msh or .exo that it was made of is read",
-    **dict.fromkeys(
-        (".plt", ".tec", ".szplt"),
-        "a file of Tecplot; ParaView opens it, and saves .vtm with its zones",
-    ),
+    ".plt .tec .szplt": "a file of Tecplot; ParaView opens it, and saves .vtm with its zones",
     ".case": "EnSight's; ParaView opens it, and saves .vtm with its parts",
     ".foam": "ParaView's mark of an OpenFOAM case: give the folder of the case",
     ".pvd": "ParaView's list of files: give one of them",
-    **dict.fromkeys(
-        (".stl", ".obj", ".ply", ".off"),
-        "a surface, without cells; gmsh or snappyHexMesh make a mesh of it",
-    ),
-    **dict.fromkeys(
-        (".step", ".stp", ".iges", ".igs", ".brep", ".geo"), "a geometry; gmsh makes a mesh of it"
-    ),
+    ".stl .obj .ply .off": ("a surface, without cells; gmsh or snappyHexMesh make a mesh of it"),
+    ".step .stp .iges .igs .brep .geo": "a geometry; gmsh makes a mesh of it",
 }
+UNREAD = {name: what for names, what in _KINDS_UNREAD.items() for name in names.split()}
 """What files with other known endings are, and what makes a mesh of them that is read."""
 
 # entry points by which other packages bring formats, named by their endings
@@ -142,7 +117,7 @@ def similar(word: str, known: Iterable[str]) -> str | None:
     return words[near[0]] if near else None
 
 
-SHOWN = 12  # names that an error lists
+SHOWN_NAMES = 12  # names that an error lists
 
 
 def patch_names(
@@ -164,13 +139,13 @@ def patch_names(
             if not found:
                 known = _known(patches, groups)
                 raise ValueError(
-                    f"no patch is called {name!r}{_hint(name, [*patches, *groups])}; {known}."
+                    f"no patch is called {name!r}{_suggest(name, [*patches, *groups])}; {known}."
                 )
         listed += found
     return tuple(dict.fromkeys(listed))
 
 
-def _hint(name: str, known: Sequence[str]) -> str:
+def _suggest(name: str, known: Sequence[str]) -> str:
     shell = re.sub(r"(?<![.\])])\*", ".*", name)
     if (
         shell != name
@@ -184,9 +159,9 @@ def _hint(name: str, known: Sequence[str]) -> str:
 
 def _known(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:
     names = [repr(name) for name in patches]
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
     of_groups = f", and the groups {', '.join(map(repr, groups))}" if groups else ""
-    return f"this mesh has: {', '.join(names[:SHOWN]) or 'none'}{more}{of_groups}"
+    return f"this mesh has: {', '.join(names[:SHOWN_NAMES]) or 'none'}{more}{of_groups}"
 
 
 def decoded(raw: bytes) -> str:

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, whole
@@ -50,7 +51,7 @@ class FarthestPoints(AbstractSeparated):
         check_fields(self)
         between("separation", self.separation, 0, 1, "[)")
 
-    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+    def _chosen(self, points: ndarray, order: ndarray) -> ndarray:
         first = extreme_points(points) if self.extremes else None
         return farthest(points, self.count, self.closest(points), first)
 
@@ -75,10 +76,10 @@ class Filled(AbstractReduction):
     def tree(self) -> KDTree:
         return KDTree(self.leaves, extremes=True, crowded=self.crowded)
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def __call__(self, points: ndarray) -> ndarray:
         return self.beside(points, points[:0])
 
-    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    def beside(self, points: ndarray, others: ndarray) -> ndarray:
         def chosen(points, order):
             first = self.tree.beside(points, others)
             return farthest(
@@ -87,17 +88,17 @@ class Filled(AbstractReduction):
 
         return chosen_in_order(points, chosen)
 
-    def closest(self, points: np.ndarray) -> float:
+    def closest(self, points: ndarray) -> float:
         return self.tree.closest(points)
 
 
 def farthest(
-    points: np.ndarray,
+    points: ndarray,
     count: int,
     closest: float,
-    first: np.ndarray | None = None,
-    reach: np.ndarray | float = 0.0,
-) -> np.ndarray:
+    first: ndarray | None = None,
+    reach: ndarray | float = 0.0,
+) -> ndarray:
     """Picks ids of `count` points, each the farthest from all chosen points; `first` come first. It
     ends early if all points are within `closest` of chosen points. With `reach` (n,), distances are
     relative to it, and it ends when all points are within reach.
@@ -128,11 +129,11 @@ def farthest(
 
 
 def _lower(
-    distance: np.ndarray,
-    columns: np.ndarray,
+    distance: ndarray,
+    columns: ndarray,
     node: int,
-    weight: np.ndarray | float,
-    work: np.ndarray,
+    weight: ndarray | float,
+    work: ndarray,
 ) -> None:
     """Lowers squared distances where `node` is closer, in place: all data stay in the cache."""
     total, term = work
@@ -146,10 +147,11 @@ def _lower(
     np.minimum(distance, total, out=distance)
 
 
-SHARE = {
+# default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
+DEFAULT_SHARES = {
     2: 0.25,
     3: 0.5,
-}  # default `share` by dimension: a distant circle gets 16 sources, a sphere about 30
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,21 +190,21 @@ class Graded(AbstractSeparated):
         whole("most", self.most)
         between("separation", self.separation, 0, 1, "[)")
 
-    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+    def _chosen(self, points: ndarray, order: ndarray) -> ndarray:
         return self._near(points, points[:0])
 
-    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    def beside(self, points: ndarray, others: ndarray) -> ndarray:
         others = others[canonical_order(others)] if len(others) else others
         return chosen_in_order(points, lambda points, order: self._near(points, others))
 
-    def _near(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        share = SHARE[points.shape[1]] if self.share is None else self.share
+    def _near(self, points: ndarray, others: ndarray) -> ndarray:
+        share = DEFAULT_SHARES[points.shape[1]] if self.share is None else self.share
         return farthest(
-            points, self.most, self.closest(points), reach=share * _room(points, others)
+            points, self.most, self.closest(points), reach=share * _measure_room(points, others)
         )
 
 
-def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+def _measure_room(points: ndarray, others: ndarray) -> ndarray:
     """Measures distances (n,) from the nearest of the `others`, at least their spacing there."""
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
@@ -212,7 +214,7 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.maximum(distance, nearest_of(points, others, spacing(others)))
 
 
-def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
+def far_to_near(points: ndarray, first: int, count: int) -> Pair:
     """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
     Returns ids (n,), and places in their order (n - first, count): the point's own place, then near
     earlier places; its own place fills up the row. The result depends on the set of points, not on
@@ -220,7 +222,8 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> Pair:
     """
     canonical = canonical_order(points)
     order = canonical[farthest(points[canonical], len(points), 0.0)]
-    points, n = points[order], len(points)
+    n = len(points)
+    points = points[order]
     place = np.arange(min(first, n), n)[:, None]
     earlier = np.repeat(place.astype(np.int32), count, axis=1)
     start = first

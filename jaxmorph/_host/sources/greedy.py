@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial.distance import cdist
 from scipy.special import xlogy
 
@@ -36,7 +37,7 @@ class Greedy(AbstractSeparated):
     """
 
     sources: int
-    motions: np.ndarray | None = None
+    motions: ndarray | None = None
     _: dataclasses.KW_ONLY
     tolerance: float = 0.0
     group: float = 0.125
@@ -50,7 +51,7 @@ class Greedy(AbstractSeparated):
         between("group", self.group, 0, 1, "[]")
         between("separation", self.separation, 0, 1, "[)")
 
-    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+    def _chosen(self, points: ndarray, order: ndarray) -> ndarray:
         closest = self.closest(points)
         if self.motions is None:
             return farthest(points, self.sources, closest)
@@ -65,13 +66,13 @@ class Greedy(AbstractSeparated):
 
 
 def _by_error(
-    points: np.ndarray,
-    values: np.ndarray,
+    points: ndarray,
+    values: ndarray,
     count: int,
     closest: float,
     tolerance: float,
     group: float,
-) -> np.ndarray:
+) -> ndarray:
     """Picks points where interpolation of `values` (m, k d) misses most, a `group` in a round."""
     unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
     tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
@@ -82,7 +83,7 @@ def _by_error(
     slack = SAME * np.abs(values).max()
     least = max(tolerance * np.abs(values).max(), slack)
     while len(chosen) < count:
-        missed = _missed(kernel, tail, chosen, values)
+        missed = _measure_misses(kernel, tail, chosen, values)
         missed[distance <= closest] = 0
         if missed.max() <= least:
             break
@@ -93,9 +94,8 @@ def _by_error(
                 break
             added.append(worst)
             away = np.linalg.norm(points - points[worst], axis=1)
-            missed = missed * np.minimum(
-                away / distance[worst], 1
-            )  # without the part that this source will mend
+            # without the part that this source will mend
+            missed = missed * np.minimum(away / distance[worst], 1)
             distance = np.minimum(distance, away)
             missed[distance <= closest] = 0
         chosen = np.concatenate([chosen, added])
@@ -103,19 +103,16 @@ def _by_error(
     return chosen
 
 
-def _missed(
-    kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np.ndarray
-) -> np.ndarray:
+def _measure_misses(kernel: ndarray, tail: ndarray, chosen: ndarray, values: ndarray) -> ndarray:
     """The largest miss (m,), over all values, of the chosen points' spline (eq. 3)."""
     terms = tail.shape[1]
     matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])
     rhs = np.concatenate([values[chosen], np.zeros((terms, values.shape[1]))])
-    weights = np.linalg.lstsq(matrix, rhs)[
-        0
-    ]  # points in one plane leave the polynomial undetermined
+    # points in one plane leave the polynomial undetermined
+    weights = np.linalg.lstsq(matrix, rhs)[0]
     return np.abs(values - np.concatenate([kernel, tail], axis=1) @ weights).max(axis=1)
 
 
-def _kernel(points: np.ndarray, sources: np.ndarray) -> np.ndarray:
+def _kernel(points: ndarray, sources: ndarray) -> ndarray:
     squared = cdist(points, sources, "sqeuclidean")
     return 0.5 * xlogy(squared, squared)

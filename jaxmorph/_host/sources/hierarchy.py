@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy import ndarray
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
@@ -17,14 +18,15 @@ from ..package.rounding import (
     ranked,
     roundoff,
 )
+from ..ragged import Ragged
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 
-BATCH = 256  # candidates for the next nodes in a batch
-WIDTH = 8  # entries in a row of a sweep's table
+CANDIDATES = 256  # candidates for the next nodes in a batch
+ROW_WIDTH = 8  # entries in a row of a sweep's table
 
 
-def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> Pair:
+def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
     """Orders nodes so that the next is always the farthest from its predecessors.
 
     Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
@@ -42,37 +44,36 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     nearest = np.arange(len(points))
     radius = np.zeros(len(points))
 
-    def approach(near: np.ndarray, node: np.ndarray) -> None:
+    def approach(near: ndarray, node: ndarray) -> None:
         """Updates distances and nearest nodes of nodes `near` that are nearer to `node`."""
         gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
         closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
         np.minimum.at(distance, near[closer], gap[closer])
         closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
-        closer = closer[
-            np.argsort(-node[closer], kind="stable")
-        ]  # the first of equals is written last
+        # the first of equals is written last
+        closer = closer[np.argsort(-node[closer], kind="stable")]
         nearest[near[closer]] = node[closer]
 
-    approach(*_pairs_of_equals(images[rank]))
+    approach(*_pair_equals(images[rank]))
     start = place[earlier]
     if not len(earlier):
         start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])
         away = np.linalg.norm(ordered - ordered[start], axis=1)
         if nearest[start] == start:
-            distance[start], nearest[start] = away.max(), first_largest(away)
+            distance[start] = away.max()
+            nearest[start] = first_largest(away)
         radius[start] = distance[start]
     others = np.setdiff1d(np.arange(len(points)), start)
     approach(others, nearest_of(ordered[others], ordered[start], start))
     distance[start] = 0
     tree = Tree(ordered)
     least = roundoff(points)
-    while (batch := _farthest(distance, least)).size:
+    while (batch := _pick_batch(distance, least)).size:
         gaps = np.where(
             np.tri(len(batch), k=-1, dtype=bool), cdist(ordered[batch], ordered[batch]), np.inf
         )
-        picked = batch[
-            gaps.min(axis=1) >= distance[batch] * (1 - SAME)
-        ]  # no earlier node of the batch comes nearer
+        # no earlier node of the batch comes nearer
+        picked = batch[gaps.min(axis=1) >= distance[batch] * (1 - SAME)]
         radius[picked] = distance[picked]
         distance[picked] = 0
         node, near = tree.within(ordered[picked], (1 - SAME) * radius[picked])
@@ -91,12 +92,12 @@ class Share(AbstractReduction):
     def __post_init__(self):
         between("fraction", self.fraction, 0, 1, "(]")
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def __call__(self, points: ndarray) -> ndarray:
         count = int(np.ceil(self.fraction * len(points)))
         return FarthestPoints(count)(points) if count else np.zeros(0, dtype=np.int64)
 
 
-def _pairs_of_equals(numbers: np.ndarray) -> Pair:
+def _pair_equals(numbers: ndarray) -> Pair:
     """All pairs of two different rows (k,) with equal numbers, both ways."""
     groups = np.unique(numbers, return_inverse=True)[1]
     member = sparse.csr_array((np.ones(len(numbers), bool), (np.arange(len(numbers)), groups)))
@@ -104,17 +105,15 @@ def _pairs_of_equals(numbers: np.ndarray) -> Pair:
     return first[first != second], second[first != second]
 
 
-def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
+def _pick_batch(distance: ndarray, least: float) -> ndarray:
     """Nodes with the largest distances above `least`, largest first; ties by first node."""
-    count = min(BATCH, len(distance))
+    count = min(CANDIDATES, len(distance))
     last = np.partition(distance, -count)[-count]
     batch = np.flatnonzero((distance >= (1 - SAME) * last) & (distance > least))
-    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:BATCH]]
+    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:CANDIDATES]]
 
 
-def overlaps(
-    points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
-) -> Pair:
+def overlaps(points: ndarray, centres: ndarray, radius: ndarray, targets: ndarray) -> Pair:
     """Pairs (target, centre) within the centre's radius (b,), by target, then centre."""
     tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     rank, target = tree.within(points[centres], radius[centres])
@@ -122,24 +121,21 @@ def overlaps(
     return target[order], centres[rank[order]]
 
 
-def _places_in_runs(*keys: np.ndarray) -> np.ndarray:
+def _count_in_runs(*keys: ndarray) -> ndarray:
     """The place of each entry (e,) in its run of entries with equal keys."""
     row = np.arange(len(keys[0]))
     begins = np.logical_or.reduce([np.diff(key, prepend=-1) != 0 for key in keys])
     return row - np.maximum.accumulate(np.where(begins, row, 0))
 
 
-def padded(target: np.ndarray, centre: np.ndarray, count: int) -> Pair:
+def padded(target: ndarray, centre: ndarray, count: int) -> Pair:
     """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs."""
-    column = _places_in_runs(target)
-    rows = np.zeros((count, 1 + column.max(initial=0)), dtype=np.int32)
-    used = np.zeros(rows.shape, dtype=bool)
-    rows[target, column] = centre
-    used[target, column] = True
-    return rows, used
+    rows = Ragged.of(centre.astype(np.int32), np.bincount(target, minlength=count))
+    table = rows.padded(0, 1)
+    return table, np.arange(table.shape[1]) < rows.sizes[:, None]
 
 
-def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Pair, Pair]:
+def sweeps(row: ndarray, column: ndarray, count: int) -> tuple[Pair, Pair]:
     """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
     The `count` equations have ones on the diagonal. A level needs only earlier levels.
     """
@@ -150,10 +146,12 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Pair, Pair]
         if (deeper == level).all():
             break
         level = deeper
-    return _sweep(row, level[row]), _sweep(column, level.max(initial=0) - level[column])
+    return _lay_out_sweep(row, level[row]), _lay_out_sweep(
+        column, level.max(initial=0) - level[column]
+    )
 
 
-def _sweep(owner: np.ndarray, level: np.ndarray) -> Pair:
+def _lay_out_sweep(owner: ndarray, level: ndarray) -> Pair:
     """Lays entries (e,), by level and owner, into s steps of r rows, each of up to `WIDTH` entries
     of its owner. Returns positions (s, r, WIDTH), -1 for padding, and owners (s, r).
     """
@@ -161,20 +159,20 @@ def _sweep(owner: np.ndarray, level: np.ndarray) -> Pair:
     # rows, a quarter of the mean number of rows of a level. A level begins with a new step; the
     # rest of its last step stays empty.
     if not owner.size:
-        return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
+        return np.zeros((0, 1, ROW_WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))
     level = level[order]
     owner = owner[order]
-    within = _places_in_runs(level, owner)
-    begins = within % WIDTH == 0
+    within = _count_in_runs(level, owner)
+    begins = within % ROW_WIDTH == 0
     level_of_row = level[begins]
     rows_of_level = np.bincount(level_of_row)
     rows = -(-len(level_of_row) // (4 * len(rows_of_level)))
     last_step = np.cumsum(-(-rows_of_level // rows))
     first_slot = rows * np.append(0, last_step)[level_of_row]
-    slot = (first_slot + _places_in_runs(level_of_row))[np.cumsum(begins) - 1]
-    entries = np.full((last_step[-1] * rows, WIDTH), -1, dtype=np.int32)
+    slot = (first_slot + _count_in_runs(level_of_row))[np.cumsum(begins) - 1]
+    entries = np.full((last_step[-1] * rows, ROW_WIDTH), -1, dtype=np.int32)
     owners = np.zeros(last_step[-1] * rows, np.int32)
-    entries[slot, within % WIDTH] = order
+    entries[slot, within % ROW_WIDTH] = order
     owners[slot] = owner
-    return entries.reshape(-1, rows, WIDTH), owners.reshape(-1, rows)
+    return entries.reshape(-1, rows, ROW_WIDTH), owners.reshape(-1, rows)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, finite_array, whole
@@ -35,13 +36,13 @@ class AbstractReduction(abc.ABC):
     """Most sources on fixed walls farther from the moving walls than they are long; 0: no limit."""
 
     @abc.abstractmethod
-    def __call__(self, points: np.ndarray) -> np.ndarray: ...
+    def __call__(self, points: ndarray) -> ndarray: ...
 
-    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    def beside(self, points: ndarray, others: ndarray) -> ndarray:
         """Chooses near the `others` (k, d), fixed nodes or moving sources; ignored by default."""
         return self(points)
 
-    def closest(self, points: np.ndarray) -> float:
+    def closest(self, points: ndarray) -> float:
         """Returns the distance within which one of two sources is dropped; round-off by default."""
         return roundoff(points)
 
@@ -52,13 +53,13 @@ class AbstractSeparated(AbstractReduction):
     separation: float
 
     @abc.abstractmethod
-    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+    def _chosen(self, points: ndarray, order: ndarray) -> ndarray:
         """Chooses rows of `points` (k, d) in canonical order; `order` (k,) has their ids."""
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def __call__(self, points: ndarray) -> ndarray:
         return chosen_in_order(points, self._chosen)
 
-    def closest(self, points: np.ndarray) -> float:
+    def closest(self, points: ndarray) -> float:
         """Returns `separation` times the diagonal of all points, but at least round-off."""
         if len(points) == 0:
             return 0.0
@@ -71,7 +72,7 @@ class AbstractSearchPoints(abc.ABC):
     """Places in a leaf's box, from -1 to 1; the mesh points closest to them become sources."""
 
     @abc.abstractmethod
-    def local(self, dimension: int) -> np.ndarray:
+    def local(self, dimension: int) -> ndarray:
         """Lists the local coordinates (k, d)."""
 
 
@@ -79,7 +80,7 @@ class AbstractSearchPoints(abc.ABC):
 class Centre(AbstractSearchPoints):
     """The middle of a box."""
 
-    def local(self, dimension: int) -> np.ndarray:
+    def local(self, dimension: int) -> ndarray:
         return np.zeros((1, dimension))
 
 
@@ -87,7 +88,7 @@ class Centre(AbstractSearchPoints):
 class GaussPoints(AbstractSearchPoints):
     """The 4 or 8 Gauss points of the linear element, at +-1/sqrt(3)."""
 
-    def local(self, dimension: int) -> np.ndarray:
+    def local(self, dimension: int) -> ndarray:
         return Corners().local(dimension) / np.sqrt(3)
 
 
@@ -95,7 +96,7 @@ class GaussPoints(AbstractSearchPoints):
 class Corners(AbstractSearchPoints):
     """The 4 or 8 corners of a box."""
 
-    def local(self, dimension: int) -> np.ndarray:
+    def local(self, dimension: int) -> ndarray:
         return np.array(list(itertools.product((-1.0, 1.0), repeat=dimension)))
 
 
@@ -103,7 +104,7 @@ class Corners(AbstractSearchPoints):
 class AllPoints(AbstractReduction):
     """Chooses all points, as in the classic method; of coincident points, one."""
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def __call__(self, points: ndarray) -> ndarray:
         return drop_close(points, np.arange(len(points)), roundoff(points))
 
 
@@ -161,7 +162,7 @@ class KDTree(AbstractSeparated):
             )
         between("separation", self.separation, 0, 1, "[)")
 
-    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+    def _chosen(self, points: ndarray, order: ndarray) -> ndarray:
         boxes = self.boxes(points)
         local = self.search_points.local(points.shape[1])
         centre = boxes.mean(axis=1)
@@ -172,10 +173,10 @@ class KDTree(AbstractSeparated):
             sources = np.concatenate([extreme_points(points), sources])
         return drop_close(points, sources, self.closest(points))
 
-    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    def beside(self, points: ndarray, others: ndarray) -> ndarray:
         return self.given(points, others)(points)
 
-    def given(self, points: np.ndarray, others: np.ndarray) -> "KDTree":
+    def given(self, points: ndarray, others: ndarray) -> "KDTree":
         """Returns the tree to build near the `others`: leaves are `crowded` near another point."""
         if self.crowded is None or not len(points) or not len(others):
             return self
@@ -186,7 +187,7 @@ class KDTree(AbstractSeparated):
         )
 
     @staticmethod
-    def with_sources(count: int, points: np.ndarray) -> "KDTree":
+    def with_sources(count: int, points: ndarray) -> "KDTree":
         """Searches for the tree that gives about `count` sources, with `extremes`.
 
         `count` is at least d + 1; not all numbers are possible, and the nearest is taken. `points`
@@ -213,12 +214,10 @@ class KDTree(AbstractSeparated):
             min(tried, key=lambda leaves: (abs(tried[leaves] - count), leaves)), extremes=True
         )
 
-    def boxes(self, points: np.ndarray) -> np.ndarray:
+    def boxes(self, points: ndarray) -> ndarray:
         """Builds the tree of points (n, d); returns lower and upper corners of leaves (k, 2, d)."""
-        counter, done = (
-            itertools.count(),
-            [],
-        )  # the number breaks ties: the leaf found first is split first
+        done = []
+        counter = itertools.count()  # breaks ties: the leaf found first is split first
         heap = [(-len(points), next(counter), np.arange(len(points)))]
         while heap:
             *_, members = heapq.heappop(heap)
@@ -231,7 +230,7 @@ class KDTree(AbstractSeparated):
             is_wanted &= sides.max() > max(self.smallest_box * (1 + SAME), same)
             if len(members) > 1 and is_wanted:
                 longest = first_largest(sides, same)
-                for half in _halves(points, members, longest):
+                for half in _halve(points, members, longest):
                     heapq.heappush(heap, (-len(half), next(counter), half))
             else:
                 done.append(members)
@@ -240,7 +239,7 @@ class KDTree(AbstractSeparated):
         )
 
 
-def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
+def _halve(points: ndarray, members: ndarray, axis: int) -> Pair:
     """Splits members at the median along an axis; points at one coordinate stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
@@ -250,9 +249,7 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> Pair:
     return members[:middle], members[middle:]
 
 
-def chosen_in_order(
-    points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> np.ndarray:
+def chosen_in_order(points: ndarray, choose: Callable[[ndarray, ndarray], ndarray]) -> ndarray:
     points = np.asarray(points, dtype=float)
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -260,7 +257,7 @@ def chosen_in_order(
     return np.sort(order[choose(points[order], order)])
 
 
-def extreme_points(points: np.ndarray) -> np.ndarray:
+def extreme_points(points: ndarray) -> ndarray:
     extremes = []
     slack = resolution(points)
     for axis, sign in itertools.product(range(points.shape[1]), (-1, 1)):
@@ -273,30 +270,27 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
     return np.unique(extremes)
 
 
-def _with_noise(points: np.ndarray, closest: float) -> float:
+def _with_noise(points: ndarray, closest: float) -> float:
     """A distance up to which points are too close, with that of points that round-off parts."""
     noise = roundoff(points)
     return closest * (1 + SAME) + (noise if closest > noise else 0.0)
 
 
-def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
+def drop_close(points: ndarray, ids: ndarray, closest: float) -> ndarray:
     """Drops ids of points within `closest` of an earlier point that stays; the order stays."""
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
     pairs = Tree(points[ids]).query_pairs(_with_noise(points, closest), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
-    for first, second in pairs[
-        np.lexsort((pairs[:, 1], pairs[:, 0]))
-    ]:  # pairs come as first < second
+    # pairs come as first < second
+    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
         if keep[first]:
             keep[second] = False
     return ids[keep]
 
 
-def drop_near(
-    points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float
-) -> np.ndarray:
+def drop_near(points: ndarray, ids: ndarray, others: ndarray, closest: float) -> ndarray:
     """Drops ids of points within `closest` of one of the `others`; the order stays."""
     if len(ids) == 0 or len(others) == 0:
         return ids

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.topology import Pair
 from ..linear.products import cofactor_rows, cross_rows, outward
 from ..package.rounding import Tree, morton_order
 
-CLOSEST = 12  # faces of other walls, of nearest middles, to which a node's distance is measured
-BLOCK = 1 << 12  # points of a block
-NEAR = 8  # nearest simplices that bound the distance to all others
+POINTS_TOGETHER = 1 << 12  # points of a block
+NEAR_SIMPLICES = 8  # nearest simplices that bound the distance to all others
 
 
 def share_left(
-    before: np.ndarray, after: np.ndarray, wall: np.ndarray, faces: np.ndarray, touching: float
-) -> np.ndarray:
+    before: ndarray, after: ndarray, wall: ndarray, faces: ndarray, touching: float
+) -> ndarray:
     """Share (b,) of the gap at every row that a motion leaves; infinite without a gap. The gap
     before is the smaller of those at the row and at the corners of the face that is nearest
     afterwards: sliding walls keep their gap. Distances up to `touching` count as no gap.
@@ -30,7 +30,7 @@ def share_left(
     return np.where(known, second[0] / np.where(known, narrowest, 1), np.inf)
 
 
-def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> Pair:
+def gaps(points: ndarray, wall: ndarray, faces: ndarray) -> Pair:
     """Each point's distance (b,) from other walls, else infinite, and the face (b, d) there. `wall`
     (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles (f, 3). A
     face between two walls does not count.
@@ -42,20 +42,12 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> Pair:
         here = np.flatnonzero(wall == label)
         others = faces[wall[faces[:, 0]] != label]
         if len(others):
-            tree = Tree(
-                points[others].mean(axis=1), leafsize=32, balanced_tree=False, compact_nodes=False
-            )
-            near = others[
-                tree.query(points[here], k=range(1, min(CLOSEST, len(others)) + 1))[1]
-            ].swapaxes(0, 1)
-            away = np.stack([_places(points[candidates], points[here])[1] for candidates in near])
-            best = away.argmin(axis=0), np.arange(len(here))
-            distance[here] = away[best]
-            nearest[here] = near[best]
+            simplex, _, distance[here] = closest(points[others], points[here])
+            nearest[here] = others[simplex]
     return distance, nearest
 
 
-def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def fans(ids: ndarray, counts: ndarray) -> ndarray:
     """Cuts polygons, of `counts` corners in `ids`, into triangles (t, 3) about first corners."""
     last = np.cumsum(counts) - 1
     first = last - counts + 1
@@ -63,7 +55,7 @@ def fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return ids[np.stack([np.repeat(first, counts - 2), inner, inner + 1], axis=1)]
 
 
-def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
+def closest(corners: ndarray, x: ndarray) -> tuple[ndarray, ...]:
     """Finds the first simplex (m,) of `corners` (t, c, d) that is closest to each of `x` (m, d).
     Returns its number, the weights (m, c) of its corners at its closest place, and the distance.
     """
@@ -75,20 +67,23 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
     groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
     trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
     blocks = [
-        _closest(trees, corners, x[at : at + BLOCK]) for at in range(0, max(len(x), 1), BLOCK)
+        _closest_of_block(trees, corners, x[at : at + POINTS_TOGETHER])
+        for at in range(0, max(len(x), 1), POINTS_TOGETHER)
     ]
     return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
 
 
-def _closest(
-    trees: list, corners: np.ndarray, x: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _closest_of_block(
+    trees: list, corners: ndarray, x: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
     for group, tree, _ in trees:
-        near = group[tree.query(x, k=range(1, min(NEAR, len(group)) + 1))[1]]
-        distance = _places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[1]
+        near = group[tree.query(x, k=range(1, min(NEAR_SIMPLICES, len(group)) + 1))[1]]
+        distance = _find_nearest_places(corners[near.ravel()], np.repeat(x, near.shape[1], axis=0))[
+            1
+        ]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
     for group, tree, radius in trees:
         row, member = tree.within(x, (bound + radius) * (1 + 1e-9))
@@ -96,13 +91,13 @@ def _closest(
         simplices.append(group[member])
     row = np.concatenate(rows)
     simplex = np.concatenate(simplices)
-    weights, distance = _places(corners[simplex], x[row])
+    weights, distance = _find_nearest_places(corners[simplex], x[row])
     order = np.lexsort((simplex, distance, row))
     best = order[np.unique(row[order], return_index=True)[1]]
     return simplex[best], weights[best], distance[best]
 
 
-def _places(corners: np.ndarray, x: np.ndarray) -> Pair:
+def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
     """Weights (m, c) of corners (m, c, d) at places closest to `x`, and distances."""
     choices = []
     for i, j in itertools.combinations(range(corners.shape[1]), 2):
@@ -131,19 +126,16 @@ def _places(corners: np.ndarray, x: np.ndarray) -> Pair:
     return np.stack(choices)[best], distance[best]
 
 
-AFTER, BEFORE = (
-    1e-9,
-    1e-6,
-)  # slack of a crossing, relative to the faces: faces that nearly touched before do not count
+# slack of a crossing, relative to the faces: faces that nearly touched before do not count
+AFTER = 1e-9
+BEFORE = 1e-6
 PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
 TOGETHER = 1 << 17  # pairs of faces in a block
 SPLIT = 8  # parts of a straight way, in each of which a node changes sides once at most
 HALVES = 40  # bisections of a way to the place where a node passes a face
 
 
-def crossing_faces(
-    points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray
-) -> Pair:
+def crossing_faces(points: ndarray, moved: ndarray, faces: ndarray, place: ndarray) -> Pair:
     """Finds pairs (k, 2) of faces that meet only after the motion, and where (k, d) they meet.
     `faces` are segments (f, 2) or triangles (f, 3), rows of `points` (b, d), which are `moved`.
     Faces with a common number of `place` (b,) are neighbours, and do not count.
@@ -155,17 +147,17 @@ def crossing_faces(
         both = pairs[start : start + TOGETHER]
         first, second = place[faces[both]].swapaxes(0, 1)
         both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
-        where = _meeting(moved[faces[both]], AFTER)
+        where = _find_meeting(moved[faces[both]], AFTER)
         met = np.flatnonzero(np.isfinite(where[:, 0]))
-        new = met[np.isnan(_meeting(points[faces[both[met]]], BEFORE)[:, 0])]
+        new = met[np.isnan(_find_meeting(points[faces[both[met]]], BEFORE)[:, 0])]
         found.append(both[new])
         places.append(where[new])
     return np.concatenate(found), np.concatenate(places)
 
 
 def overlapping_boxes(
-    corners: np.ndarray, is_moving: np.ndarray, after: np.ndarray | None = None
-) -> np.ndarray:
+    corners: ndarray, is_moving: ndarray, after: ndarray | None = None
+) -> ndarray:
     """Pairs (p, 2) of faces (f, corners, d), one moving, with overlapping boxes, each pair once.
     With their places `after` a motion, those that no axis separates in one order before and after:
     of others no two points come together on straight ways.
@@ -176,7 +168,7 @@ def overlapping_boxes(
     # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
     states = [corners] if after is None else [corners, after]
     order = morton_order(corners.mean(axis=1))
-    levels = [np.stack([_boxes(x, ~is_moving[:, None])[order].T for x in states])]
+    levels = [np.stack([_bound_faces(x, ~is_moving[:, None])[order].T for x in states])]
     while levels[-1].shape[2] > 1:
         levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[2], 2), axis=2))
     pairs = np.zeros((1, 2), np.int64)
@@ -191,7 +183,7 @@ def overlapping_boxes(
     return order[pairs[pairs[:, 0] != pairs[:, 1]]]
 
 
-def _boxes(corners: np.ndarray, is_still: np.ndarray) -> np.ndarray:
+def _bound_faces(corners: ndarray, is_still: ndarray) -> ndarray:
     slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
     low = corners.min(axis=1) - slack
     return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
@@ -203,26 +195,26 @@ class Passages:
     `shares` (k,) are those of the way, `places` (k, d) where. `senses` (k,) are 1 from inside out.
     """
 
-    pairs: np.ndarray
-    nodes: np.ndarray
-    shares: np.ndarray
-    places: np.ndarray
-    senses: np.ndarray
+    pairs: ndarray
+    nodes: ndarray
+    shares: ndarray
+    places: ndarray
+    senses: ndarray
 
     @classmethod
     def joined(cls, steps: "Sequence[Passages]") -> "Passages":
         return cls(*map(np.concatenate, zip(*(vars(step).values() for step in steps), strict=True)))
 
-    def at(self, rows: np.ndarray) -> "Passages":
+    def at(self, rows: ndarray) -> "Passages":
         return Passages(*(column[rows] for column in vars(self).values()))
 
 
 def passages(
-    before: np.ndarray,
-    after: np.ndarray,
-    faces: np.ndarray,
-    place: np.ndarray,
-    is_solid: np.ndarray,
+    before: ndarray,
+    after: ndarray,
+    faces: ndarray,
+    place: ndarray,
+    is_solid: ndarray,
 ) -> Passages:
     """Finds the nodes, marked by `is_solid` (b,), that change the side of a face within it while
     all rows (b, d) go straight from `before` to `after`. Nodes that touch a face at an end of the
@@ -238,23 +230,25 @@ def passages(
         both = np.concatenate([both, both[:, ::-1]])
         node = faces[both[:, 0]]
         row, corner = np.nonzero(is_solid[node] & is_solid[node].all(axis=1, keepdims=True))
-        found.append(_passed(before, after, faces, both[row], node[row, corner]))
+        found.append(_find_passed(before, after, faces, both[row], node[row, corner]))
     every = Passages.joined(found)
     keys = np.stack([every.nodes, every.pairs[:, 1], every.shares])
     return every.at(np.unique(keys, axis=1, return_index=True)[1])
 
 
-def _passed(
-    before: np.ndarray, after: np.ndarray, faces: np.ndarray, pairs: np.ndarray, node: np.ndarray
+def _find_passed(
+    before: ndarray, after: ndarray, faces: ndarray, pairs: ndarray, node: ndarray
 ) -> Passages:
     near = _come_near(before, after, faces[pairs[:, 1]], node)
     pairs = pairs[near]
     node = node[near]
     corners = faces[pairs[:, 1]]
     times = np.linspace(0, 1, SPLIT + 1)
-    sides = np.stack([_side(*_between(before, after, t, corners, node), 0.0) for t in times])
+    sides = np.stack(
+        [_find_side(*_place_on_way(before, after, t, corners, node), 0.0) for t in times]
+    )
     for k in (0, -1):
-        sides[k] = _side(*_between(before, after, times[k], corners, node))
+        sides[k] = _find_side(*_place_on_way(before, after, times[k], corners, node))
     for k in range(1, SPLIT):  # a node on a face on the way is still on the side it came from
         sides[k] = np.where(sides[k] == 0, sides[k - 1], sides[k])
     part, some = np.nonzero(sides[:-1] * sides[1:] < 0)
@@ -266,17 +260,15 @@ def _passed(
     high = times[part + 1]
     for _ in range(HALVES):
         share = (low + high) / 2
-        is_before = _side(*_between(before, after, share, corners, node), 0.0) * sense < 0
+        is_before = _find_side(*_place_on_way(before, after, share, corners, node), 0.0) * sense < 0
         low = np.where(is_before, share, low)
         high = np.where(is_before, high, share)
-    face, where = _between(before, after, low, corners, node)
-    hit = _places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
+    face, where = _place_on_way(before, after, low, corners, node)
+    hit = _find_nearest_places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
     return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
 
 
-def _come_near(
-    before: np.ndarray, after: np.ndarray, corners: np.ndarray, node: np.ndarray
-) -> np.ndarray:
+def _come_near(before: ndarray, after: ndarray, corners: ndarray, node: ndarray) -> ndarray:
     """Lists pairs of faces (k, c) and nodes (k,) that no axis separates in one order."""
     near = np.ones(len(node), dtype=bool)
     for start, end in zip(before.T, after.T, strict=True):
@@ -288,8 +280,8 @@ def _come_near(
     return np.flatnonzero(near)
 
 
-def _between(
-    before: np.ndarray, after: np.ndarray, share: Any, corners: np.ndarray, node: np.ndarray
+def _place_on_way(
+    before: ndarray, after: ndarray, share: Any, corners: ndarray, node: ndarray
 ) -> Pair:
     """Faces (k, c, d) and nodes (k, d) at a share, one or (k,), of the way."""
     share = np.reshape(share, (-1, 1))
@@ -297,7 +289,7 @@ def _between(
     return face, before[node] + share * (after[node] - before[node])
 
 
-def _side(corners: np.ndarray, x: np.ndarray, slack: float = BEFORE) -> np.ndarray:
+def _find_side(corners: ndarray, x: ndarray, slack: float = BEFORE) -> ndarray:
     """The side (k,) of faces on which points (k, d) lie: 1 outside, -1 inside, 0 on the face."""
     normal = outward(corners)
     height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
@@ -307,7 +299,7 @@ def _side(corners: np.ndarray, x: np.ndarray, slack: float = BEFORE) -> np.ndarr
     return np.where(np.abs(height) > slack * size, np.sign(height), 0)
 
 
-def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:
+def _find_meeting(corners: ndarray, slack: float) -> ndarray:
     """Where pairs (k, 2, c, d) of faces meet (k, d); NaN for none, or in one plane."""
     where = np.full((len(corners), corners.shape[3]), np.nan)
     for pairs in (corners, corners[:, ::-1]):
@@ -315,12 +307,12 @@ def _meeting(corners: np.ndarray, slack: float) -> np.ndarray:
         for start, end in zip(
             edges.swapaxes(0, 1), np.roll(edges, -1, axis=1).swapaxes(0, 1), strict=True
         ):
-            share = _share(start, end - start, others, slack)[:, None]
+            share = _measure_share(start, end - start, others, slack)[:, None]
             where = np.where(np.isfinite(share), start + share * (end - start), where)
     return where
 
 
-def _share(start: np.ndarray, along: np.ndarray, corners: np.ndarray, slack: float) -> np.ndarray:
+def _measure_share(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
     """The share (k,) of a segment up to where it meets a simplex (k, d, d); NaN if it does not."""
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
     rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial import Delaunay, QhullError
 
 from ..cells.topology import Pair
@@ -25,29 +26,29 @@ SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; 
 TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
 # SciPy's of qhull, but for a last check of outer planes, which simplices do not use
-OPTIONS = "Qbb Qc Qz Q12 Q5"
-FLAT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
+QHULL_OPTIONS = "Qbb Qc Qz Q12 Q5"
+FLAT_HEIGHT = 64  # a simplex lower than this times the round-off of the coordinates holds no point
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Graph:
     """The Delaunay graph of a surface, in which any number of points can be located."""
 
-    centre: np.ndarray
+    centre: ndarray
     size: float
-    unique: np.ndarray  # (k,) ids of the distinct nodes
-    nodes: np.ndarray  # (k, d) their places relative to `centre`, over `size`
+    unique: ndarray  # (k,) ids of the distinct nodes
+    nodes: ndarray  # (k, d) their places relative to `centre`, over `size`
     delaunay: Delaunay  # the simplices between the distinct nodes
     flat: float  # the height below which a simplex holds no point
     slack: float  # round-off of the coordinates
 
-    def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def smallest_weight(self, simplex: ndarray, points: ndarray) -> ndarray:
         """Least barycentric coordinates (k,) of points in simplices; -inf in -1 or flat ones."""
         smallest = np.empty(len(points))
 
         def weigh(part: slice) -> None:
             corners = self.nodes[self.delaunay.simplices[simplex[part]]]
-            inverse = _inverse(corners)
+            inverse = _invert_edges(corners)
             with np.errstate(invalid="ignore"):
                 weights = np.einsum("kij,kj->ki", inverse[:, :-1], points[part] - inverse[:, -1])
                 least = np.minimum(weights.min(axis=1), 1 - weights.sum(axis=1))
@@ -58,7 +59,7 @@ class Graph:
         return smallest
 
 
-def graph_of(surface: np.ndarray) -> Graph:
+def graph_of(surface: ndarray) -> Graph:
     """Builds the Delaunay graph of a surface (b, d). Raises `ValueError` for a flat one."""
     dimension = surface.shape[1]
     slack = roundoff(surface)
@@ -66,9 +67,8 @@ def graph_of(surface: np.ndarray) -> Graph:
     centre = surface.min(axis=0)
     size = np.ptp(surface, axis=0).max() or 1.0
     unit = (surface - centre) / size
-    unique = drop_close(
-        unit, np.arange(len(unit)), roundoff(surface) / size
-    )  # of coincident nodes a moving one
+    # of coincident nodes a moving one
+    unique = drop_close(unit, np.arange(len(unit)), roundoff(surface) / size)
     unique = unique[canonical_order(unit[unique])]
     nodes = unit[unique]
     if len(nodes) <= dimension:
@@ -76,8 +76,8 @@ def graph_of(surface: np.ndarray) -> Graph:
             f"a Delaunay graph in {dimension}-D needs {dimension + 1} distinct surface nodes, got "
             f"{len(nodes)}."
         )
-    flat = FLAT * roundoff(surface) / size
-    return Graph(centre, size, unique, nodes, _graph(nodes, flat), flat, slack)
+    flat = FLAT_HEIGHT * roundoff(surface) / size
+    return Graph(centre, size, unique, nodes, _triangulate(nodes, flat), flat, slack)
 
 
 class _Graph(Delaunay):
@@ -87,18 +87,18 @@ class _Graph(Delaunay):
     """
 
     @functools.cached_property
-    def transform(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def transform(self) -> ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The inverse of the edges from the last corner, and that corner: (k, d + 1, d)."""
         transform = np.empty((len(self.simplices), self.ndim + 1, self.ndim))
 
         def invert(part: slice) -> None:
-            transform[part] = _inverse(self.points[self.simplices[part]])
+            transform[part] = _invert_edges(self.points[self.simplices[part]])
 
         by_blocks(invert, len(transform))
         return transform
 
 
-def _inverse(corners: np.ndarray) -> np.ndarray:
+def _invert_edges(corners: ndarray) -> ndarray:
     edges = list((corners[:, :-1] - corners[:, -1:]).swapaxes(0, 1))
     rows = cofactor_rows(edges)
     volume = np.einsum("kd,kd->k", rows[0], edges[0])[:, None]
@@ -106,14 +106,14 @@ def _inverse(corners: np.ndarray) -> np.ndarray:
         return np.stack([*(row / volume for row in rows), corners[:, -1]], axis=1)
 
 
-def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
+def _triangulate(nodes: ndarray, flat: float) -> Delaunay:
     # Coordinates are rounded to about `SNAP` of the nearest distance: qhull sees no last bits.
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     graph = None
     snapped = np.floor(nodes / step + BETWEEN) * step
     for phase in range(TRIALS):
         with contextlib.suppress(QhullError):
-            graph = _Graph(_jittered(snapped, phase), qhull_options=OPTIONS)
+            graph = _Graph(_jitter(snapped, phase), qhull_options=QHULL_OPTIONS)
             break
     if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
         raise ValueError(
@@ -124,7 +124,7 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
     return graph
 
 
-def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
+def _jitter(nodes: ndarray, phase: int) -> ndarray:
     """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
     Unlike random numbers, a sine of very short wave length does not depend on the order of nodes.
     """
@@ -140,10 +140,10 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)
 
 
-TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
+WEIGHT_TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
 
 
-def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
     """Finds the ids (w, d + 1) of the surface nodes whose simplex holds each `wanted` point.
     Coordinates in single precision count as exact numbers, except for points on the hull. `points`
     (n, d) are all points, and `wanted` (w,) the ids of those to locate. Raises `MeshError` for
@@ -161,27 +161,29 @@ def locate(graph: Graph, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
     by_blocks(find, len(targets))
     smallest = graph.smallest_weight(simplex, targets)
-    poor = np.flatnonzero(~(smallest >= -TOLERANCE))
+    poor = np.flatnonzero(~(smallest >= -WEIGHT_TOLERANCE))
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, targets[poor], simplex[poor])
-        still = poor[~(smallest[poor] >= -TOLERANCE)]
+        still = poor[~(smallest[poor] >= -WEIGHT_TOLERANCE)]
         _check_inside(
-            points, wanted[still], _beyond_hull(graph, targets[still]) * graph.size - graph.slack
+            points,
+            wanted[still],
+            _measure_beyond_hull(graph, targets[still]) * graph.size - graph.slack,
         )
-        simplex[still], beyond = _search(graph, targets[still])
+        simplex[still], beyond = _search_all(graph, targets[still])
         beyond[beyond <= graph.flat + JITTER] = 0
         _check_inside(points, wanted[still], beyond * graph.size - graph.slack)
     return graph.unique.astype(np.int32)[graph.delaunay.simplices][simplex]
 
 
-def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
+def _repair(graph: Graph, points: ndarray, simplex: ndarray) -> Pair:
     # A point moves a little towards the middle, out of the flat simplices along a plane side of the
     # hull, and is searched again. The best simplex has the largest smallest weight.
     simplex = np.maximum(simplex, 0)
     best = graph.smallest_weight(simplex, points)
     middle = graph.nodes.mean(axis=0)
     for step in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-        left = np.flatnonzero(~(best >= -TOLERANCE))
+        left = np.flatnonzero(~(best >= -WEIGHT_TOLERANCE))
         if not left.size:
             break
         candidate = graph.delaunay.find_simplex(points[left] + step * (middle - points[left]))
@@ -192,7 +194,7 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> Pair:
     return simplex, best
 
 
-def _search(graph: Graph, points: np.ndarray) -> Pair:
+def _search_all(graph: Graph, points: ndarray) -> Pair:
     heights = smallest_height(graph.nodes[graph.delaunay.simplices])
     sound = np.flatnonzero(heights > graph.flat)
     corners = graph.nodes[graph.delaunay.simplices[sound]]
@@ -211,7 +213,7 @@ def _search(graph: Graph, points: np.ndarray) -> Pair:
     return simplex, beyond
 
 
-def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
+def _measure_beyond_hull(graph: Graph, targets: ndarray) -> ndarray:
     """Measures how far points surely lie beyond the plane of a facet of the hull: 0 or less inside.
     A small facet says little about a distant point: jitter and round-off may have turned it.
     """
@@ -230,7 +232,7 @@ def _beyond_hull(graph: Graph, targets: np.ndarray) -> np.ndarray:
     return np.concatenate([(part @ outward.T - offsets).max(axis=1) for part in parts])
 
 
-def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
+def _check_inside(points: ndarray, ids: ndarray, beyond: ndarray) -> None:
     """Raises `MeshError` for points outside of the hull; points on it, within round-off, pass."""
     outside = ids[worst_first(beyond, 0)]
     if outside.size:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.topology import Pair
 from ..package.cores import by_blocks
@@ -18,22 +19,22 @@ from ..package.rounding import (
     roundoff,
 )
 
-FEW = 16  # most walls for which every wall has a search tree of its own
-AROUND = 8  # neighbours among whose distances a leap is searched
+WALLS_APART = 16  # most walls for which every wall has a search tree of its own
+LEAP_NEIGHBOURS = 8  # neighbours among whose distances a leap is searched
 
 Once = Callable[[Any, Callable[[], Any]], Any]
 
 
-def digest(values: np.ndarray) -> tuple[int, int]:
+def digest(values: ndarray) -> tuple[int, int]:
     """A cache key of an array: its length and a hash of its bytes."""
     return len(values), hash(values.tobytes())
 
 
 def near_walls(
-    surface: np.ndarray,
-    wall: np.ndarray,
-    reach: np.ndarray,
-    points: np.ndarray,
+    surface: ndarray,
+    wall: ndarray,
+    reach: ndarray,
+    points: ndarray,
     count: int,
     once: Once = lambda key, make: make(),
 ) -> Pair:
@@ -49,15 +50,16 @@ def near_walls(
     # point. Then the points of a wall are compared with the nodes of all other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
-    order = morton_order(
-        points
-    )  # a tree is searched three times faster for neighbours one after the other
-    distance, first = _nearest(surface, _by_reach(wall, reach), points[order], once, reach)
+    # a tree is searched three times faster for neighbours one after the other
+    order = morton_order(points)
+    distance, first = _search_nearest(
+        surface, _divide_by_reach(wall, reach), points[order], once, reach
+    )
     hit = np.flatnonzero(distance < np.inf)
     near = order[hit]
     first = first[hit]
     distance = distance[hit]
-    around = once(("around", digest(wall), count), lambda: _around(surface, wall, 2 * count))
+    around = once(("around", digest(wall), count), lambda: _find_around(surface, wall, 2 * count))
     rows = np.empty((len(near), count + 1), dtype=np.int32)
 
     def compare(part: slice) -> None:
@@ -66,7 +68,9 @@ def near_walls(
             surface[candidates, axis] - points[near[part], axis, None]
             for axis in range(points.shape[1])
         ]
-        rows[part, :count] = _closest(candidates, np.sum([a * a for a in offsets], axis=0), count)
+        rows[part, :count] = _pick_closest(
+            candidates, np.sum([a * a for a in offsets], axis=0), count
+        )
 
     by_blocks(compare, len(near))
     rows[:, count] = rows[:, 0]
@@ -77,14 +81,14 @@ def near_walls(
         if others.size:
             far = 8 * (1 + SAME) * reach[wall == label].max()
             bounded = [(members, far) for members in searched_together(wall, others)]
-            closest, other = _nearest(surface, bounded, points[near[here]], once)
+            closest, other = _search_nearest(surface, bounded, points[near[here]], once)
             close = np.flatnonzero(closest < np.inf)
             rows[here[close], count] = other[close]
             is_nearest[here[close]] = distance[here[close]] <= closest[close]
     return near[is_nearest], rows[is_nearest]
 
 
-def _by_reach(wall: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, float]]:
+def _divide_by_reach(wall: ndarray, reach: ndarray) -> list[tuple[ndarray, float]]:
     # nodes of similar reach are searched together: too large a bound costs ten times as much
     size = np.frexp(reach)[1]
     bounded = []
@@ -94,7 +98,7 @@ def _by_reach(wall: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, flo
     return bounded
 
 
-def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
+def _pick_closest(nodes: ndarray, squared: ndarray, count: int) -> ndarray:
     """Picks each row's `count` nearest nodes (k, c), nearest first; ties by first node."""
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
@@ -104,28 +108,28 @@ def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
     return nodes[:, :count]
 
 
-def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+def searched_together(wall: ndarray, rows: ndarray) -> list[ndarray]:
     """Divides rows of the surface by their walls, unless there are more than `FEW`. A search in a
     plane is fast from any distance. In a tree of several planes, a search from the middle of a cube
     takes fifty times longer.
     """
     labels = wall[rows]
     walls = np.unique(labels)
-    return [rows[labels == label] for label in walls] if len(walls) <= FEW else [rows]
+    return [rows[labels == label] for label in walls] if len(walls) <= WALLS_APART else [rows]
 
 
-def _nearest(
-    surface: np.ndarray,
-    bounded: list[tuple[np.ndarray, float]],
-    points: np.ndarray,
+def _search_nearest(
+    surface: ndarray,
+    bounded: list[tuple[ndarray, float]],
+    points: ndarray,
     once: Once,
-    reach: np.ndarray | None = None,
+    reach: ndarray | None = None,
 ) -> Pair:
     """The nearest node of several lists within their bounds, and its distance, else infinite. With
     `reach` (b,), a node counts only within its own reach. Ties go to the first list.
     """
     trees = [
-        once(("tree", digest(members)), lambda members=members: _tree(surface[members]))
+        once(("tree", digest(members)), lambda members=members: _make_tree(surface[members]))
         for members, _ in bounded
     ]
     distance = np.full(len(points), np.inf)
@@ -133,7 +137,7 @@ def _nearest(
     place = np.zeros(len(points), dtype=np.int32)
     slack = max(roundoff(points), roundoff(surface))
 
-    def search(k: int, rows: np.ndarray) -> None:
+    def search(k: int, rows: ndarray) -> None:
         members, bound = bounded[k]
         several = range(1, min(2, len(members)) + 1)
         found, row = trees[k].query(points[rows], k=several, distance_upper_bound=bound, workers=1)
@@ -154,7 +158,7 @@ def _nearest(
     def search_all(part: slice) -> None:
         # A tree is searched only for points whose answer so far is farther than the tree's box. The
         # tree with the nearest box comes first: it holds the answer of most points.
-        away = np.stack([_to_box(points[part], tree) for tree in trees])
+        away = np.stack([_measure_to_box(points[part], tree) for tree in trees])
         away[away > (1 + SAME) * np.array([[bound] for _, bound in bounded])] = np.inf
         first = away.argmin(axis=0)
         for is_first, k in itertools.product((True, False), range(len(trees))):
@@ -167,18 +171,18 @@ def _nearest(
     return distance, nearest
 
 
-def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
+def _measure_to_box(points: ndarray, tree: Tree) -> ndarray:
     """Distances (n,) of points from the box of a tree's points."""
     box = zip(points.T, tree.mins, tree.maxes, strict=True)
     return np.sqrt(sum(np.maximum(np.maximum(low - x, x - high), 0) ** 2 for x, low, high in box))
 
 
-def _tree(points: np.ndarray) -> Tree:
+def _make_tree(points: ndarray) -> Tree:
     """A tree for many searches: cells cut in the middle are faster than at the median."""
     return Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
-def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
+def _find_around(surface: ndarray, wall: ndarray, count: int) -> ndarray:
     """The (b, count) nearest nodes on the wall: the node itself first, and as padding."""
     around = np.empty((len(surface), count), dtype=np.int32)
     for label in np.unique(wall):
@@ -191,12 +195,12 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
     return around
 
 
-def nearly_coincident(points: np.ndarray, radius: float, share: float) -> Pair:
+def nearly_coincident(points: ndarray, radius: float, share: float) -> Pair:
     """Points with neighbours far nearer than the next: ids, and nearest ids, closest first. Far
     nearer means below a `share` of the distance of the next neighbour, or of the `radius`. Up to
     `AROUND` points may be near each other.
     """
-    distance, nearest = map(np.asarray, Tree(points).query(points, k=AROUND + 1))
+    distance, nearest = map(np.asarray, Tree(points).query(points, k=LEAP_NEIGHBOURS + 1))
     distance = distance[:, 1:]  # infinite where there are no more neighbours
     jumps = (distance[:, :-1] < share * np.minimum(distance[:, 1:], radius)).any(axis=1)
     first = np.flatnonzero(jumps)[np.argsort(distance[jumps, 0], kind="stable")]

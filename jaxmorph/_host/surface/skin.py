@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
 from ..cells.topology import ByType, Pair
@@ -22,19 +23,18 @@ from ..package.rounding import (
 )
 from ..sources.farthest import farthest
 
-RINGS = (
-    40,
-    80,
-)  # radii of rings at which a body's field comes to rest, relative to the body's radius
-BEYOND = 1.1  # least distance of a far field with rings, relative to the last ring
-SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
-APART = {
+# radii of rings at which a body's field comes to rest, relative to the body's radius
+RINGS = (40, 80)
+PAST_RINGS = 1.1  # least distance of a far field with rings, relative to the last ring
+HULL_SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
+# distance of the points of a ring, relative to its radius: about 8 on a circle
+RING_STEP = {
     2: 0.6,
     3: 0.8,
-}  # distance of the points of a ring, relative to its radius: about 8 on a circle
+}
 
 
-def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.ndarray:
+def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
     Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
@@ -44,13 +44,13 @@ def edges(points: np.ndarray, moving: int, faces: ByType | None = None) -> np.nd
         pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2).reshape(-1, 2))
     sides = np.concatenate(pairs)
     sides = np.unique(
-        np.sort(sides if len(sides) else _neighbours(points[:moving]), axis=1), axis=0
+        np.sort(sides if len(sides) else _pair_nearest(points[:moving]), axis=1), axis=0
     )
     length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
     return sides[length > roundoff(points)]
 
 
-def _neighbours(points: np.ndarray) -> np.ndarray:
+def _pair_nearest(points: ndarray) -> ndarray:
     """Pairs a node with its nearest and the nearest behind it (2-D), or its six nearest (3-D)."""
     first = distinct(points)[0]
     unique = points[first]
@@ -65,7 +65,7 @@ def _neighbours(points: np.ndarray) -> np.ndarray:
     return first[np.column_stack([np.repeat(start, nearest.shape[1]), nearest.ravel()])]
 
 
-def thinned(places: np.ndarray, most: int) -> np.ndarray:
+def thinned(places: ndarray, most: int) -> ndarray:
     """Picks the ids of at most `most` places, spread like all places."""
     if len(places) <= most:
         return np.arange(len(places))
@@ -74,12 +74,12 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
 
 
-def chords(points: np.ndarray, wall: np.ndarray, faces: ByType | None = None) -> Pair:
+def chords(points: ndarray, wall: ndarray, faces: ByType | None = None) -> Pair:
     """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,). It is half of
     the wall's length, in 3-D of its area over the distance of the two nodes: a wing's chord, about
     the diameter of a sphere.
     """
-    size = np.bincount(wall, _shares(points, faces))
+    size = np.bincount(wall, _measure_shares(points, faces))
     ends = np.zeros((len(size), 2), dtype=np.int32)
     order = canonical_order(points)
     for label in np.unique(wall):
@@ -93,7 +93,7 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: ByType | None = None) ->
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
 
-def _shares(points: np.ndarray, faces: ByType | None) -> np.ndarray:
+def _measure_shares(points: ndarray, faces: ByType | None) -> ndarray:
     """Measures the length (2-D) or area (3-D) around every node (b,); an estimate without faces."""
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
@@ -115,9 +115,7 @@ def _shares(points: np.ndarray, faces: ByType | None) -> np.ndarray:
     return share
 
 
-def nearest_held(
-    points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray
-) -> np.ndarray:
+def nearest_held(points: ndarray, moving: int, wall: ndarray, pairs: ndarray) -> ndarray:
     """Finds each edge's (e,) nearest row fixed or on another wall; else the edge's first row."""
     middle = points[pairs].mean(axis=1)
     nearest = pairs[:, 0].copy()
@@ -130,9 +128,7 @@ def nearest_held(
     return nearest
 
 
-def drawn_in(
-    surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray
-) -> tuple:
+def drawn_in(surface: ndarray, moving: ndarray, fixed: ndarray, images: ndarray) -> tuple:
     """Finds distant fixed sources, and shares of the way to them where the field comes to rest. The
     way begins at the middle of the moving sources.
     """
@@ -142,17 +138,19 @@ def drawn_in(
     # one moving node has no size, and no rings
     far = fixed[
         (images[fixed] == fixed)
-        & (way[fixed] > BEYOND * (1 + SAME) * rings.max())
+        & (way[fixed] > PAST_RINGS * (1 + SAME) * rings.max())
         & (rings.max() > 0)
     ]
     if len(far):
         far = far[canonical_order(surface[far])]
-        far = far[farthest(surface[far], len(far), 0.0, reach=APART[surface.shape[1]] * way[far])]
+        far = far[
+            farthest(surface[far], len(far), 0.0, reach=RING_STEP[surface.shape[1]] * way[far])
+        ]
     far = fixed[np.isin(images[fixed], far)]
     return np.tile(far, len(rings)), (rings / way[far]).ravel()
 
 
-def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
+def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
     `surface` (b, d) has images in symmetry planes; `is_free` (n,) marks `points` off the surface.
     """
@@ -170,7 +168,7 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
         np.round(equations, 6), axis=0, return_index=True, return_inverse=True
     )[1:]
     area = np.bincount(plane.ravel(), size)
-    largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]]
+    largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:HULL_SIDES]]
     slack = 1e-8 * float(np.ptp(surface, axis=0).max())
     free = points[is_free]
     return any(
@@ -179,21 +177,17 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
     )
 
 
-def has_free_faces(points: np.ndarray, faces: ByType, is_held: np.ndarray) -> bool:
+def has_free_faces(points: ndarray, faces: ByType, is_held: ndarray) -> bool:
     """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
     return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
 
 
-SHARP = np.cos(
-    np.deg2rad(60)
-)  # cosine of the angle between a tip's edges below which the wall is sharp there
-NEARBY = (
-    0.002,
-    0.008,
-    0.032,
-)  # distances of sources from a tip over the mean chord: waves invert cells at tips
+# cosine of the angle between a tip's edges below which the wall is sharp there
+SHARP_TIP = np.cos(np.deg2rad(60))
+# distances of sources from a tip over the mean chord: waves invert cells at tips
+NEARBY = (0.002, 0.008, 0.032)
 # least distance of a place behind a tip from the wall, relative to its distance from the tip
 AWAY = 0.7
 
@@ -208,14 +202,14 @@ class Tips:
     - `tips` (t,): places at which a wall is sharp.
     """
 
-    rows: np.ndarray
-    points: np.ndarray
-    ends: np.ndarray
-    beside: np.ndarray
-    count: np.ndarray
-    tips: np.ndarray
+    rows: ndarray
+    points: ndarray
+    ends: ndarray
+    beside: ndarray
+    count: ndarray
+    tips: ndarray
 
-    def lengths(self, tip: int, lengths: np.ndarray) -> np.ndarray:
+    def lengths(self, tip: int, lengths: ndarray) -> ndarray:
         return lengths[(self.ends == tip).any(axis=1)]
 
     def sides(self, tip: int, length: float) -> list[int]:
@@ -237,26 +231,24 @@ class Tips:
         return found
 
 
-def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
+def sharp_tips(points: ndarray, pairs: ndarray) -> Tips:
     """Finds the sharp tips of the walls with the edges `pairs` (e, 2)."""
     first, same = distinct(points[pairs.ravel()])
-    rows, ends = (
-        pairs.ravel()[first],
-        same.reshape(-1, 2),
-    )  # the two nodes of a closed edge are one place
+    rows = pairs.ravel()[first]
+    ends = same.reshape(-1, 2)  # the two nodes of a closed edge are one place
     place = points[rows]
     directed = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)  # sorted by start
     first = np.searchsorted(directed[:, 0], np.arange(len(place) + 1))
     beside = directed[np.minimum(first[:-1, None] + [0, 1], len(directed) - 1), 1]
     count = np.diff(first)
     arms = place[beside] - place[:, None]
-    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP * (1 + SAME) * np.linalg.norm(
+    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP_TIP * (1 + SAME) * np.linalg.norm(
         arms, axis=2
     ).prod(axis=1)
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))
 
 
-def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
+def behind_tips(walls: Tips, length: ndarray, closest: float, room: ndarray) -> ndarray:
     """Lists rows (g, 3): a sharp tip of a wall, and a node on either side. The middle of the two,
     mirrored in the tip, lies behind it. Its distance is at least `length`, at least one edge, more
     than `closest`, and less than `room`, both of edges (e,).
@@ -273,7 +265,7 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
     return walls.rows[np.array(found, dtype=np.int64).reshape(-1, 3)]
 
 
-def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
+def beside_tips(walls: Tips, chord: ndarray) -> ndarray:
     """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
     Distances shorter than the wall's edges at the tip are left out.
     """

@@ -1,6 +1,7 @@
 """Walls of a surface: by faces between its nodes, or by chains of nearest neighbours; its order."""
 
 import numpy as np
+from numpy import ndarray
 
 from ..cells.adjacency import parts_of
 from ..cells.topology import ByType
@@ -8,24 +9,23 @@ from ..linear.products import outward, unit_rows
 from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked, resolution
 from ..sources.farthest import farthest
 
-SHARP = np.cos(
-    np.deg2rad(45)
-)  # cosine of a concave corner's angle from which on its faces are two walls
+# cosine of a concave corner's angle from which on its faces are two walls
+CONCAVE = np.cos(np.deg2rad(45))
 # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
 REACH = 1.5
 # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
 CURVED = 4
-SAMPLE = 16  # nodes of a curve that vote for the next part
+CURVE_SAMPLE = 16  # nodes of a curve that vote for the next part
 # nearest nodes among which a node finds its vote; if votes fail, all nodes are searched
-AROUND = 512
+VOTERS = 512
 
 
 def walls(
-    points: np.ndarray,
+    points: ndarray,
     moving: int,
     faces: ByType | None = None,
-    in_planes: np.ndarray | None = None,
-) -> np.ndarray:
+    in_planes: ndarray | None = None,
+) -> ndarray:
     """Returns each surface node's wall (b,); the first `moving` nodes move.
 
     Moving and fixed nodes are on different walls. `faces` are rows of `points`, counterclockwise as
@@ -41,12 +41,12 @@ def walls(
         in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)
     ]
     if groups:
-        label = _by_faces(points, moving, groups)
+        label = _label_by_faces(points, moving, groups)
     else:
         others = np.arange(moving, len(points))
         others = others if in_planes is None else others[~in_planes[others]]
-        label[:moving] = _by_chains(points[:moving])
-        label[others] = _by_chains(points[others]) + 1 + label.max()
+        label[:moving] = _label_by_chains(points[:moving])
+        label[others] = _label_by_chains(points[others]) + 1 + label.max()
     known = np.flatnonzero(label >= 0)
     left = np.flatnonzero(label < 0)
     if left.size:
@@ -54,7 +54,7 @@ def walls(
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def in_order(faces: np.ndarray) -> np.ndarray:
+def in_order(faces: ndarray) -> ndarray:
     """Sorts faces (k, c) by their nodes, each from its first node on; edges keep their sense."""
     if faces.shape[1] > 2:
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
@@ -62,7 +62,7 @@ def in_order(faces: np.ndarray) -> np.ndarray:
     return faces[np.lexsort(faces.T[::-1])]
 
 
-def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.ndarray:
+def ordered_rows(points: ndarray, moving: int, faces: ByType | None) -> ndarray:
     """Sorts nodes (b, d) by place, the first `moving` nodes before all others. Of nodes in one
     place, as on two sides of a slit, the directions of their `faces` decide.
     """
@@ -81,15 +81,15 @@ def ordered_rows(points: np.ndarray, moving: int, faces: ByType | None) -> np.nd
     return np.lexsort([*columns[::-1], is_still])
 
 
-def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
+def _label_by_faces(points: ndarray, moving: int, groups: list[ndarray]) -> ndarray:
     """The wall of every node (b,) by its faces; -1 for a node without faces."""
     normal = np.concatenate([outward(points[group]) for group in groups])
     middle = np.concatenate([points[group].mean(axis=1) for group in groups])
-    first, second, agree = _beside(groups)
+    first, second, agree = _pair_neighbours(groups)
     unit = unit_rows(normal)
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
     sharp = (
-        agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
+        agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < CONCAVE * (1 - SAME))
     )
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
     joined = (fixed[first] == fixed[second]) & ~sharp
@@ -97,14 +97,14 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     # A moving node at the rim may have moving and fixed faces; its moving faces must name its wall,
     # and a fixed node's fixed faces. So these faces write last.
     node = np.concatenate([group.T.ravel() for group in groups])
-    face = owners(groups)
+    face = face_of_corner(groups)
     order = np.argsort((node >= moving) == fixed[face], kind="stable")
     label = np.full(len(points), -1)
     label[node[order]] = part[face[order]]
     return label
 
 
-def owners(groups: list[np.ndarray]) -> np.ndarray:
+def face_of_corner(groups: list[ndarray]) -> ndarray:
     """The face of every corner, group by group (k, c), first corners of all its faces first."""
     starts = np.cumsum([0, *map(len, groups)])
     faces = zip(starts, groups, strict=False)
@@ -113,7 +113,7 @@ def owners(groups: list[np.ndarray]) -> np.ndarray:
     )
 
 
-def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pair_neighbours(groups: list[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
     """Pairs of faces that share an edge (2-D: node), and a mask of opposite senses along it."""
     # Every face lists its edges; in 2-D its nodes, as an edge from the first and to the last.
     # Sorted by their nodes, lowest node first, equal edges are neighbours.
@@ -122,7 +122,7 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     if groups[0].shape[1] == 2:
         is_first = np.repeat([True, False], len(start) // 2)
         start, end = np.where(is_first, start, -1), np.where(is_first, -1, start)
-    owner = owners(groups)
+    owner = face_of_corner(groups)
     edge = np.sort([start, end], axis=0)
     turned = start < end
     order = np.lexsort(edge)
@@ -132,7 +132,7 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return owner[before], owner[after], turned[before] != turned[after]
 
 
-def _by_chains(points: np.ndarray) -> np.ndarray:
+def _label_by_chains(points: ndarray) -> ndarray:
     """The wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
     first, inverse = distinct(points)
     unique = points[first]
@@ -143,12 +143,12 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
     near = distance <= REACH * (1 + SAME) * distance[:, count, None]
     label = parts_of(np.nonzero(near)[0], nearest[near], len(unique))
     if points.shape[1] == 3 and label.max() > 0:
-        first_part, second_part = _next_to_curves(unique, label, distance[:, 1]).T
+        first_part, second_part = _join_curves(unique, label, distance[:, 1]).T
         label = parts_of(first_part, second_part, int(label.max()) + 1)[label]
     return label[inverse]
 
 
-def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+def _join_curves(points: ndarray, label: ndarray, spacing: ndarray) -> ndarray:
     """Pairs (p, 2) of every part that is a curve and the next part of its wall, on both sides."""
     pairs = []
     for curve in range(label.max() + 1):
@@ -158,28 +158,27 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
         if len(members) > CURVED * (1 + SAME) * extent / np.median(spacing[label == curve]):
             continue
         tree = Tree(points[others])
-        sample = members[farthest(members, SAMPLE, 0.0)]
-        for count in (AROUND, len(others)):
+        sample = members[farthest(members, CURVE_SAMPLE, 0.0)]
+        for count in (VOTERS, len(others)):
             near = others[
                 np.sort(tree.query(sample, k=range(1, min(count, len(others)) + 1))[1], axis=1)
             ]
-            parts = _parts_beside(members, points[near] - sample[:, None], label[near])
+            parts = _vote_for_parts(members, points[near] - sample[:, None], label[near])
             if parts:
                 break
         pairs += [(curve, part) for part in parts]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _parts_beside(curve: np.ndarray, offsets: np.ndarray, label: np.ndarray) -> list[int]:
+def _vote_for_parts(curve: ndarray, offsets: ndarray, label: ndarray) -> list[int]:
     """The part next to a curve on either side, if most nodes of a sample of the curve find it.
     `offsets` (s, k, d) lead from the sample to other nodes, whose parts are `label` (s, k).
     """
     distance = np.linalg.norm(offsets, axis=2)
     parts = []
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
-    across = axes[
-        -1
-    ]  # the normal of the curve's plane, or the way from a straight curve to the nearest node
+    # the normal of the curve's plane, or the way from a straight curve to the nearest node
+    across = axes[-1]
     if not size[1] > 0.01 * size[0]:
         nearest = tuple(np.argwhere(distance <= (1 + SAME) * distance.min())[0])
         across = offsets[nearest] / distance[nearest]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Inexact, Int
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -14,8 +15,8 @@ from jaxmorph.extend import finite_array, rows_of, together
 from .. import mpi
 from .._pieces import check_comm
 
-Points = Inexact[np.ndarray, "k 3"]
-Coordinates = Inexact[np.ndarray, " c"]
+GridPoints = Inexact[ndarray, "k 3"]
+GridCoordinates = Inexact[ndarray, " c"]
 """Three numbers of each point in turn."""
 
 
@@ -33,9 +34,9 @@ class DistributedGrid:
     """
 
     comm: Any
-    points: Inexact[np.ndarray, "n 3"]
-    nodes: Int[np.ndarray, " n"]
-    rows: Int[np.ndarray, " k"]
+    points: Inexact[ndarray, "n 3"]
+    nodes: Int[ndarray, " n"]
+    rows: Int[ndarray, " k"]
     mesh: jm.Mesh | None
     outside: jm.Mesh | None
     case: io.Decomposed | None = None
@@ -44,7 +45,7 @@ class DistributedGrid:
     def read(comm: Any, path: str) -> "DistributedGrid":
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return DistributedGrid._decomposed(comm, path)
-        mesh = together(comm, lambda: None if comm.rank else _in_space(io.read(path), path))
+        mesh = together(comm, lambda: None if comm.rank else _put_in_space(io.read(path), path))
         return DistributedGrid.shared(comm, mesh)
 
     @staticmethod
@@ -68,7 +69,7 @@ class DistributedGrid:
                     f"{path}: {len(case)} folders processor*, and {comm.size} processes: run as "
                     "many."
                 )
-            return case, _in_space(case.read(comm.rank), path), case.side(comm.rank)
+            return case, _put_in_space(case.read(comm.rank), path), case.side(comm.rank)
 
         case, mesh, side = together(comm, part)
         sides = comm.gather(side)
@@ -85,16 +86,16 @@ class DistributedGrid:
             return {}
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
 
-    def listed(self, points: Points) -> Coordinates:
+    def listed(self, points: GridPoints) -> GridCoordinates:
         return points[self.rows].ravel()
 
-    def added(self, values: Coordinates) -> Points:
+    def added(self, values: GridCoordinates) -> GridPoints:
         """Adds values of the file's list to its nodes: the transpose of `listed`."""
         total = np.zeros(self.points.shape)
         np.add.at(total, self.rows, values.reshape(-1, 3))
         return total
 
-    def write(self, path: str, points: Points) -> None:
+    def write(self, path: str, points: GridPoints) -> None:
         if self.case is not None and self.mesh is not None:
             with self.case.writing(path, self.comm) as writer:
                 writer.add(self.comm.rank, self.mesh.moved(points))
@@ -122,23 +123,23 @@ class SolverOrder:
 
     comm: Any
     count: int
-    sent: list[np.ndarray]
-    places: list[np.ndarray]
+    sent: list[ndarray]
+    places: list[ndarray]
 
     @property
     def size(self) -> int:
         return sum(map(len, self.places))
 
-    def to_solver(self, values: np.ndarray) -> np.ndarray:
+    def to_solver(self, values: ndarray) -> ndarray:
         return self._sent(values, self.sent, self.places, self.size)
 
-    def from_solver(self, values: np.ndarray) -> np.ndarray:
+    def from_solver(self, values: ndarray) -> ndarray:
         """Adds up the solvers' numbers: the transpose of `to_solver`."""
         return self._sent(values, self.places, self.sent, self.count)
 
     def _sent(
-        self, values: np.ndarray, sent: list[np.ndarray], places: list[np.ndarray], size: int
-    ) -> np.ndarray:
+        self, values: ndarray, sent: list[ndarray], places: list[ndarray], size: int
+    ) -> ndarray:
         result = np.zeros(size, values.dtype)
         for rows, answer in zip(
             places, self.comm.alltoall([values[rows] for rows in sent]), strict=True
@@ -159,7 +160,7 @@ def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
     return SolverOrder(comm, count, sent, places)
 
 
-def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
+def _put_in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
     if mesh.points.shape[1] != 3:
         raise ValueError(
             f"{path}: this mesh is in 2-D, and IDWarp's coordinates are in 3-D: take "
@@ -174,7 +175,7 @@ def communicator(comm: Any) -> Any:
     return comm
 
 
-def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
+def surface_blocks(comm: Any, path: str) -> tuple[ndarray, ndarray]:
     """Reads a PLOT3D surface's points (k, 3) and quadrilaterals (q, 4); in the first process."""
     if comm.rank:
         return np.zeros((0, 3)), np.zeros((0, 4), int)
@@ -188,7 +189,7 @@ def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
     return points, first[np.asarray(mesh.cells["quad"])]
 
 
-def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def faces(points: Any, conn: Any, sizes: Any) -> tuple[ndarray, ndarray, ndarray]:
     points = reals("pts", points if np.size(points) else np.zeros((0, 3)), (None, 3))
     corners = whole_numbers("conn", conn)
     counts = whole_numbers("faceSizes", sizes)
@@ -200,17 +201,17 @@ def faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, n
     return points, rows_of("conn", corners, len(points)), counts
 
 
-def whole_numbers(name: str, values: Any) -> np.ndarray:
+def whole_numbers(name: str, values: Any) -> ndarray:
     array = reals(name, np.ravel(values), (None,))
     if not (array == np.floor(array)).all():
         raise ValueError(f"`{name}` must be whole numbers.")
     return array.astype(np.int64)
 
 
-def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> ndarray:
     return finite_array(name, values, shape).astype(float)
 
 
-def agreed(comm: Any, name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+def agreed(comm: Any, name: str, values: Any, shape: tuple[int, ...]) -> ndarray:
     """Checks numbers in each process; all raise together."""
     return together(comm, lambda: reals(name, values, shape))

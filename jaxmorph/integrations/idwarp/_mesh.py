@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Complex
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph.extend import float64_mode, together
 
 from .. import mpi
 from ._grid import (
-    Coordinates,
     DistributedGrid,
-    Points,
+    GridCoordinates,
+    GridPoints,
     SolverOrder,
     agreed,
     communicator,
@@ -30,7 +31,7 @@ OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
     "fileType": ((str,), "CGNS"),
     "specifiedSurfaces": ((list, tuple), None),
     "symmetrySurfaces": ((list, tuple), None),
-    "symmetryPlanes": ((list, tuple, np.ndarray), None),
+    "symmetryPlanes": ((list, tuple, ndarray), None),
     "symmTol": ((int, float), 1e-6),
     "useRotations": ((bool,), None),
     "aExp": ((int, float), 3.0),
@@ -181,7 +182,7 @@ class USMesh:
         self._surface: Follower | None = None
         self._coordinates = self._dXs = np.zeros((0, 3))
 
-    def getSurfaceCoordinates(self) -> Points:
+    def getSurfaceCoordinates(self) -> GridPoints:
         """Returns the surface's points that this process has, as they were set last."""
         self._defined()
         return self._coordinates.copy()
@@ -228,15 +229,15 @@ class USMesh:
         """
         self._order = solver_order(self.comm, 3 * len(self._grid.rows), ind)
 
-    def getSolverGrid(self) -> Coordinates:
+    def getSolverGrid(self) -> GridCoordinates:
         """Returns the coordinates of the moved mesh, in the order of `setExternalMeshIndices`."""
         return self._solver().to_solver(self.getCommonGrid())
 
-    def getCommonGrid(self) -> Coordinates:
+    def getCommonGrid(self) -> GridCoordinates:
         """Returns this process' coordinates of the moved mesh in the file's order."""
         return self._grid.listed(self._moved)
 
-    def getWarpGrid(self) -> Coordinates:
+    def getWarpGrid(self) -> GridCoordinates:
         """Returns what `getCommonGrid` does: no other order is used here."""
         return self.getCommonGrid()
 
@@ -253,11 +254,11 @@ class USMesh:
         seed = self._grid.added(self._volume(dXv, solverVec))
         self._dXs = self._defined().pullback(self._coordinates, seed)
 
-    def getdXs(self) -> Points:
+    def getdXs(self) -> GridPoints:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         return self._dXs.copy()
 
-    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Coordinates:
+    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> GridCoordinates:
         """Moves the mesh, and pushes a change of the surface's points (k, 3) forward to it.
 
         The result is in the order of `getSolverGrid`, or of `getCommonGrid` without `solverVec`.
@@ -376,9 +377,7 @@ class USMesh:
             )
         return walls
 
-    def _define(
-        self, points: np.ndarray, corners: np.ndarray, sizes: np.ndarray, is_own: bool
-    ) -> None:
+    def _define(self, points: ndarray, corners: ndarray, sizes: ndarray, is_own: bool) -> None:
         definition = Definition.gathered(self.comm, points, corners, sizes)
         grid = self._grid
 
@@ -411,10 +410,10 @@ class USMesh:
             )
         return self._order
 
-    def _rows(self, name: str, values: Any) -> np.ndarray:
+    def _rows(self, name: str, values: Any) -> ndarray:
         return agreed(self.comm, name, values, self._defined().points.shape)
 
-    def _volume(self, values: Any, is_solvers: bool) -> np.ndarray:
+    def _volume(self, values: Any, is_solvers: bool) -> ndarray:
         if not is_solvers:
             return agreed(self.comm, "dXv", values, (3 * len(self._grid.rows),))
         order = self._solver()
@@ -428,9 +427,9 @@ class USMesh_C(USMesh):
     in `warpDerivFwd`, so a step may be as small as 1e-200.
     """
 
-    _step: np.ndarray | None = None
+    _step: ndarray | None = None
 
-    def getSurfaceCoordinates(self) -> Complex[np.ndarray, "k 3"]:
+    def getSurfaceCoordinates(self) -> Complex[ndarray, "k 3"]:
         """Returns the surface's points that this process has, with their steps."""
         points = super().getSurfaceCoordinates()
         return points + 1j * (0 if self._step is None else self._step)

@@ -6,16 +6,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.extend import rows_of, together
-from jaxmorph.io.cgns.file import open_zones, opened
+from jaxmorph.io.cgns.file import open_tree, open_zones
 
 from ._grid import (
-    Coordinates,
     DistributedGrid,
-    Points,
+    GridCoordinates,
+    GridPoints,
     SolverOrder,
     agreed,
     communicator,
@@ -75,8 +76,8 @@ class MultiUSMesh:
             options = {**optionsDict[name], "gridFile": CGNSFile}
             self.meshes.append(self._mesh_class._of(self.comm, options, part))
         self._order: SolverOrder | None = None
-        self._chosen: list[np.ndarray] = []
-        self._rows: list[np.ndarray] | None = None
+        self._chosen: list[ndarray] = []
+        self._rows: list[ndarray] | None = None
         self._coordinates = np.zeros((0, 3))
 
     def setExternalMeshIndices(self, ind: Any) -> None:
@@ -114,7 +115,7 @@ class MultiUSMesh:
                 points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own]
             )
 
-    def getSurfaceCoordinates(self) -> Points:
+    def getSurfaceCoordinates(self) -> GridPoints:
         """Returns the surface's points that this process has, as they were set last."""
         for rows, mesh in self._parts():
             self._coordinates[rows] = mesh.getSurfaceCoordinates()
@@ -135,19 +136,19 @@ class MultiUSMesh:
         for mesh in self.meshes:
             mesh.warpMesh()
 
-    def getSolverGrid(self) -> Coordinates:
+    def getSolverGrid(self) -> GridCoordinates:
         """Returns the coordinates of the moved grids, in the order of `setExternalMeshIndices`."""
         grid = self._solver().to_solver(self._whole.listed(self._whole.points)).astype(self._number)
         for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
             grid[chosen] = mesh.getSolverGrid()
         return grid
 
-    def getWarpGrid(self) -> tuple[list[Coordinates], int]:
+    def getWarpGrid(self) -> tuple[list[GridCoordinates], int]:
         """Returns `getCommonGrid` of each moving grid, and the count of all coordinates."""
         grids = [mesh.getCommonGrid() for mesh in self.meshes]
         return grids, self.comm.allreduce(sum(map(len, grids)))
 
-    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Points:
+    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> GridPoints:
         """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3)."""
         if not solverVec:
             raise ValueError(
@@ -158,14 +159,14 @@ class MultiUSMesh:
             mesh.warpDeriv(values[chosen])
         return self.getdXs()
 
-    def getdXs(self) -> Points:
+    def getdXs(self) -> GridPoints:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         total = np.zeros(self._coordinates.shape)
         for rows, mesh in self._parts():
             total[rows] += mesh.getdXs()
         return total
 
-    def warpDerivFwd(self, dXs: Any) -> Coordinates:
+    def warpDerivFwd(self, dXs: Any) -> GridCoordinates:
         """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
         parts = self._parts()
         tangent = agreed(self.comm, "dXs", dXs, self._coordinates.shape)
@@ -195,7 +196,7 @@ class MultiUSMesh:
             raise ValueError("the solver's order is not known: call setExternalMeshIndices.")
         return self._order
 
-    def _parts(self) -> list[tuple[np.ndarray, USMesh]]:
+    def _parts(self) -> list[tuple[ndarray, USMesh]]:
         if self._rows is None:
             raise ValueError("the surface is not known: call setSurfaceDefinition.")
         return list(zip(self._rows, self.meshes, strict=True))
@@ -217,11 +218,9 @@ class MultiUSMesh_C(MultiUSMesh):
         super().__init__(CGNSFile, optionsDict, comm, "D", debug)
 
 
-def _read_grids(
-    path: str, options: Any
-) -> tuple[jm.Mesh, tuple[list[str], np.ndarray, np.ndarray]]:
+def _read_grids(path: str, options: Any) -> tuple[jm.Mesh, tuple[list[str], ndarray, ndarray]]:
     """Reads a mesh and its grids: names, and by zone its grid, or -1, and its number of nodes."""
-    with opened(pathlib.Path(path)) as file:
+    with open_tree(pathlib.Path(path)) as file:
         zones = open_zones(pathlib.Path(path), file)[0]
         counts = [zone.count for zone in zones]
         grids = [zone.name.rsplit(".", 1)[0] for zone in zones]
@@ -234,10 +233,10 @@ def _read_grids(
     return io.read(path), (names, np.array(numbers), np.array(counts))
 
 
-def _part_of(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
+def _part_of(mesh: jm.Mesh, is_own: ndarray) -> jm.Mesh:
     nodes, listed = np.unique(mesh.file_nodes[is_own], return_inverse=True)
 
-    def own(lists: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    def own(lists: Mapping[str, Any]) -> dict[str, ndarray]:
         inside = {
             name: ids[np.isin(ids, nodes).reshape(len(ids), -1).all(axis=1)]
             for name, ids in lists.items()

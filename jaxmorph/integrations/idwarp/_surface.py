@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -15,7 +16,7 @@ from jaxmorph import io
 from jaxmorph.extend import Tree, closest, fans, float64_mode, spacing
 
 from .. import mpi
-from ._grid import Points
+from ._grid import GridPoints
 
 PATCH_WORDS = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
 """What a patch is, by a word in its kind or its name."""
@@ -31,19 +32,17 @@ NEAR_FACE = 0.1
 class Definition:
     """A surface: points (s, 3) of all processes in turn, and triangles (t, 3) between them."""
 
-    points: Float[np.ndarray, "s 3"]
-    triangles: Int[np.ndarray, "t 3"]
+    points: Float[ndarray, "s 3"]
+    triangles: Int[ndarray, "t 3"]
 
     @staticmethod
-    def gathered(
-        comm: Any, points: np.ndarray, conn: np.ndarray, sizes: np.ndarray
-    ) -> "Definition":
+    def gathered(comm: Any, points: ndarray, conn: ndarray, sizes: ndarray) -> "Definition":
         shares, triangles = zip(*comm.allgather((points, fans(conn, sizes))), strict=True)
         firsts = np.cumsum([0, *map(len, shares)])
         corners = [own + first for own, first in zip(triangles, firsts, strict=False)]
         return Definition(np.concatenate(shares), np.concatenate(corners))
 
-    def weights(self, x: Points) -> tuple[Any, np.ndarray, np.ndarray]:
+    def weights(self, x: GridPoints) -> tuple[Any, ndarray, ndarray]:
         """Computes sparse weights (k, s) by which the surface's points move nodes `x`.
 
         A node moves as the closest point of the faces, or without faces as the three nearest
@@ -99,12 +98,12 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
 
 def _patches_in(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
     on = np.logical_or.reduce(
-        [np.zeros(len(mesh.points), bool), *(plane.holds(_places_of(mesh)) for plane in planes)]
+        [np.zeros(len(mesh.points), bool), *(plane.holds(_find_places(mesh)) for plane in planes)]
     )
     return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
 
 
-def _places_of(mesh: jm.Mesh) -> np.ndarray:
+def _find_places(mesh: jm.Mesh) -> ndarray:
     return np.asarray(mesh.points, dtype=float)
 
 
@@ -126,7 +125,7 @@ def _patches_named(mesh: jm.Mesh, names: Sequence[str], option: str) -> list[str
 
 def _read_planes(mesh: jm.Mesh, options: Mapping[str, Any]) -> list[jm.Plane]:
     planes = []
-    points = _places_of(mesh)
+    points = _find_places(mesh)
     for origin, normal in options["symmetryPlanes"]:
         plane = jm.Plane(normal, origin)
         near = np.flatnonzero(np.abs(plane.height(points)) <= options["symmTol"])
@@ -147,7 +146,7 @@ def boundary_of(
     symmetry, periodic and overset ones are fixed.
     """
     kinds = patches_by_kind(mesh, options)
-    points = _places_of(mesh)
+    points = _find_places(mesh)
     walls = kinds["wall"]
     periodic = io.periodic(mesh)
     loose = {*kinds["symmetry"], *kinds["overset"]}
@@ -165,13 +164,13 @@ def boundary_of(
 
 def _on_surface(
     mesh: jm.Mesh, surface: Definition, walls: Sequence[str], loose: Collection[str]
-) -> np.ndarray:
+) -> ndarray:
     for names in (walls, [name for name in mesh.patches if name not in loose]):
         found = []
         for nodes in (np.asarray(mesh.patches[name]) for name in names):
             if len(nodes) < 2:
                 continue
-            x = _places_of(mesh)[nodes]
+            x = _find_places(mesh)[nodes]
             _, away, limit = surface.weights(x)
             is_on = away <= np.maximum(limit, NEAR_FACE * spacing(x))
             if is_on.mean() >= PART:
@@ -195,7 +194,7 @@ class Follower:
     `own` are the rows of this process' points among all.
     """
 
-    def __init__(self, piece: mpi.Piece, weights: Any, points: np.ndarray):
+    def __init__(self, piece: mpi.Piece, weights: Any, points: ndarray):
         self.piece = piece
         self.weights = weights
         self.points = points
@@ -203,15 +202,15 @@ class Follower:
         self.own = slice(first, first + len(points))
         self.copies = dataclasses.replace(piece, is_owner=np.ones_like(piece.is_owner))
 
-    def deform(self, coordinates: np.ndarray) -> np.ndarray:
+    def deform(self, coordinates: ndarray) -> ndarray:
         with float64_mode():
             return self.piece.deform(self._u(coordinates - self.points))
 
-    def pushforward(self, coordinates: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    def pushforward(self, coordinates: ndarray, tangent: ndarray) -> ndarray:
         with float64_mode():
             return self.piece.pushforward(self._u(coordinates - self.points), self._u(tangent))
 
-    def pullback(self, coordinates: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
+    def pullback(self, coordinates: ndarray, cotangent: ndarray) -> ndarray:
         """Pulls back a derivative by all processes' nodes: derivatives by a shared node add up."""
         with float64_mode():
             share = self.copies.pullback(self._u(coordinates - self.points), cotangent)
@@ -220,5 +219,5 @@ class Follower:
             moving[rows] = values
         return (self.weights.T @ moving)[self.own]
 
-    def _u(self, values: np.ndarray) -> np.ndarray:
+    def _u(self, values: ndarray) -> ndarray:
         return (self.weights @ np.concatenate(self.piece.comm.allgather(values)))[self.piece.rows]

@@ -10,20 +10,21 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.interpolate
 from jaxtyping import Array, Float
+from numpy import ndarray
 
 from jaxmorph import Mesh, boundary_faces, io, shapes
 from jaxmorph.extend import warn
 
-from ._motion import AbstractPart, Names, check_axis
-from ._options import KINDS, Options, Variable
+from ._motion import AbstractPart, PatchNamesOfMotion, check_axis
+from ._options import VARIABLE_KINDS, Options, Variable
 
 Fixed = tuple[frozenset[int], ...]
 """Planes of control points that stay, in each direction of a box."""
 PLANES_BEHIND = {"NO_DERIVATIVE": 1, "1ST_DERIVATIVE": 2, "2ND_DERIVATIVE": 3, "USER_INPUT": 0}
 """Planes of control points that stay behind each face of a box which the wall crosses."""
-NEWTON_STEPS = 20
+BOX_STEPS = 20
 """Steps of Newton's method, down to a double's rounding."""
-MOST_CONTROL_POINTS = 10**6
+MOST_OF_A_BOX = 10**6
 """Control points that a box may have."""
 BEYOND = 2.0
 """Coordinate of a node outside of a box."""
@@ -63,7 +64,7 @@ class BoxPart(AbstractPart):
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
 
 
-def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _control_point(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     """Moves control points, of which -1 names all of a direction.
 
     SU2 moves none where a plane of a given number stays. Of a direction of all it leaves planes out
@@ -82,7 +83,7 @@ def _control_point(part: BoxPart, variable: Variable, factors: np.ndarray) -> No
     factors += chosen[..., None] * ways.reshape(-1, *[1] * d, d)
 
 
-def _pair(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _pair(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     """Moves two control points across a box alike (camber), or apart (thickness)."""
     index = variable.index
     d = factors.shape[-1]
@@ -91,12 +92,12 @@ def _pair(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
         factors[(0, *index, 1, d - 1)] = 1
 
 
-def _gull(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _gull(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     (j,) = variable.index
     factors[0, :, j, :, 2] = j not in part.fixed[1]
 
 
-def _nacelle(part: BoxPart, variable: Variable, factors: np.ndarray) -> None:
+def _nacelle(part: BoxPart, variable: Variable, factors: ndarray) -> None:
     """Moves the control points at an angle and at the opposite angle."""
     i, j, k = variable.index
     last = factors.shape[2] - 1
@@ -173,7 +174,9 @@ TURN_KINDS = {
 """The other kinds, whose motions depend on where the control points are."""
 
 
-def boxes_of(options: Options, mesh: Mesh, moving: Names, is_setting: bool) -> tuple[io.Box, ...]:
+def boxes_of(
+    options: Options, mesh: Mesh, moving: PatchNamesOfMotion, is_setting: bool
+) -> tuple[io.Box, ...]:
     """Lists the mesh's boxes; without any, or with `is_setting`, those of `FFD_DEFINITION`."""
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
     present = () if is_setting else io.boxes(mesh)
@@ -205,8 +208,8 @@ def _read_boxes(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
         corners = options.taken("FFD_DEFINITION", f"box {name}", words, 24)
         numbers = [options.number("FFD_DEFINITION", word) for word in corners]
         counts = [options.whole("FFD_DEGREE", word) + 1 for word in own[:d]]
-        if len(counts) < d or math.prod(counts) > MOST_CONTROL_POINTS:
-            limit = f"{d} degrees of at most {MOST_CONTROL_POINTS} control points"
+        if len(counts) < d or math.prod(counts) > MOST_OF_A_BOX:
+            limit = f"{d} degrees of at most {MOST_OF_A_BOX} control points"
             found = " x ".join(map(str, counts))
             raise options.error("FFD_DEGREE", f"{limit} expected, found {found}")
         places = np.reshape(numbers, (8, 3))[: 2**d, :d]
@@ -214,7 +217,7 @@ def _read_boxes(options: Options, d: int) -> list[tuple[str, shapes.Hexahedron]]
     return boxes
 
 
-def _wall_in_box(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
+def _wall_in_box(shape: shapes.Hexahedron, mesh: Mesh, moving: PatchNamesOfMotion) -> dict:
     surface = {}
     for name in moving:
         nodes = mesh.patch(name)
@@ -224,9 +227,7 @@ def _wall_in_box(shape: shapes.Hexahedron, mesh: Mesh, moving: Names) -> dict:
     return surface
 
 
-def _of_spline(
-    places: Float[np.ndarray, "k d"], shape: shapes.Hexahedron
-) -> Float[np.ndarray, "k d"]:
+def _of_spline(places: Float[ndarray, "k d"], shape: shapes.Hexahedron) -> Float[ndarray, "k d"]:
     """Finds coordinates at which the splines of the lattice at rest give the places in the box.
 
     The lattice is equal along each edge, so each direction stands alone. Splines of the highest
@@ -239,14 +240,18 @@ def _of_spline(
             spline = scipy.interpolate.BSpline(knots, np.arange(count) / (count - 1), p)
             slope = spline.derivative()
             t = places[:, axis]
-            for _ in range(NEWTON_STEPS):
+            for _ in range(BOX_STEPS):
                 t = np.clip(t - (spline(t) - places[:, axis]) / slope(t), 0, 1)
             found[:, axis] = t
     return found
 
 
 def box_parts(
-    options: Options, listed: list[Variable], mesh: Mesh, moving: Names, boxes: Sequence[io.Box]
+    options: Options,
+    listed: list[Variable],
+    mesh: Mesh,
+    moving: PatchNamesOfMotion,
+    boxes: Sequence[io.Box],
 ) -> list[AbstractPart]:
     """Makes a part for each box, of the variables that move its control points."""
     _check_boxes(listed, boxes)
@@ -306,7 +311,7 @@ def _check_boxes(listed: list[Variable], boxes: Sequence[io.Box]) -> None:
 def _check_variable(variable: Variable, box: io.Box) -> None:
     kind = variable.kind
     counts = box.shape.counts
-    directions = KINDS[variable.kind].indices
+    directions = VARIABLE_KINDS[variable.kind].indices
     index = variable.numbers[: len(directions)]
     if not index:
         return check_axis(kind, variable.numbers, len(counts))
@@ -330,7 +335,7 @@ def _check_variable(variable: Variable, box: io.Box) -> None:
 
 
 def _fixed_planes(
-    options: Options, lattice: Float[np.ndarray, "..."], mesh: Mesh, moving: Names
+    options: Options, lattice: Float[ndarray, "..."], mesh: Mesh, moving: PatchNamesOfMotion
 ) -> Fixed:
     """Finds the planes that stay in each direction of a lattice, so that no wall tears."""
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *PLANES_BEHIND)
@@ -342,9 +347,8 @@ def _fixed_planes(
         planes = (
             set(options.numbers(f"FFD_FIX_{'IJK'[direction]}")) if word == "USER_INPUT" else set()
         )
-        depth = (
-            0 if PLANES_BEHIND[word] == 3 and count <= 2 else PLANES_BEHIND[word]
-        )  # a second derivative needs a degree of 2
+        # a second derivative needs a degree of 2
+        depth = 0 if PLANES_BEHIND[word] == 3 and count <= 2 else PLANES_BEHIND[word]
         is_mirror = (direction, d, is_symmetric) == (1, 3, True)
         for last, behind in ((0, range(depth)), (-1, range(count - depth, count))):
             if depth and not is_mirror and _crosses(segments, _face(lattice, direction, last)):
@@ -353,16 +357,14 @@ def _fixed_planes(
     return tuple(fixed)
 
 
-def _face(
-    lattice: Float[np.ndarray, "..."], direction: int, last: int
-) -> Float[np.ndarray, "t d d"]:
+def _face(lattice: Float[ndarray, "..."], direction: int, last: int) -> Float[ndarray, "t d d"]:
     """Cuts one face of a box into two triangles between its corners; in 2-D it is a segment."""
     d = lattice.shape[-1]
     corners = np.take(lattice[np.ix_(*[[0, -1]] * d)], last, axis=direction).reshape(-1, d)
     return corners[None] if d == 2 else corners[np.array([[0, 1, 2], [3, 2, 1]])]
 
 
-def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d d"]) -> bool:
+def _crosses(segments: Float[ndarray, "s 2 d"], faces: Float[ndarray, "t d d"]) -> bool:
     start = segments[:, 0]
     way = segments[:, 1] - segments[:, 0]
     for face in faces:
@@ -381,7 +383,7 @@ def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d
     return False
 
 
-def _wall_segments(mesh: Mesh, moving: Names) -> Float[np.ndarray, "s 2 d"]:
+def _wall_segments(mesh: Mesh, moving: PatchNamesOfMotion) -> Float[ndarray, "s 2 d"]:
     faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()]
     pairs = [
         ids[:, [a, b]] for ids in faces for a, b in itertools.combinations(range(ids.shape[1]), 2)

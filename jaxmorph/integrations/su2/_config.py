@@ -11,13 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray
 
 from jaxmorph import Mesh, io, shapes
 from jaxmorph.extend import checked, complete, finite_array, input_path, output_path, warn
 
 from ._boxes import BoxPart, box_parts, boxes_of
-from ._motion import AbstractPart, DesignVariables, Names, wall_parts
-from ._options import KINDS, Options, Variable, checked_variables, read_options
+from ._motion import AbstractPart, DesignVariables, PatchNamesOfMotion, wall_parts
+from ._options import VARIABLE_KINDS, Options, Variable, checked_variables, read_options
 
 LARGE = 0.5
 """Motion of a wall over its own length that counts as a mistake."""
@@ -70,7 +71,7 @@ class Config:
     mesh: Mesh
     output: pathlib.Path
     shape: DesignVariables
-    parameters: Float[np.ndarray, " n"]
+    parameters: Float[ndarray, " n"]
     moving: tuple[str, ...]
     symmetry: tuple[str, ...]
     fixed: tuple[str, ...]
@@ -93,13 +94,13 @@ class Config:
         return [name for name in self.names if _sort(name) == "constant"]
 
     @functools.cached_property
-    def path(self) -> Float[np.ndarray, "k m d"]:
+    def path(self) -> Float[ndarray, "k m d"]:
         """Total displacements of the moving nodes in equal steps, as `jm.march` takes them."""
         u = np.asarray(jax.jit(self.shape)(self._wall, self.parameters)) - self._wall
         return np.stack([u * (k + 1) / self.steps for k in range(self.steps)])
 
     @property
-    def _wall(self) -> Float[np.ndarray, "m d"]:
+    def _wall(self) -> Float[ndarray, "m d"]:
         return np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
 
     @property
@@ -155,7 +156,7 @@ def read_config(
     listed, markers = checked_variables(options, definition)
     mesh = _read_mesh(options, zone)
     kinds = {variable.kind for variable in listed}
-    sorts = {KINDS[kind].sort for kind in kinds}
+    sorts = {VARIABLE_KINDS[kind].sort for kind in kinds}
     is_setting = "FFD_SETTING" in kinds
     is_whole = "mesh" in sorts
     is_moving = is_setting or not sorts <= {"nothing", "flow"}
@@ -206,11 +207,11 @@ def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
 
 
 def _sort(name: str) -> str:
-    return KINDS[name.partition("[")[0]].sort
+    return VARIABLE_KINDS[name.partition("[")[0]].sort
 
 
 def _markers_present(
-    options: Options, mesh: Mesh, name: str, markers: Names, is_needed: bool = False
+    options: Options, mesh: Mesh, name: str, markers: PatchNamesOfMotion, is_needed: bool = False
 ) -> tuple[str, ...]:
     present = []
     absent = []
@@ -232,7 +233,7 @@ def _markers_present(
 def _warn_of_results(config: Config, listed: list[Variable]) -> None:
     options = config.options
     kinds = dict.fromkeys(variable.kind for variable in listed)
-    for kind in filter(lambda kind: KINDS[kind].sort == "flow", kinds):
+    for kind in filter(lambda kind: VARIABLE_KINDS[kind].sort == "flow", kinds):
         warn(f"{kind} is left alone: it is the flow solver's, no wall moves by it.")
     if left_out := options.left_out():
         warn(
@@ -248,7 +249,7 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
         if relaxed == 1
         else f"OPT_RELAX_FACTOR= {relaxed:g} multiplies DV_VALUE, as in SU2"
     )
-    suspect = {kind for kind in kinds if KINDS[kind].sort in ("wall", "box")} - (
+    suspect = {kind for kind in kinds if VARIABLE_KINDS[kind].sort in ("wall", "box")} - (
         RIGID if relaxed == 1 else set()
     )
     if config.share > LARGE and suspect:
@@ -257,7 +258,7 @@ def _warn_of_results(config: Config, listed: list[Variable]) -> None:
 
 def _read_values(
     options: Options, shape: DesignVariables, definition: bool
-) -> Float[np.ndarray, " n"]:
+) -> Float[ndarray, " n"]:
     """Reads the value of each design variable; without `DV_VALUE_NEW` of them all are at rest."""
     name = "DV_VALUE_NEW" if definition else "DV_VALUE"
     rest = np.asarray(shape.rest)
@@ -272,7 +273,7 @@ def _read_values(
 
 
 def _make_shape(
-    options: Options, listed: list[Variable], parts: Sequence[AbstractPart], free: np.ndarray
+    options: Options, listed: list[Variable], parts: Sequence[AbstractPart], free: ndarray
 ) -> DesignVariables:
     names = []
     scales = []
@@ -295,7 +296,9 @@ def _make_shape(
     )
 
 
-def _free_coordinates(mesh: Mesh, moving: Names, planes: Names) -> Bool[np.ndarray, "m d"]:
+def _free_coordinates(
+    mesh: Mesh, moving: PatchNamesOfMotion, planes: PatchNamesOfMotion
+) -> Bool[ndarray, "m d"]:
     """Marks coordinates that may change: on `planes` all but that across the patch."""
     nodes = mesh.patch(*moving) if moving else np.zeros(0, int)
     points = np.asarray(mesh.points, float)
@@ -317,7 +320,7 @@ class Sensitivity:
     """
 
     path: pathlib.Path
-    by_nodes: Float[np.ndarray, "k d"]
+    by_nodes: Float[ndarray, "k d"]
     by_angle: float | None
 
 
@@ -378,7 +381,7 @@ def _existing(name: pathlib.Path, kind: str) -> pathlib.Path | None:
     return None
 
 
-def _by_normals(config: Config, file: pathlib.Path) -> Float[np.ndarray, "m d"] | None:
+def _by_normals(config: Config, file: pathlib.Path) -> Float[ndarray, "m d"] | None:
     """Reads derivatives along the wall's normals, which point into the flow; None without them."""
     with file.open("rb") as stream:
         names = [
@@ -426,7 +429,7 @@ def _by_angle(file: pathlib.Path) -> float | None:
 
 @checked
 def write_gradient(
-    path: str | os.PathLike[str], gradient: Float[np.ndarray, " n"], objective: str = "DRAG"
+    path: str | os.PathLike[str], gradient: Float[ndarray, " n"], objective: str = "DRAG"
 ) -> None:
     """Writes a derivative a line below a line with the name of the objective: `of_grad.dat`.
 

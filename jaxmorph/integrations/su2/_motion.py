@@ -9,13 +9,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy import ndarray
 
 from jaxmorph import Mesh, io, shapes
 
 from ._options import LOWER, Options, Variable
 
-Names = Sequence[str]
-Numbers = Sequence[tuple[float, ...]] | Float[np.ndarray, "k p"]
+PatchNamesOfMotion = Sequence[str]
+MotionNumbers = Sequence[tuple[float, ...]] | Float[ndarray, "k p"]
 TAIL = 0.99
 """The place along the chord behind which `HICKS_HENNE_CAMBER` moves nothing."""
 EPS = 1e-16
@@ -79,7 +80,7 @@ class DesignVariables(shapes.AbstractShape):
 
 
 def wall_parts(
-    options: Options, listed: list[Variable], mesh: Mesh, moving: Names
+    options: Options, listed: list[Variable], mesh: Mesh, moving: PatchNamesOfMotion
 ) -> list[AbstractPart]:
     """Makes a part of the variables of each kind that moves no boxes."""
     parts: list[AbstractPart] = []
@@ -87,13 +88,13 @@ def wall_parts(
         members = [variable for variable in listed if variable.kind == kind]
         numbers = tuple(variable.numbers for variable in members)
         move, data_of = MOVES[kind]
-        _check(kind, numbers, mesh.points.shape[1])
+        _check_motion(kind, numbers, mesh.points.shape[1])
         data = data_of(options, mesh, moving) if data_of else None
         parts.append(WallPart(tuple(variable.first for variable in members), move, numbers, data))
     return parts
 
 
-def _check(kind: str, numbers: Numbers, d: int) -> None:
+def _check_motion(kind: str, numbers: MotionNumbers, d: int) -> None:
     if kind == "HICKS_HENNE_CAMBER" and d != 2:
         raise ValueError(f"{kind} in 3-D: SU2 has it for airfoils in 2-D.")
     for own in numbers:
@@ -114,14 +115,14 @@ def check_axis(kind: str, numbers: Sequence[float], d: int) -> None:
         raise ValueError(f"{kind} about an axis without length: its two ends are one point.")
 
 
-def _signs(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, " m"]:
+def _signs(options: Options, mesh: Mesh, moving: PatchNamesOfMotion) -> Float[ndarray, " m"]:
     """Finds the side of each node: 1 where the wall's normal points up, -1 where down."""
     return np.sign(shapes.wall_normals(mesh, *moving)[:, 1])
 
 
-def _chord(
-    options: Options, mesh: Mesh, moving: Names
-) -> tuple[shapes.Chord, Float[np.ndarray, " m"]]:
+def _chord_of_walls(
+    options: Options, mesh: Mesh, moving: PatchNamesOfMotion
+) -> tuple[shapes.Chord, Float[ndarray, " m"]]:
     """Finds the airfoil's own chord, which SU2 takes to be 1 long; 1 for nodes ahead of `TAIL`."""
     wall = np.asarray(mesh.points, float)[mesh.patch(*moving)]
     own = shapes.Chord.along(wall)
@@ -131,23 +132,22 @@ def _chord(
     return chord, np.where(np.asarray(chord.coordinates(jnp.asarray(wall))[0]) <= TAIL, 1.0, 0.0)
 
 
-def _file(options: Options, mesh: Mesh, moving: Names) -> Float[np.ndarray, "m d"]:
-    name = options.text(
-        "DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat")
-    )  # the older name
+def _file(options: Options, mesh: Mesh, moving: PatchNamesOfMotion) -> Float[ndarray, "m d"]:
+    # the older name
+    name = options.text("DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat"))
     return io.read_displacement(options.beside(name), mesh, mesh.patch(*moving))
 
 
-def _translation(x, values, numbers: Numbers, data):
+def _translation(x, values, numbers: MotionNumbers, data):
     return jnp.broadcast_to(values @ np.array(numbers)[:, : x.shape[1]].astype(x.dtype), x.shape)
 
 
-def _translation_of_length(x, values, numbers: Numbers, data):
+def _translation_of_length(x, values, numbers: MotionNumbers, data):
     along = np.array(numbers)[:, : x.shape[1]]
     return _translation(x, values, along / np.linalg.norm(along, axis=1, keepdims=True), data)
 
 
-def _rotation(x, values, numbers: Numbers, data):
+def _rotate_walls(x, values, numbers: MotionNumbers, data):
     """Turns about an axis by degrees; the numbers have its two ends."""
     d = x.shape[1]
     ends = np.array(numbers)
@@ -158,22 +158,22 @@ def _rotation(x, values, numbers: Numbers, data):
     )
 
 
-def _scale(x, values, numbers: Numbers, data):
+def _scale_about(x, values, numbers: MotionNumbers, data):
     return (values - 1).sum() * x
 
 
-def _displacement(x, values, numbers: Numbers, u):
+def _displace(x, values, numbers: MotionNumbers, u):
     return jnp.asarray(u, x.dtype)
 
 
-def _hicks_henne(x, values, numbers: Numbers, signs):
+def _hicks_henne(x, values, numbers: MotionNumbers, signs):
     """Moves each side outwards by bumps across a unit chord along x."""
     sides, tops = np.array(numbers).T
     ways = np.where(sides == LOWER, -1, 1)[None, :]
     return (_bumps(x[:, :1], tops) * (ways * (signs[:, None] == ways))) @ values
 
 
-def _camber(x, values, numbers: Numbers, data):
+def _camber(x, values, numbers: MotionNumbers, data):
     chord, weights = data
     rise = (_bumps(chord.coordinates(x)[0][:, None], np.ravel(numbers)) @ values) * weights.astype(
         x.dtype
@@ -181,21 +181,21 @@ def _camber(x, values, numbers: Numbers, data):
     return rise[:, None] * chord.up.astype(x.dtype)[None, :]
 
 
-def _surface_bump(x, values, numbers: Numbers, data):
+def _surface_bump(x, values, numbers: MotionNumbers, data):
     """Moves both sides upwards by bumps along x between two places."""
     start, end, top = np.array(numbers).T[:, None].astype(x.dtype)
     t = (x[:, :1] - start) / (end - start)
     return jnp.where(t < 1, _bumps(t, ((top - start) / (end - start))[0]), 0) @ values
 
 
-def _bumps(t: Float[Array, "m _"], tops: Float[np.ndarray, " k"]) -> Float[Array, "m k"]:
+def _bumps(t: Float[Array, "m _"], tops: Float[ndarray, " k"]) -> Float[Array, "m k"]:
     """Evaluates sin(pi t^(ln 0.5 / ln c))^3 for tops c."""
     behind = t > 10 * EPS
     power = (math.log(0.5) / np.log(tops))[None, :].astype(t.dtype)
     return jnp.where(behind, jnp.sin(jnp.pi * jnp.where(behind, t, 0.5) ** power) ** 3, 0)
 
 
-def _kulfan(x, values, numbers: Numbers, signs):
+def _kulfan(x, values, numbers: MotionNumbers, signs):
     """Moves one side by a Bernstein polynomial times sqrt(t) (1 - t)."""
     t = jnp.maximum(x[:, 0], 0)
     front = jnp.where(t > 0, jnp.sqrt(jnp.where(t > 0, t, 1)), 0) * (1 - t)
@@ -208,7 +208,7 @@ def _kulfan(x, values, numbers: Numbers, signs):
     return front * rise
 
 
-def _naca(x, values, numbers: Numbers, signs):
+def _naca(x, values, numbers: MotionNumbers, signs):
     camber, place, thickness = (np.array(numbers[0]) / [100, 10, 100]).tolist()
     t = x[:, 0]
     ahead = t < place
@@ -219,25 +219,26 @@ def _naca(x, values, numbers: Numbers, signs):
     return jnp.where(signs != 0, mean + signs * half - x[:, 1], 0)
 
 
-def _parabolic(x, values, numbers: Numbers, signs):
-    t, (centre, thickness) = x[:, 0], numbers[0]
+def _parabolic(x, values, numbers: MotionNumbers, signs):
+    t = x[:, 0]
+    centre, thickness = numbers[0]
     half = thickness / 100 * (t * t - t) / (2 * (centre * centre - centre))
     return jnp.where(signs != 0, signs * half - x[:, 1], 0)
 
 
 MOVES: dict[str, tuple[Callable[..., Any], Callable[..., Any] | None]] = {
     "TRANSLATION": (_translation, None),
-    "ROTATION": (_rotation, None),
-    "SCALE": (_scale, None),
+    "ROTATION": (_rotate_walls, None),
+    "SCALE": (_scale_about, None),
     "TRANSLATE_GRID": (_translation_of_length, None),
-    "ROTATE_GRID": (_rotation, None),
-    "SCALE_GRID": (_scale, None),
+    "ROTATE_GRID": (_rotate_walls, None),
+    "SCALE_GRID": (_scale_about, None),
     "HICKS_HENNE": (_hicks_henne, _signs),
-    "HICKS_HENNE_CAMBER": (_camber, _chord),
+    "HICKS_HENNE_CAMBER": (_camber, _chord_of_walls),
     "CST": (_kulfan, _signs),
     "SURFACE_BUMP": (_surface_bump, None),
     "NACA_4DIGITS": (_naca, _signs),
     "PARABOLIC": (_parabolic, _signs),
-    "SURFACE_FILE": (_displacement, _file),
+    "SURFACE_FILE": (_displace, _file),
 }
 """How each kind moves a wall, and what it knows of the undeformed one."""

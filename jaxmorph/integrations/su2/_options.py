@@ -30,7 +30,7 @@ class Kind(NamedTuple):
     indices: str = ""
 
 
-KINDS = {
+VARIABLE_KINDS = {
     "NO_DEFORMATION": Kind(0, 0, "nothing"),
     "TRANSLATION": Kind(1, 3),
     "ROTATION": Kind(2, 6),
@@ -66,7 +66,7 @@ KINDS = {
 
 UPPER = 1
 LOWER = 0
-ONE = 2
+ONE_VALUE = 2
 """Sides of an airfoil, as the first parameter has them; for `ONE` SU2 moves the upper side."""
 
 LEFT_OUT = {
@@ -108,13 +108,13 @@ class Options:
         return self.values[name] if name in self else default
 
     def words(self, name: str) -> Words:
-        return split(self.text(name))
+        return split_values(self.text(name))
 
     def groups(self, name: str) -> list[Words]:
-        return [split(part) for part in self.text(name).split(";") if split(part)]
+        return [split_values(part) for part in self.text(name).split(";") if split_values(part)]
 
     def numbers(self, name: str) -> list[float]:
-        return [self.number(name, word) for word in split(self.text(name).replace(";", " "))]
+        return [self.number(name, word) for word in split_values(self.text(name).replace(";", " "))]
 
     def number(self, name: str, word: str | None = None) -> float:
         """Reads a word of an option as a number; by default its value, or 1 where it is not set."""
@@ -172,7 +172,7 @@ class Options:
     @property
     def periodic(self) -> list[str]:
         """The markers of periodic pairs, one after the other; nine numbers follow each pair."""
-        words = split(self.text("MARKER_PERIODIC").replace(";", " "))
+        words = split_values(self.text("MARKER_PERIODIC").replace(";", " "))
         return [word for k, word in enumerate(words) if k % 11 < 2]
 
     def error(self, name: str, message: str) -> ValueError:
@@ -202,7 +202,7 @@ def _normal_form(text: str) -> str | float:
         return {"FALSE": "NO", "TRUE": "YES"}.get(text.upper(), text.upper())
 
 
-def split(text: str) -> Words:
+def split_values(text: str) -> Words:
     return [word for word in SEPARATORS.split(text) if word]
 
 
@@ -247,12 +247,12 @@ class Variable:
 
     @property
     def sort(self) -> str:
-        return KINDS[self.kind].sort
+        return VARIABLE_KINDS[self.kind].sort
 
     @property
     def index(self) -> tuple[int, ...]:
         """The numbers of control points among the parameters."""
-        return tuple(map(int, self.numbers[: len(KINDS[self.kind].indices)]))
+        return tuple(map(int, self.numbers[: len(VARIABLE_KINDS[self.kind].indices)]))
 
 
 Listed = tuple[list[Variable], Words]
@@ -289,7 +289,7 @@ def _read_kinds(options: Options) -> Listed:
             f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are."
         )
     _check_words(options, "DV_KIND", kinds)
-    if not any(KINDS[kind].parameters for kind in kinds):
+    if not any(VARIABLE_KINDS[kind].parameters for kind in kinds):
         groups = [[]] * len(kinds)
     if len(groups) != len(kinds):
         raise options.error(
@@ -301,7 +301,8 @@ def _read_kinds(options: Options) -> Listed:
 
 def _read_definition(options: Options) -> Listed:
     entries = [
-        _defined(options, text) for text in filter(split, options.text("DEFINITION_DV").split(";"))
+        _defined(options, text)
+        for text in filter(split_values, options.text("DEFINITION_DV").split(";"))
     ]
     if not entries:
         raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
@@ -316,12 +317,12 @@ def _read_definition(options: Options) -> Listed:
 def _defined(options: Options, text: str) -> tuple[Variable, Words]:
     """Reads one variable and its markers: ( kind, scale | markers | parameters )."""
     name = "DEFINITION_DV"
-    head, *rest = [split(part) for part in text.split("|")]
+    head, *rest = [split_values(part) for part in text.split("|")]
     if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
         raise options.error(
             name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}"
         )
-    by_number = {str(kind.number): word for word, kind in KINDS.items()}
+    by_number = {str(kind.number): word for word, kind in VARIABLE_KINDS.items()}
     kind = by_number.get(head[0], head[0].upper())
     _check_words(options, name, [kind])
     scale = options.number(name, head[1]) if len(head) == 2 else 1.0
@@ -329,11 +330,11 @@ def _defined(options: Options, text: str) -> tuple[Variable, Words]:
 
 
 def _check_words(options: Options, name: str, kinds: Words) -> None:
-    taken = [word for word, kind in KINDS.items() if kind.parameters is not None]
+    taken = [word for word, kind in VARIABLE_KINDS.items() if kind.parameters is not None]
     wrong = [kind for kind in dict.fromkeys(kinds) if kind not in taken]
     if wrong:
         near = difflib.get_close_matches(wrong[0].upper(), taken, n=1)
-        hint = f" (did you mean {near[0]}?)" if near and wrong[0] not in KINDS else ""
+        hint = f" (did you mean {near[0]}?)" if near and wrong[0] not in VARIABLE_KINDS else ""
         raise options.error(name, f"{', '.join(wrong)} is not taken{hint}; {', '.join(taken)} are")
 
 
@@ -361,7 +362,7 @@ def _check_sort(options: Options, kinds: Words, start: str) -> None:
 
 def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
     match kind, numbers:
-        case "HICKS_HENNE" | "CST", (side, *_) if side not in (LOWER, UPPER, ONE):
+        case "HICKS_HENNE" | "CST", (side, *_) if side not in (LOWER, UPPER, ONE_VALUE):
             return f"{kind} has the side {side:g}; 0 is the lower one, 1 the upper one."
         case ("HICKS_HENNE", (_, top)) | ("HICKS_HENNE_CAMBER", (top,)) if not 0 < top < 1:
             return f"a bump has its top at {top:g} of the chord; expected between 0 and 1."
@@ -376,13 +377,12 @@ def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:
 
 
 def _variable(options: Options, name: str, kind: str, words: Words, scale: float = 1.0) -> Variable:
-    _, count, sort, indices = KINDS[kind]
+    _, count, sort, indices = VARIABLE_KINDS[kind]
     if not count or sort == "flow":
         return Variable(kind, size=0 if sort == "nothing" else 1, scale=scale)
     words = options.taken(name, kind, words, count)
     box, start = (words[0], 1) if sort == "box" else ("", 0)
     numbers = tuple(options.number(name, word) for word in words[start:])
-    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(
-        numbers[len(indices) :]
-    )  # a value for each direction
+    # a value for each direction
+    is_free = kind.startswith("FFD_CONTROL_POINT") and not any(numbers[len(indices) :])
     return Variable(kind, box, numbers, len(indices) if is_free else 1, scale)

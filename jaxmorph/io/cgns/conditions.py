@@ -7,12 +7,15 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
-from .._joined import block_ids
-from .zone import Condition, Ragged, Zone, children, data, first, word
+from jaxmorph._host.rows import join_ids
+
+from .._joined import number_block
+from .zone import Condition, Zone, find_children, find_first, read_data, read_word
 
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
-SYMMETRY = "BCSymmetryPlane"
+SYMMETRY_TYPE = "BCSymmetryPlane"
 UNSAID = ("", "Null", "FamilySpecified")
 ONE_TO_ONE = "GridConnectivity1to1_t"
 INTERFACES = (ONE_TO_ONE, "GridConnectivity_t", "OversetHoles_t")
@@ -41,48 +44,48 @@ class Connection(NamedTuple):
 
     zone: str
     name: str
-    nodes: np.ndarray
-    others: np.ndarray
-    centre: np.ndarray
-    angles: np.ndarray
+    nodes: ndarray
+    others: ndarray
+    centre: ndarray
+    angles: ndarray
 
 
-def interfaces(zone: Zone) -> Iterator[Interface]:
+def list_interfaces(zone: Zone) -> Iterator[Interface]:
     for label in INTERFACES:
-        for name, node in children(zone.group, "ZoneGridConnectivity_t", label):
+        for name, node in find_children(zone.group, "ZoneGridConnectivity_t", label):
             yield Interface(
-                label, name, node, first(node, "GridConnectivityProperty_t", "Periodic_t")
+                label, name, node, find_first(node, "GridConnectivityProperty_t", "Periodic_t")
             )
 
 
-def connections(zones: list[Zone]) -> Iterator[Connection]:
+def find_connections(zones: list[Zone]) -> Iterator[Connection]:
     """Yields the periodic interfaces of zones whose nodes are named on both sides."""
     by_name = {zone.name: zone for zone in zones}
     for zone in zones:
-        for each in interfaces(zone):
-            donor = by_name.get(word(each.node).rpartition("/")[2])
+        for each in list_interfaces(zone):
+            donor = by_name.get(read_word(each.node).rpartition("/")[2])
             if each.turn is not None and donor is not None and f"{each.choice}Donor" in each.node:
-                yield from _connection(zone, donor, each)
+                yield from _find_connection(zone, donor, each)
 
 
-def _connection(zone: Zone, donor: Zone, each: Interface) -> Iterator[Connection]:
-    place = word(each.node.get("GridLocation"), "Vertex")
+def _find_connection(zone: Zone, donor: Zone, each: Interface) -> Iterator[Connection]:
+    place = read_word(each.node.get("GridLocation"), "Vertex")
     sides = ((zone, f"{each.choice}"), (donor, f"{each.choice}Donor"))
-    nodes, others = (_picked(side, each.name, each.node, what, place) for side, what in sides)
+    nodes, others = (_pick_nodes(side, each.name, each.node, what, place) for side, what in sides)
     if nodes is not None and others is not None:
         turn = {
-            key: data(array).astype(float).ravel()
-            for key, array in children(each.turn, "DataArray_t")
+            key: read_data(array).astype(float).ravel()
+            for key, array in find_children(each.turn, "DataArray_t")
         }
         centre, angles = (turn.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
         yield Connection(zone.name, each.name, np.unique(nodes), np.unique(others), centre, angles)
 
 
-def left_interfaces(zone: Zone, found: Iterable[Connection]) -> list[str]:
+def list_left_interfaces(zone: Zone, found: Iterable[Connection]) -> list[str]:
     """Lists the names of interfaces that are not read: without equal nodes, or overset holes."""
     known = {each.name for each in found if each.zone == zone.name}
-    known |= {each.name for each in interfaces(zone) if each.is_joint}
-    return [f"{zone.name}/{each.name}" for each in interfaces(zone) if each.name not in known]
+    known |= {each.name for each in list_interfaces(zone) if each.is_joint}
+    return [f"{zone.name}/{each.name}" for each in list_interfaces(zone) if each.name not in known]
 
 
 def name_patches(zones: list[Zone]) -> list[str]:
@@ -109,34 +112,34 @@ def name_patches(zones: list[Zone]) -> list[str]:
     return notes + [text.format(name, count) for name, count in members.items() if count > 1]
 
 
-def patches(zone: Zone) -> Iterator[tuple[str, np.ndarray | None]]:
+def find_patches(zone: Zone) -> Iterator[tuple[str, ndarray | None]]:
     """Yields the patch and the nodes of each boundary condition; None for a condition on cells.
 
     gmsh writes these for volumes. Conditions inside of the mesh are left out. A zone without any
     condition or interface has its sections of faces as patches, as SU2 reads them.
     """
-    joined = _joints(zone)
+    joined = _find_joints(zone)
     for condition in zone.conditions:
-        nodes = _nodes_of(zone, condition)
+        nodes = _pick_condition(zone, condition)
         if nodes is None or np.unique(nodes).tobytes() not in joined:
             yield condition.patch, nodes
-    if not zone.conditions and not any(interfaces(zone)):
+    if not zone.conditions and not any(list_interfaces(zone)):
         for section in zone.outer_sections():
-            if not isinstance(section.vertices, Ragged):
-                yield section.section, section.vertices.ravel()
+            if not section.is_of_faces:
+                yield section.section, section.vertices.values
 
 
-def _joints(zone: Zone) -> set[bytes]:
+def _find_joints(zone: Zone) -> set[bytes]:
     joined = set()
-    for each in interfaces(zone):
+    for each in list_interfaces(zone):
         if each.is_joint and each.choice == "PointRange":
             with contextlib.suppress(ValueError):  # a wrong range of an interface does no harm
-                nodes = _picked(zone, each.name, each.node, "PointRange", "Vertex")
+                nodes = _pick_nodes(zone, each.name, each.node, "PointRange", "Vertex")
                 joined.add(b"" if nodes is None else np.unique(nodes).tobytes())
     return joined
 
 
-def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
+def _pick_condition(zone: Zone, condition: Condition) -> ndarray | None:
     parts = condition.node
     what = next((part for part in CHOICES if part in parts), None)
     if what is None:
@@ -144,19 +147,21 @@ def _nodes_of(zone: Zone, condition: Condition) -> np.ndarray | None:
             f"boundary condition {condition.name} says neither a range nor a list of points"
         )
     place = (
-        "FaceCenter" if what.startswith("Element") else word(parts.get("GridLocation"), "Vertex")
+        "FaceCenter"
+        if what.startswith("Element")
+        else read_word(parts.get("GridLocation"), "Vertex")
     )
     if "InwardNormalIndex" in parts and place in ("FaceCenter", "CellCenter"):
-        place = list(NORMAL)[int(np.argmax(np.abs(data(parts["InwardNormalIndex"]))))]
-    return _picked(zone, condition.name, parts, what, place)
+        place = list(NORMAL)[int(np.argmax(np.abs(read_data(parts["InwardNormalIndex"]))))]
+    return _pick_nodes(zone, condition.name, parts, what, place)
 
 
-def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndarray | None:
+def _pick_nodes(zone: Zone, name: str, parts: Any, what: str, place: str) -> ndarray | None:
     """Finds nodes of a range or list of points, faces or elements; None for a region of cells.
 
     A range may run backwards. One that ends before the first node is empty.
     """
-    chosen = np.atleast_2d(data(parts[what])).astype(np.int64)
+    chosen = np.atleast_2d(read_data(parts[what])).astype(np.int64)
     if not chosen.size:
         return np.zeros(0, np.int64)
     # a list is one range for each of its members
@@ -166,24 +171,24 @@ def _picked(zone: Zone, name: str, parts: Any, what: str, place: str) -> np.ndar
         return np.zeros(0, np.int64)
     start, stop = np.minimum(start, stop), np.maximum(start, stop)
     if zone.is_structured:
-        return _of_block(zone, name, place, start - 1, stop - 1)
+        return _pick_of_block(zone, name, place, start - 1, stop - 1)
     start = start.ravel()
     stop = stop.ravel()
     if place != "Vertex":
-        return _of_elements(zone, name, start, stop)
+        return _pick_of_elements(zone, name, start, stop)
     if start.min() < 1 or stop.max() > zone.count:
         raise zone.error(f"boundary condition {name} names vertices beyond 1 to {zone.count}")
     return zone.first - 1 + (np.arange(start[0], stop[0] + 1) if len(start) == 1 else start)
 
 
-def _of_block(
-    zone: Zone, name: str, place: str, start: np.ndarray, stop: np.ndarray
-) -> np.ndarray | None:
+def _pick_of_block(
+    zone: Zone, name: str, place: str, start: ndarray, stop: ndarray
+) -> ndarray | None:
     low = start.min(axis=0)
     high = stop.max(axis=0)
     step = np.zeros(len(low), np.int64)
     if place != "Vertex":
-        normal = _normal(low, high, zone.shape, place)
+        normal = _find_normal(low, high, zone.shape, place)
         if normal is None:
             return None
         step[np.arange(len(step)) != normal] = 1
@@ -191,14 +196,14 @@ def _of_block(
         raise zone.error(
             f"boundary condition {name} goes beyond {' x '.join(map(str, zone.shape))} vertices"
         )
-    ids = block_ids(zone.shape, zone.first).reshape(zone.shape)
+    ids = number_block(zone.shape, zone.first).reshape(zone.shape)
     ends = stop + step + 1
     return np.concatenate(
         [ids[tuple(map(slice, *box))].ravel() for box in zip(start, ends, strict=True)]
     )
 
 
-def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: str) -> int | None:
+def _find_normal(low: ndarray, high: ndarray, shape: tuple[int, ...], place: str) -> int | None:
     """Finds the axis across faces from `low` to `high`; None for cells.
 
     Where the faces are one wide in several axes, it is the axis in which they lie behind the last
@@ -214,8 +219,8 @@ def _normal(low: np.ndarray, high: np.ndarray, shape: tuple[int, ...], place: st
     return int(np.argmax(np.where(is_thin, rank, -1)))
 
 
-def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> np.ndarray | None:
-    nodes = [np.zeros(0, np.int64)]
+def _pick_of_elements(zone: Zone, name: str, start: ndarray, stop: ndarray) -> ndarray | None:
+    nodes = []
     count = 0
     solid = 0
     for begin, section in zone.content.elements.items():
@@ -225,7 +230,7 @@ def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> 
         rows = (np.arange(low[0], high[0] + 1) if len(start) == 1 else low[low <= high]) - begin
         count += len(rows)
         if section.dimension < zone.content.dimension:
-            nodes.append(section.vertices[rows].ravel())
+            nodes.append(section.vertices.take(rows).values)
         else:
             solid += len(rows)
     missing = (stop - start + 1).sum() - count
@@ -233,22 +238,26 @@ def _of_elements(zone: Zone, name: str, start: np.ndarray, stop: np.ndarray) -> 
         raise zone.error(
             f"boundary condition {name}: {missing} of its {count + missing} elements are not there"
         )
-    return None if solid == count else np.concatenate(nodes)
+    return None if solid == count else join_ids(nodes)
 
 
-def said(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:
+def describe_conditions(file: Any, zones: list[Zone], known: Collection[str]) -> dict[str, Any]:
     """Lists what the file says of the patches `known`: their types and groups, and symmetry."""
     conditions = [
         condition for zone in zones for condition in zone.conditions if condition.patch in known
     ]
-    kinds = kinds_of(file, conditions)
-    symmetry = tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)
-    return {"kinds": kinds, "groups": groups_of(file, conditions, known), "symmetry": symmetry}
+    kinds = list_kinds(file, conditions)
+    symmetry = tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY_TYPE)
+    return {
+        "kinds": kinds,
+        "groups": list_groups_of_families(file, conditions, known),
+        "symmetry": symmetry,
+    }
 
 
-def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
+def list_kinds(file: Any, conditions: list[Condition]) -> dict[str, str]:
     """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
-    families = _of_families(file, "FamilyBC_t")
+    families = _read_of_families(file, "FamilyBC_t")
     types: dict[str, dict[str, None]] = {}
     for condition in conditions:
         kinds = families.get(condition.patch, []) if condition.kind in UNSAID else [condition.kind]
@@ -258,22 +267,25 @@ def kinds_of(file: Any, conditions: list[Condition]) -> dict[str, str]:
     return {patch: ", ".join(kinds) for patch, kinds in types.items() if kinds}
 
 
-def _of_families(file: Any, label: str) -> dict[str, list[str]]:
-    families = children(file, "CGNSBase_t", "Family_t")
+def _read_of_families(file: Any, label: str) -> dict[str, list[str]]:
+    families = find_children(file, "CGNSBase_t", "Family_t")
     return {
-        name: [word(node) for _, node in children(family, label) if " data" in node]
+        name: [read_word(node) for _, node in find_children(family, label) if " data" in node]
         for name, family in families
     }
 
 
-def groups_of(
+def list_groups_of_families(
     file: Any, conditions: list[Condition], known: Iterable[str]
 ) -> dict[str, tuple[str, ...]]:
     """Lists patches by the families of their family, and by additional families, as in gmsh."""
-    above = _of_families(file, "FamilyName_t")
+    above = _read_of_families(file, "FamilyName_t")
     groups: dict[str, dict[str, None]] = {}
     for condition in conditions:
-        more = [word(family) for _, family in children(condition.node, "AdditionalFamilyName_t")]
+        more = [
+            read_word(family)
+            for _, family in find_children(condition.node, "AdditionalFamilyName_t")
+        ]
         for group in [*above.get(condition.patch, []), *more]:
             groups.setdefault(group, {})[condition.patch] = None
     return {name: tuple(several) for name, several in groups.items() if name not in known}

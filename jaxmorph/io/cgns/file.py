@@ -2,28 +2,38 @@
 
 import collections
 import dataclasses
+import functools
 import itertools
 import pathlib
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts, gathered, regions_note
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import MeshLike, Source, faults_of, stamp_of
-from .._joined import join
-from .._tree import Coordinates, opened, points_of, singles_of, write_points
-from .conditions import Connection, connections, left_interfaces, name_patches, patches, said
-from .zone import DIMENSION, TYPES, Zone, children, data, first, word
+from .._format import Source, faults_of
+from .._joined import join_zones
+from .._tree import Coordinates, TreePoints, open_tree
+from .conditions import (
+    Connection,
+    describe_conditions,
+    find_connections,
+    find_patches,
+    list_left_interfaces,
+    name_patches,
+)
+from .zone import CGNS_DIMENSIONS, CGNS_TYPES, Zone, find_children, find_first, read_data, read_word
 
 NAME = "CGNS"
-Members = dict[str, list[np.ndarray]]
-LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
+PatchLists = dict[str, list[ndarray]]
+LEVEL_OF_TYPE = {CGNS_TYPES[number]: dimension for number, dimension in CGNS_DIMENSIONS.items()}
 
 
 def read(path: pathlib.Path) -> Parts:
@@ -32,44 +42,36 @@ def read(path: pathlib.Path) -> Parts:
     `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Other
     outer faces are the patch `unnamed`, `boundary` in a file without any.
     """
-    with opened(path) as file:
+    with open_tree(path) as file:
         zones, dimension = open_zones(path, file)
-        coordinates = [each for zone in zones for each in zone.coordinates()]
-        points = points_of(
-            coordinates, zones[-1].rows.stop, max(each.columns.stop for each in coordinates)
-        )
-        singles = singles_of(coordinates)
-        _read_cells(zones, dimension, points)
-        notes = [*_others(file, zones, dimension), *name_patches(zones)]
-        of_patch, faces, regions = _patches(zones)
-        found = list(connections(zones))
-        notes += [*regions_note(regions), *_left(zones, found, of_patch)]
-        pairs = _pairs(found, of_patch)
-        known = said(file, zones, of_patch)
+        content = TreePoints.of(path, file, functools.partial(_find_zone_coordinates, path))
+        _take_cells(zones, dimension, content.points)
+        notes = [*_note_others(file, zones, dimension), *name_patches(zones)]
+        of_patch, faces, regions = _gather_patches(zones)
+        found = list(find_connections(zones))
+        notes += [*regions_note(regions), *_note_sections(zones, found, of_patch)]
+        pairs = _pair_connections(found, of_patch)
+        known = describe_conditions(file, zones, of_patch)
     with faults_of(path):
-        mesh, joined = join(
-            points, [block[:2] for zone in zones for block in zone.content.blocks], of_patch, faces
-        )
-        content = dataclasses.replace(joined, stamp=stamp_of(path), singles=singles)
+        blocks = [block[:2] for zone in zones for block in zone.content.blocks]
+        mesh, node = join_zones(content.points, blocks, of_patch, faces)
+        content = dataclasses.replace(content, node=node)
         known |= {"notes": tuple(notes), **content.known}
-        known |= {"periodic": tuple(_periodic(*pair, joined.is_flat) for pair in pairs)}
+        known |= {"periodic": tuple(_make_periodic(*pair, content.is_flat) for pair in pairs)}
         return mesh._replace(
-            source=Source(path, NAME, content, *_whole(zones, joined.node), **known)
+            source=Source(path, NAME, content, *_join_polyhedra(zones, node), **known)
         )
 
 
-def write(path: pathlib.Path, mesh: MeshLike) -> None:
-    def coordinates(file: Any) -> Iterator[Coordinates]:
-        for zone in open_zones(path, file)[0]:
-            yield from zone.coordinates()
-
-    write_points(path, mesh, NAME, coordinates)
+def _find_zone_coordinates(path: pathlib.Path, file: Any) -> Iterator[Coordinates]:
+    for zone in open_zones(path, file)[0]:
+        yield from zone.coordinates()
 
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     """Lists the zones of the base of the highest dimension, and this dimension of its cells."""
-    most = max((level for *_, level in _bases(file)), default=0)
-    bases = {name: base for name, base, level in _bases(file) if level == most}
+    most = max((level for *_, level in _list_bases(file)), default=0)
+    bases = {name: base for name, base, level in _list_bases(file) if level == most}
     if len(bases) > 1:
         raise ValueError(
             f"{path}: {len(bases)} bases of {most}-D cells in this file ({', '.join(bases)}); one "
@@ -77,9 +79,9 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
         )
     zones = []
     start = 0
-    for name, group in children(next(iter(bases.values()), {}), "Zone_t"):
-        is_structured = word(first(group, "ZoneType_t"), "Structured") == "Structured"
-        sizes = np.atleast_2d(data(group))[0]
+    for name, group in find_children(next(iter(bases.values()), {}), "Zone_t"):
+        is_structured = read_word(find_first(group, "ZoneType_t"), "Structured") == "Structured"
+        sizes = np.atleast_2d(read_data(group))[0]
         shape = tuple(map(int, sizes if is_structured else sizes[:1]))
         zones.append(Zone(path, name, group, shape, is_structured, start))
         start += zones[-1].count
@@ -88,30 +90,30 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     return zones, most
 
 
-def _bases(file: Any) -> Iterator[tuple[str, Any, int]]:
-    for name, base in children(file, "CGNSBase_t"):
-        if any(children(base, "Zone_t")):
-            yield name, base, int(data(base)[0])
+def _list_bases(file: Any) -> Iterator[tuple[str, Any, int]]:
+    for name, base in find_children(file, "CGNSBase_t"):
+        if any(find_children(base, "Zone_t")):
+            yield name, base, int(read_data(base)[0])
 
 
-def _read_cells(zones: list[Zone], dimension: int, points: np.ndarray) -> None:
+def _take_cells(zones: list[Zone], dimension: int, points: ndarray) -> None:
     contents = [zone.cells(points[zone.rows]) for zone in zones]
-    levels = {LEVEL[block.kind] for content in contents for block in content.blocks}
+    levels = {LEVEL_OF_TYPE[block.kind] for content in contents for block in content.blocks}
     if max(levels, default=0) == 2 < dimension:  # a surface alone in a base of volumes
         dimension = 2
     for zone, content in zip(zones, contents, strict=True):
-        blocks = [block for block in content.blocks if LEVEL[block.kind] == dimension]
+        blocks = [block for block in content.blocks if LEVEL_OF_TYPE[block.kind] == dimension]
         if not blocks:
             raise zone.error(f"no cells of {dimension} dimensions")
         zone.content = content._replace(blocks=blocks, dimension=dimension)
 
 
-def _patches(zones: list[Zone]) -> tuple[Members, list[np.ndarray], list[str]]:
+def _gather_patches(zones: list[Zone]) -> tuple[PatchLists, list[ndarray], list[str]]:
     of_patch = {}
     faces = []
     regions = []
     for zone in zones:
-        for name, nodes in patches(zone):
+        for name, nodes in find_patches(zone):
             if nodes is None:
                 regions.append(name)
             else:
@@ -121,36 +123,35 @@ def _patches(zones: list[Zone]) -> tuple[Members, list[np.ndarray], list[str]]:
     return of_patch, faces, regions
 
 
-def _others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
-    for name, _, level in _bases(file):
+def _note_others(file: Any, zones: list[Zone], dimension: int) -> Iterator[str]:
+    for name, _, level in _list_bases(file):
         if level < dimension:
             yield f"the base {name} of {level}-D cells is not read, and stays in the file."
     steps = [
-        zone.name for zone in zones if len(list(children(zone.group, "GridCoordinates_t"))) > 1
+        zone.name for zone in zones if len(list(find_children(zone.group, "GridCoordinates_t"))) > 1
     ]
     if steps:
         names = ", ".join(steps)
         yield f"of several GridCoordinates of the zones {names} the first are read, and moved."
 
 
-def _left(zones: list[Zone], found: list[Connection], patches: Members) -> Iterator[str]:
-    inside = np.zeros(zones[-1].rows.stop, bool)
-    inside[np.concatenate([np.zeros(0, np.int64), *itertools.chain(*patches.values())])] = True
+def _note_sections(
+    zones: list[Zone], found: list[Connection], patches: PatchLists
+) -> Iterator[str]:
+    inside = Rows(join_ids(itertools.chain(*patches.values())))
     sections = itertools.chain(*(zone.outer_sections() for zone in zones))
-    outside = [
-        each.section
-        for each in sections
-        if not inside[getattr(each.vertices, "values", each.vertices)].all()
-    ]
+    outside = [each.section for each in sections if not inside.mask(each.vertices.values).all()]
     if outside and any(zone.conditions for zone in zones):
         names = ", ".join(dict.fromkeys(outside))
         yield f"no boundary condition has all faces of the sections {names}: they are in unnamed."
-    interfaces = list(itertools.chain(*(left_interfaces(zone, found) for zone in zones)))
+    interfaces = list(itertools.chain(*(list_left_interfaces(zone, found) for zone in zones)))
     if interfaces:
         yield f"interfaces without equal nodes on both sides are not read: {', '.join(interfaces)}."
 
 
-def _pairs(found: list[Connection], patches: Members) -> list[tuple[str, str, Connection]]:
+def _pair_connections(
+    found: list[Connection], patches: PatchLists
+) -> list[tuple[str, str, Connection]]:
     names = {}
     counts = collections.Counter(each.name for each in found)
     for each in found:
@@ -167,7 +168,7 @@ def _pairs(found: list[Connection], patches: Members) -> list[tuple[str, str, Co
     return list(pairs.values())
 
 
-def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> Periodic:
+def _make_periodic(first: str, second: str, interface: Connection, is_flat: bool) -> Periodic:
     """Makes a pair of an interface. Files differ in the sign of shifts and angles; nodes tell."""
     if not interface.angles.any():
         return Periodic(first, second)
@@ -175,7 +176,7 @@ def _periodic(first: str, second: str, interface: Connection, is_flat: bool) -> 
     return Periodic(first, second, about=about, axis=None if is_flat else interface.angles)
 
 
-def _whole(zones: list[Zone], node: Any) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
+def _join_polyhedra(zones: list[Zone], node: Any) -> tuple[Polyhedra, ndarray] | tuple[None, None]:
     """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
     if not any(len(getattr(zone.content.whole, "cut", ())) for zone in zones):
         return None, None

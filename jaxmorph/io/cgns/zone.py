@@ -7,30 +7,18 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.cells import topology
-from jaxmorph._host.cells.adjacency import rows_among
 from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
+from jaxmorph._host.ragged import Ragged
+from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.faces import Faces
-from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces, spread
+from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
-from .._joined import block_cells, block_ids, block_sides
+from .._joined import make_block_cells, make_block_sides, number_block
 from .._text import decoded
-from .._tree import Coordinates, text_of
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Ragged:
-    """Rows of different lengths: all `values`, and where each row begins (one more `start`)."""
-
-    values: np.ndarray
-    starts: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.starts) - 1
-
-    def __getitem__(self, rows: np.ndarray) -> np.ndarray:
-        return self.values[spread(self.starts[rows], self.starts[rows + 1])[0]]
+from .._tree import Coordinates, read_text
 
 
 class Block(NamedTuple):
@@ -41,17 +29,15 @@ class Block(NamedTuple):
     """
 
     kind: str
-    corners: np.ndarray
-    cell: np.ndarray | None = None
+    corners: ndarray
+    cell: ndarray | None = None
 
 
-def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
+def _find_cells_beside(numbers: ndarray, cells: list[Ragged]) -> ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
     used = np.concatenate([rows.values for rows in cells])
-    cell = np.repeat(
-        np.arange(sum(map(len, cells))), np.concatenate([np.diff(rows.starts) for rows in cells])
-    )
-    face = rows_among(numbers, np.abs(used))
+    cell = Ragged.of(used, np.concatenate([rows.sizes for rows in cells])).row
+    face = Rows(numbers).of(np.abs(used))
     if (face < 0).any():
         raise ValueError("NFACE_n names faces that are in no section NGON_n")
     sides = np.full((2, len(numbers)), -1)
@@ -61,101 +47,63 @@ def _sides(numbers: np.ndarray, cells: list[Ragged]) -> np.ndarray:
     return sides
 
 
-def _faces(labels: np.ndarray, sizes: np.ndarray, sides: np.ndarray) -> Faces:
+def _make_faces(corners: Ragged, sides: ndarray) -> Faces:
     """Makes faces of those that have a cell; one with a cell only behind it is turned round."""
     turned = (sides[0] < 0) & (sides[1] >= 0)
-    has_cell = sides.max(axis=0) >= 0
-    ends = np.cumsum(sizes)
-    starts = ends - sizes
-    rows, which = spread(starts, ends)
-    rows = np.where(turned[which], (starts + ends - 1)[which] - rows, rows)[has_cell[which]]
+    has_cell = np.flatnonzero(sides.max(axis=0) >= 0)
     owner, neighbour = np.where(turned, sides[::-1], sides)[:, has_cell]
-    return Faces(labels[rows], np.append(0, np.cumsum(sizes[has_cell])), owner, neighbour)
+    rows = corners.turned(turned).take(has_cell)
+    return Faces(rows.values, rows.starts, owner, neighbour)
 
 
-TYPES = {
-    2: "vertex",
-    3: "line",
-    5: "triangle",
-    7: "quad",
-    10: "tetra",
-    12: "pyramid",
-    14: "wedge",
-    17: "hexahedron",
-}
-TYPES |= {
-    **{
-        4: "line3",
-        6: "triangle6",
-        8: "quad8",
-        9: "quad9",
-        11: "tetra10",
-        13: "pyramid14",
-        15: "wedge15",
-    },
-    **{
-        18: "hexahedron20",
-        19: "hexahedron27",
-        21: "pyramid13",
-        24: "line4",
-        26: "triangle10",
-        28: "quad16",
-    },
-    **{
-        30: "tetra20",
-        33: "pyramid30",
-        36: "wedge40",
-        39: "hexahedron64",
-        40: "line5",
-        42: "triangle15",
-    },
-    **{
-        16: "wedge18",
-        44: "quad25",
-        47: "tetra35",
-        50: "pyramid55",
-        53: "wedge75",
-        56: "hexahedron125",
-    },
-}
-NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
+CGNS_TYPES = topology.invert_table(
+    topology.codes(
+        "vertex 2 line 3 triangle 5 quad 7 tetra 10 pyramid 12 wedge 14 hexahedron 17 "
+        "line3 4 triangle6 6 quad8 8 quad9 9 tetra10 11 pyramid14 13 wedge15 15 wedge18 16 "
+        "hexahedron20 18 hexahedron27 19 pyramid13 21 "
+        "line4 24 triangle10 26 quad16 28 tetra20 30 pyramid30 33 wedge40 36 hexahedron64 39 "
+        "line5 40 triangle15 42 quad25 44 tetra35 47 pyramid55 50 wedge75 53 hexahedron125 56"
+    )
+)
+"""Types of cells by CGNS's numbers."""
+CGNS_SIZES = {number: topology.NODES.get(kind, 1) for number, kind in CGNS_TYPES.items()}
 MIXED = 20
 NGON = 22
 NFACE = 23
-DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
+CGNS_DIMENSIONS = {number: topology.DIMENSION.get(kind, 0) for number, kind in CGNS_TYPES.items()}
 
 
-def children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
+def find_children(group: Any, label: str, *inner: str) -> Iterator[tuple[str, Any]]:
     """Yields names and nodes of a label in a group, or of the last label in those of the others."""
     for name in group:
         child = group[name]
-        if not hasattr(child, "keys") or text_of(child.attrs.get("label", b"")) != label:
+        if not hasattr(child, "keys") or read_text(child.attrs.get("label", b"")) != label:
             continue
         if inner:
-            yield from children(child, *inner)
+            yield from find_children(child, *inner)
         else:
-            yield (
-                (decoded(name) if isinstance(name, bytes) else name),
-                child,
-            )  # h5py: bytes unless UTF-8
+            # h5py: bytes unless UTF-8
+            yield ((decoded(name) if isinstance(name, bytes) else name), child)
 
 
-def first(group: Any, *labels: str) -> Any:
-    return next((child for _, child in children(group, *labels)), None)
+def find_first(group: Any, *labels: str) -> Any:
+    return next((child for _, child in find_children(group, *labels)), None)
 
 
-def data(group: Any) -> np.ndarray:
+def read_data(group: Any) -> ndarray:
     return group[" data"][()]
 
 
-def word(group: Any, default: str = "") -> str:
-    return text_of(data(group)) if group is not None and " data" in group else default
+def read_word(group: Any, default: str = "") -> str:
+    return read_text(read_data(group)) if group is not None and " data" in group else default
 
 
 class ElementSection(NamedTuple):
     section: str
     dimension: int
-    vertices: Any
+    vertices: Ragged
+    is_of_faces: bool
+    """True for polygons, and for polyhedra by their faces."""
 
 
 class ZoneContent(NamedTuple):
@@ -167,12 +115,12 @@ class ZoneContent(NamedTuple):
 
     blocks: list[Block]
     elements: dict[int, ElementSection]
-    sides: Sequence[np.ndarray] = ()
+    sides: Sequence[ndarray] = ()
     whole: Polyhedra | None = None
     dimension: int = 3
 
 
-NOTHING = ZoneContent([], {})
+NO_CELLS = ZoneContent([], {})
 
 
 @dataclasses.dataclass(eq=False)
@@ -185,7 +133,7 @@ class Condition:
 
     @property
     def kind(self) -> str:
-        return word(self.node)
+        return read_word(self.node)
 
 
 @dataclasses.dataclass(eq=False)
@@ -198,13 +146,13 @@ class Zone:
     shape: tuple[int, ...]
     is_structured: bool
     first: int
-    content: ZoneContent = NOTHING
+    content: ZoneContent = NO_CELLS
 
     @functools.cached_property
     def conditions(self) -> list[Condition]:
         found = []
-        for name, node in children(self.group, "ZoneBC_t", "BC_t"):
-            family = word(first(node, "FamilyName_t"))
+        for name, node in find_children(self.group, "ZoneBC_t", "BC_t"):
+            family = read_word(find_first(node, "FamilyName_t"))
             found.append(Condition(self.name, name, node, family, family or name))
         return found
 
@@ -226,15 +174,15 @@ class Zone:
 
     def coordinates(self) -> list[Coordinates]:
         """Finds x, y[, z]. Raises `ValueError` for other coordinates, and for rind planes."""
-        grids = dict(children(self.group, "GridCoordinates_t"))
+        grids = dict(find_children(self.group, "GridCoordinates_t"))
         grid = grids.get("GridCoordinates", next(iter(grids.values()), None))
         if grid is None:
             raise self.error("no GridCoordinates")
-        names = dict(children(grid, "DataArray_t"))
+        names = dict(find_children(grid, "DataArray_t"))
         sets = [
             names[f"Coordinate{axis}"][" data"] for axis in "XYZ" if f"Coordinate{axis}" in names
         ]
-        if len(sets) < 2 or any(data(rind).any() for _, rind in children(grid, "Rind_t")):
+        if len(sets) < 2 or any(read_data(rind).any() for _, rind in find_children(grid, "Rind_t")):
             raise self.error(
                 f"Cartesian coordinates without rind planes expected, found {', '.join(names)}"
             )
@@ -246,63 +194,64 @@ class Zone:
             for axis, values in enumerate(sets)
         ]
 
-    def cells(self, points: np.ndarray) -> ZoneContent:
+    def cells(self, points: ndarray) -> ZoneContent:
         if self.is_structured:
-            ids = block_ids(self.shape, self.first)
+            ids = number_block(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(
                     f"a block of {' x '.join(map(str, self.shape))} vertices has no cells"
                 )
-            return ZoneContent([Block(*block_cells(ids))], {}, block_sides(ids))
+            return ZoneContent([Block(*make_block_cells(ids))], {}, make_block_sides(ids))
         blocks = []
         elements = {}
-        polygons = []
+        polygons: dict[int, tuple[Ragged, ndarray]] = {}
         volumes = []
-        for name, node in children(self.group, "Elements_t"):
+        for name, node in find_children(self.group, "Elements_t"):
             section = _Section(self, name, node)
             if section.kind == NFACE:
                 volumes.append(section.ragged(least=4))
-                elements[section.start] = ElementSection(name, 3, volumes[-1])
+                elements[section.start] = ElementSection(name, 3, volumes[-1], True)
             elif section.kind == NGON:
                 rows = section.ragged(least=3)
                 section.check(rows.values)
-                numbers = section.start + np.arange(len(rows))
-                polygons.append(
-                    (numbers, rows.values - 1, np.diff(rows.starts), section.parents(len(rows)))
-                )
-                elements[section.start] = ElementSection(
-                    name, 2, Ragged(rows.values - 1 + self.first, rows.starts)
-                )
+                polygons[section.start] = rows, section.parents(len(rows))
+                nodes = Ragged(rows.values - 1 + self.first, rows.starts)
+                elements[section.start] = ElementSection(name, 2, nodes, True)
             else:
                 for begin, number, corners in section.runs():
-                    ids = reordered(TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
-                    elements[begin] = ElementSection(name, DIMENSION[number], ids)
-                    blocks.append(Block(TYPES[number], ids))
+                    ids = reordered(CGNS_TYPES[number], corners, CGNS_ORDER, None) - 1 + self.first
+                    nodes = Ragged.of(ids.ravel(), np.full(len(ids), ids.shape[1]))
+                    elements[begin] = ElementSection(name, CGNS_DIMENSIONS[number], nodes, False)
+                    blocks.append(Block(CGNS_TYPES[number], ids))
         return self._with_polyhedra(ZoneContent(blocks, elements), polygons, volumes, points)
 
     def _with_polyhedra(
-        self, content: ZoneContent, polygons: list[tuple], volumes: list[Ragged], points: np.ndarray
+        self,
+        content: ZoneContent,
+        polygons: dict[int, tuple[Ragged, ndarray]],
+        volumes: list[Ragged],
+        points: ndarray,
     ) -> ZoneContent:
-        """Adds the cells of NFACE_n, or else of the parents of faces.
+        """Adds the cells of NFACE_n, or else of the parents of faces, 0 for none.
 
-        Of each section `polygons` has numbers, vertices, sizes and parents, 0 for none, of faces.
+        `polygons` are faces and their parents by the number of the first face.
         """
         if not polygons:
             return content
-        numbers, labels, sizes, parents = map(np.concatenate, zip(*polygons, strict=True))
+        corners, parents = zip(*polygons.values(), strict=True)
+        parents = np.concatenate(parents)
         if not volumes and not parents.any():
             return content
+        labels = np.concatenate([rows.values for rows in corners]) - 1
+        rows = Ragged.of(labels, np.concatenate([rows.sizes for rows in corners]))
+        numbers = [first + np.arange(len(own)) for first, (own, _) in polygons.items()]
         try:
             if volumes:
-                sides = _sides(numbers, volumes)
+                sides = _find_cells_beside(np.concatenate(numbers), volumes)
             else:  # cells are numbered from 0 on, the number 0 of none becomes -1
-                sides = (
-                    np.unique(np.append(0, parents), return_inverse=True)[1][1:]
-                    .reshape(parents.shape)
-                    .T
-                    - 1
-                )
-            faces = _faces(labels, sizes, sides)
+                place = np.unique(np.append(0, parents), return_inverse=True)[1][1:]
+                sides = place.reshape(parents.shape).T - 1
+            faces = _make_faces(rows, sides)
             cells_by_type, whole = cells_of_faces(faces, points)
         except ValueError as error:
             raise self.error(str(error)) from error
@@ -320,15 +269,19 @@ class Zone:
 
 class _Section:
     def __init__(self, zone: Zone, name: str, node: Any):
-        self.zone, self.name, self.node, self.kind = zone, name, node, int(data(node)[0])
-        ends = data(node["ElementRange"]).astype(np.int64).ravel()
-        self.start, self.count = int(ends[0]), int(ends[-1] - ends[0]) + 1
-        self.values = data(node["ElementConnectivity"]).astype(np.int64).ravel()
+        self.zone = zone
+        self.name = name
+        self.node = node
+        self.kind = int(read_data(node)[0])
+        ends = read_data(node["ElementRange"]).astype(np.int64).ravel()
+        self.start = int(ends[0])
+        self.count = int(ends[-1] - ends[0]) + 1
+        self.values = read_data(node["ElementConnectivity"]).astype(np.int64).ravel()
 
     def error(self, message: str) -> ValueError:
         return self.zone.error(f"section {self.name} {message}")
 
-    def check(self, vertices: np.ndarray) -> None:
+    def check(self, vertices: ndarray) -> None:
         if vertices.size and (vertices.min() < 1 or vertices.max() > self.zone.count):
             raise self.error(f"names vertices beyond 1 to {self.zone.count}")
 
@@ -339,41 +292,31 @@ class _Section:
         """
         values = self.values
         if "ElementStartOffset" in self.node:
-            rows = Ragged(values, data(self.node["ElementStartOffset"]).astype(np.int64).ravel())
+            rows = Ragged(
+                values, read_data(self.node["ElementStartOffset"]).astype(np.int64).ravel()
+            )
             fault = (
                 f"the offsets of section {self.name} do not cut its {len(values)} numbers into "
                 f"{self.count} rows"
             )
-        else:  # the last row may be cut short
-            counts = []
-            at = 0
-            numbers = values.tolist()
-            while at < len(numbers):
-                counts.append(at)
-                at += 1 + max(numbers[at], 0)
-            rows = Ragged(np.delete(values, counts), np.append(0, np.cumsum(values[counts])))
+        else:
+            rows = Ragged.counted(values)
             fault = (
                 f"section {self.name} has no ElementStartOffset, and its {len(values)} numbers "
                 f"are not {self.count} rows"
             )
-        starts = rows.starts
-        sizes = np.diff(rows.starts)
-        if (
-            len(rows) != self.count
-            or starts[0]
-            or starts[-1] != len(rows.values)
-            or (sizes < least).any()
-        ):
+        ends = rows.starts[[0, -1]].tolist()
+        if len(rows) != self.count or ends != [0, len(rows.values)] or (rows.sizes < least).any():
             raise self.zone.error(
                 f"{fault} of {least} numbers or more, each behind its count before version 4 of "
                 "CGNS"
             )
         return rows
 
-    def parents(self, count: int) -> np.ndarray:
+    def parents(self, count: int) -> ndarray:
         """Reads the numbers (count, 2) of the cells on both sides of each face, 0 for none."""
         cells = (
-            data(self.node["ParentElements"])
+            read_data(self.node["ParentElements"])
             if "ParentElements" in self.node
             else np.zeros((2, count), np.int64)
         )
@@ -381,7 +324,7 @@ class _Section:
             raise self.error(f"has ParentElements for {cells.size // 2} of its {count} faces")
         return cells.T
 
-    def runs(self) -> Iterator[tuple[int, int, np.ndarray]]:
+    def runs(self) -> Iterator[tuple[int, int, ndarray]]:
         """Yields elements of one type after another: number of the first, type, vertices."""
         start = self.start
         at = 0
@@ -389,13 +332,13 @@ class _Section:
         head = int(self.kind == MIXED)  # each element begins with its type
         while at < len(values):
             number = int(values[at]) if head else self.kind
-            if number not in NODES:
+            if number not in CGNS_SIZES:
                 raise self.error(
                     f"has elements of type {number}; linear elements, those of order 2, of order "
                     "3 and 4 with all inner nodes, "
                     "and polyhedra are read"
                 )
-            width = head + NODES[number]
+            width = head + CGNS_SIZES[number]
             rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
             rows = rows[: np.argmax(np.append(rows[:, 0] != number, True))] if head else rows
             if not len(rows):

@@ -12,26 +12,28 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
-from jaxmorph._host.package.errors import warn
+from jaxmorph._host.package.errors import check_all_finite, warn
 from jaxmorph._host.package.files import complete, is_same
+from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of
-from .._text import replaced
-from .file import PARENTHESES, Boundary, FoamFile, faces_of, load, patches
-from .plane import Front, check_cyclic, cyclic_pairs, layer, plane_cells, sector
+from .._text import replace_numbers
+from .file import PARENTHESES, Boundary, FoamFile, load_faces, load_file, read_patches
+from .plane import Front, check_cyclic, find_layer, find_sector, list_cyclic_pairs, make_front_cells
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
-SYMMETRY = ("symmetry", "symmetryPlane")
-PLANES = ("empty", "wedge")
+SYMMETRY_PATCHES = ("symmetry", "symmetryPlane")
+PLANE_TYPES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
 
-Members = dict[str, np.ndarray]
+PatchNodes = dict[str, ndarray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,17 +41,17 @@ class CaseContent:
     """A case's file of points, its values, the folder of faces, planes in 2-D, shared points."""
 
     file: FoamFile
-    points: np.ndarray
+    points: ndarray
     topology: pathlib.Path
     plane: Front | None
-    shared: np.ndarray
+    shared: ndarray
 
-    def in_file(self, points: np.ndarray) -> np.ndarray:
+    def in_file(self, points: ndarray) -> ndarray:
         """Computes the points (N, 3) of the file, in 2-D both planes'; unmoved ones as read."""
         moved = points if self.plane is None else self.plane.in_space(self.points, points)
         return np.where(moved == self.points.astype(moved.dtype), self.points, moved)
 
-    def in_mesh(self, values: np.ndarray) -> np.ndarray:
+    def in_mesh(self, values: ndarray) -> ndarray:
         return values if self.plane is None else self.plane.fitted(values).in_plane(values)
 
     @property
@@ -64,10 +66,10 @@ class CaseContent:
         return {"in_file": self.in_file, "held": None if is_held else self, "file_nodes": nodes}
 
     @functools.cached_property
-    def point_ids(self) -> np.ndarray:
+    def point_ids(self) -> ndarray:
         """The numbers (n,) of a part's points in the whole mesh: its `pointProcAddressing`."""
         try:
-            ids = load(self.topology, "pointProcAddressing").numbers("label").ravel()
+            ids = load_file(self.topology, "pointProcAddressing").numbers("label").ravel()
         except FileNotFoundError:
             raise ValueError(
                 f"{self.topology}: there is no pointProcAddressing, so it is not known which "
@@ -75,7 +77,7 @@ class CaseContent:
                 "Run reconstructParMesh -constant in the case, which writes it, or decomposePar "
                 "again."
             ) from None
-        if len(ids) != len(self.points) or ids.min(initial=0) < 0 or len(np.unique(ids)) < len(ids):
+        if len(ids) != len(self.points) or ids.min(initial=0) < 0 or len(Rows(ids).repeated):
             raise ValueError(
                 f"{self.topology / 'pointProcAddressing'}: {len(ids)} numbers for "
                 f"{len(self.points)} points; each point has "
@@ -113,16 +115,18 @@ def read(path: pathlib.Path) -> Parts:
     `processorXtoY` is no patch. Faces of a cyclic patch whose partners are on another processor
     stay in their cyclic patch.
     """
-    here, folder = _folders(path)
-    boundary = patches(load(folder, "boundary"))
-    planes = _planes(path, boundary)
-    file, points = _points(here)
-    faces = faces_of(folder, boundary, len(points))
-    nodes = _nodes(faces, boundary)
+    here, folder = _find_folders(path)
+    boundary = read_patches(load_file(folder, "boundary"))
+    planes = _select_planes(path, boundary)
+    file, points = _load_points(here)
+    faces = load_faces(folder, boundary, len(points))
+    nodes = _gather_nodes(faces, boundary)
     with faults_of(path):
-        mesh, ids, whole, plane = (_in_plane if planes else _in_space)(faces, points, nodes, planes)
+        mesh, ids, whole, plane = (_make_in_plane if planes else _make_in_space)(
+            faces, points, nodes, planes
+        )
     to_others = [patch.faces for patch in boundary if patch.is_between]
-    between = faces.padded(np.concatenate([np.zeros(0, np.int64), *to_others]))
+    between = faces.padded(join_ids(to_others))
     # a caller may change the mesh's points in place, and the file's values must stay
     kept = points.copy() if plane is None else points
     content = CaseContent(file, kept, folder, plane, np.unique(between[between >= 0]))
@@ -138,14 +142,17 @@ def read(path: pathlib.Path) -> Parts:
         else between
         if plane is None
         else plane.ids(between).reshape(-1, 2),
-        notes=(*_notes(folder, planes), *(_times(content) if here == folder else ())),
+        notes=(
+            *_note_zones(folder, planes),
+            *(_note_other_times(content) if here == folder else ()),
+        ),
         **content.known,
-        **_said(boundary, mesh, plane),
+        **_describe_patches(boundary, mesh, plane),
     )
     return mesh._replace(source=source)
 
 
-def _nodes(faces: Faces, boundary: Boundary) -> Members:
+def _gather_nodes(faces: Faces, boundary: Boundary) -> PatchNodes:
     """Lists nodes of patches, copied: views would keep all labels.
 
     Faces of a `processorCyclic` patch belong to the cyclic patch that it refers to.
@@ -156,8 +163,8 @@ def _nodes(faces: Faces, boundary: Boundary) -> Members:
     )
 
 
-def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
-    planes = [patch for patch in boundary if patch.type in PLANES]
+def _select_planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
+    planes = [patch for patch in boundary if patch.type in PLANE_TYPES]
     kinds = [patch.type for patch in planes if patch.size]
     if "wedge" in kinds and kinds != ["wedge"] * 2:
         names = ", ".join(patch.name for patch in planes if patch.size)
@@ -168,32 +175,34 @@ def _planes(path: pathlib.Path, boundary: Boundary) -> Boundary:
     return planes if kinds else []
 
 
-def _said(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any]:
-    own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANES]
+def _describe_patches(boundary: Boundary, mesh: Parts, plane: Front | None) -> dict[str, Any]:
+    own = [patch for patch in boundary if patch.name in mesh.patches or patch.type in PLANE_TYPES]
     kinds = {patch.name: patch.type for patch in own}
-    symmetry = [patch.name for patch in own if patch.type in SYMMETRY and patch.size]
+    symmetry = [patch.name for patch in own if patch.type in SYMMETRY_PATCHES and patch.size]
     if plane is not None and plane.on_axis.any():
         symmetry = [*symmetry, "axis"]
         kinds = kinds | {"axis": "axis"}
     return {
-        "groups": _groups(own),
-        "periodic": _periodic(boundary, own),
+        "groups": _list_groups(own),
+        "periodic": _list_periodic(boundary, own),
         "symmetry": tuple(symmetry),
         "kinds": kinds,
     }
 
 
-def _periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
+def _list_periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     """Lists the cyclic pairs, unless partners of their faces are on another processor."""
     is_cut = any(patch.refers and patch.size for patch in boundary)
     return (
         ()
         if is_cut
-        else tuple(Periodic(a.name, b.name) for a, b in cyclic_pairs(own) if a.size == b.size > 0)
+        else tuple(
+            Periodic(a.name, b.name) for a, b in list_cyclic_pairs(own) if a.size == b.size > 0
+        )
     )
 
 
-def _groups(own: Boundary) -> dict[str, tuple[str, ...]]:
+def _list_groups(own: Boundary) -> dict[str, tuple[str, ...]]:
     groups = dict.fromkeys(name for patch in own for name in patch.groups)
     return {name: tuple(patch.name for patch in own if name in patch.groups) for name in groups}
 
@@ -211,7 +220,9 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
                 f"{path}: {content.file.path.parent} is in no case with a folder constant; "
                 "nothing to copy."
             )
-        check_new(path, case, f"a new folder, or a time folder of the case such as {case / '1'}")
+        check_new_folder(
+            path, case, f"a new folder, or a time folder of the case such as {case / '1'}"
+        )
     elif case is None or not path.parent.is_dir() or not os.path.samefile(path.parent, case):
         raise ValueError(
             f"{path}: a time folder must be one of the case that the mesh was read from, {case}."
@@ -222,7 +233,7 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 
 
-def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
+def check_new_folder(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"{path}: exists; name {remedy}.")
     if case.resolve() in path.resolve().parents:
@@ -234,7 +245,7 @@ def check_new(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
     content = content_of(mesh, NAME)
-    points = file_points(mesh)
+    points = compute_file_points(mesh)
     case = content.case
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
     if parts:
@@ -246,7 +257,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     write_points(path, content, points)
 
 
-def file_points(mesh: MeshLike) -> np.ndarray:
+def compute_file_points(mesh: MeshLike) -> ndarray:
     """Computes the file's points (N, 3) of a mesh, in 2-D both planes'; checks cyclic patches."""
     content = content_of(mesh, NAME)
     points = content.in_file(np.asarray(mesh.points))
@@ -254,7 +265,7 @@ def file_points(mesh: MeshLike) -> np.ndarray:
     return points
 
 
-def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -> None:
+def write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> None:
     case = content.case
     name = content.file.path.name
     if not _is_time(path):
@@ -265,7 +276,7 @@ def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -
             shutil.copytree(content.topology, folder, dirs_exist_ok=True)
             for old in ("points", "points.gz"):
                 (folder / old).unlink(missing_ok=True)
-            _write_points(folder / name, content, points)
+            _write_file(folder / name, content, points)
         return
     file = path / content.place / name
     # the first of the folders that is not there yet appears complete, else the file does
@@ -281,7 +292,7 @@ def write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -
     with complete(target, folder=target != file) as partial:
         inner = partial / file.relative_to(target)
         inner.parent.mkdir(parents=True, exist_ok=True)
-        _write_points(inner, content, points)
+        _write_file(inner, content, points)
     file.with_name({"points": "points.gz", "points.gz": "points"}[name]).unlink(missing_ok=True)
 
 
@@ -291,22 +302,22 @@ def copy_case(case: pathlib.Path, folder: pathlib.Path, **options: Any) -> None:
             shutil.copytree(case / name, folder / name, **options)
 
 
-def _write_points(path: pathlib.Path, content: CaseContent, points: np.ndarray) -> None:
+def _write_file(path: pathlib.Path, content: CaseContent, points: ndarray) -> None:
     file = content.file
     if np.array_equal(points, content.points):
         path.write_bytes(file.raw)
         return
     with path.open("wb") as out:
         if path.suffix != ".gz":
-            out.writelines(_replaced(file, points))
+            out.writelines(_replace_points(file, points))
             return
         with gzip.GzipFile(
             file.path.stem, "wb", 6, out
         ) as packed:  # it keeps a name: not the temporary one
-            packed.writelines(_replaced(file, points))
+            packed.writelines(_replace_points(file, points))
 
 
-def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
+def _replace_points(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearray | memoryview]:
     place = file.list_at(file.end)
     if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
@@ -315,28 +326,28 @@ def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes | bytearray 
         yield from (file.data[: place.start], values, file.data[place.start + len(values) :])
     else:
         part = slice(place.start, file.end_of_text(place.start))
-        yield from replaced(
+        yield from replace_numbers(
             file.data, part, points.ravel(), plain=lambda text: text.translate(PARENTHESES)
         )
 
 
-def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
-    file = load(folder, "points")
+def _load_points(folder: pathlib.Path) -> tuple[FoamFile, ndarray]:
+    file = load_file(folder, "points")
     points = file.numbers("scalar", 3)
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size or not len(points):
-        raise file.error(
-            f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
-        )
+    if not len(points):
+        raise file.error("no points")
+    with faults_of(file.path):
+        check_all_finite(points)
     return file, points
 
 
-Found = tuple[Parts, Members, Polyhedra | None, Front | None]
+Found = tuple[Parts, PatchNodes, Polyhedra | None, Front | None]
 """A mesh, the case's number of each cell by type, whole cells if some are cut, and planes."""
 
 
-def _in_space(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
-    (cells, ids), whole = standard_cells(faces), None
+def _make_in_space(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
+    cells, ids = standard_cells(faces)
+    whole = None
     if "polyhedron" in ids:
         whole = Polyhedra(faces, ids.pop("polyhedron"))
         pieces, owners = tetrahedra(faces, whole.cut, points)
@@ -345,13 +356,16 @@ def _in_space(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary
     return checked_parts(points, cells, nodes), ids, whole, None
 
 
-def _in_plane(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary) -> Found:
+def _make_in_plane(faces: Faces, points: ndarray, nodes: PatchNodes, planes: Boundary) -> Found:
     chosen = np.concatenate([patch.faces for patch in planes])
     kinds = {patch.type for patch in planes if patch.size}
-    sides = [
-        ids for patch in planes if len(ids := nodes.pop(patch.name))
-    ]  # no patches of the mesh in one of them
-    plane = sector(faces, points, sides) if kinds == {"wedge"} else layer(faces, points, chosen)
+    # no patches of the mesh in one of them
+    sides = [ids for patch in planes if len(ids := nodes.pop(patch.name))]
+    plane = (
+        find_sector(faces, points, sides)
+        if kinds == {"wedge"}
+        else find_layer(faces, points, chosen)
+    )
     own = {name: plane.ids(ids) for name, ids in nodes.items()}
     axis = np.flatnonzero(plane.on_axis)
     if len(axis):
@@ -361,11 +375,11 @@ def _in_plane(faces: Faces, points: np.ndarray, nodes: Members, planes: Boundary
                 "boundary."
             )
         own["axis"] = axis
-    cells, ids, whole = plane_cells(faces, points, chosen, plane)
+    cells, ids, whole = make_front_cells(faces, points, chosen, plane)
     return checked_parts(plane.in_plane(points), cells, own), ids, whole, plane
 
 
-def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
+def _find_folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     places = [path / "constant" / "polyMesh", path / "polyMesh"]
     here = (
         path
@@ -374,7 +388,8 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     )
     if here is None:
         raise ValueError(
-            f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.{_hint(path)}"
+            f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it."
+            f"{_hint_at_parts(path)}"
         )
     if any((here / name).is_file() for name in ("faces", "faces.gz")):
         return here, here
@@ -385,12 +400,14 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     return here, time.parent / "constant" / here.absolute().relative_to(time)
 
 
-def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
-    sizes = {name: _size(topology, name) for name in ("cellZones", "faceZones", "pointZones")}
+def _note_zones(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
+    sizes = {
+        name: _count_zones(topology, name) for name in ("cellZones", "faceZones", "pointZones")
+    }
     zones = [f"{size} {name}" for name, size in sizes.items() if size > 0]
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
-    if topology.parent.name == "constant" and (others := regions(topology.parent)):
+    if topology.parent.name == "constant" and (others := list_regions(topology.parent)):
         names = ", ".join(others)
         first = topology.parent / others[0]
         yield f"the regions {names} have meshes of their own: {first} is the first."
@@ -399,7 +416,7 @@ def _notes(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
         yield f"the planes {names} are no patches: the mesh lies in one of them."
 
 
-def _times(content: CaseContent) -> Iterator[str]:
+def _note_other_times(content: CaseContent) -> Iterator[str]:
     """Names the last time folder that has points of its own for the mesh in `constant`."""
     case = content.case
     if case is None or content.topology.resolve().relative_to(case).parts[0] != "constant":
@@ -417,28 +434,28 @@ def _times(content: CaseContent) -> Iterator[str]:
         )
 
 
-def _size(topology: pathlib.Path, name: str) -> int:
+def _count_zones(topology: pathlib.Path, name: str) -> int:
     with contextlib.suppress(OSError, ValueError):
-        file = load(topology, name)
+        file = load_file(topology, name)
         return file.list_at(file.end).size
     return 0
 
 
-def regions(folder: pathlib.Path) -> list[str]:
+def list_regions(folder: pathlib.Path) -> list[str]:
     return sorted(mesh.parent.name for mesh in folder.glob("*/polyMesh") if mesh.is_dir())
 
 
-def _hint(path: pathlib.Path) -> str:
+def _hint_at_parts(path: pathlib.Path) -> str:
     here = path if _is_time(path) else path / "constant"
     parts = sorted(path.glob("processor*"))
-    if found := regions(here):
+    if found := list_regions(here):
         return (
             f" Its regions, {', '.join(found)}, have meshes of their own, each read by itself: "
             f"{here / found[0]}."
         )
     if not parts:
         return ""
-    inner = regions(parts[0] / "constant")
+    inner = list_regions(parts[0] / "constant")
     names = f", and has the regions {', '.join(inner)}" if inner else ""
     place = pathlib.Path("constant", *inner[:1]) if inner else pathlib.Path()
     return (

@@ -8,24 +8,24 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from jaxmorph._host.package.files import unpacked
+from jaxmorph._host.ragged import Ragged
+from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.faces import Faces, open_cells
 
-from .._text import chunks, parse
+from .._text import decoded, line_chunks, parse
 
 _LIST = re.compile(rb"(?:\s|//[^\n]*+|/\*.*?(?:\*/|\Z))*+(\d{0,19})(?!\d)\s*([({]?)", re.DOTALL)
-_END = re.compile(rb"\)(?:[\s;]|//[^\n]*+)*+\Z")
-_HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
+_LIST_END = re.compile(rb"\)(?:[\s;]|//[^\n]*+)*+\Z")
+_FOAM_HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
 _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
 UNIFORM = 2 * 10**8
 """Bytes of an unpacked list of equal elements, besides ten times its file's size."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
-KINDS = {"label": np.int64, "scalar": np.float64}
-
-Rows = tuple[np.ndarray, np.ndarray]
-"""The labels of all faces, and where each face begins (one more at the end)."""
+FOAM_NUMBERS = {"label": np.int64, "scalar": np.float64}
 
 
 class List(NamedTuple):
@@ -71,10 +71,10 @@ class FoamFile(NamedTuple):
 
     def end_of_text(self, start: int) -> int:
         """Finds the last parenthesis, before at most 64 KiB of comments at the end of the file."""
-        found = _END.search(self.data, max(start, len(self.data) - (1 << 16)))
+        found = _LIST_END.search(self.data, max(start, len(self.data) - (1 << 16)))
         return found.start() if found else start
 
-    def numbers(self, what: str, width: int = 1) -> np.ndarray:
+    def numbers(self, what: str, width: int = 1) -> ndarray:
         """Reads the list of `label`s or `scalar`s: (count, width), as int32 or float64."""
         items = self.list_at(self.end)
         if items.uniform and items.size * width * 8 > UNIFORM + 10 * len(self.raw):
@@ -87,7 +87,7 @@ class FoamFile(NamedTuple):
                 if items.uniform
                 else self.end_of_text(items.start)
             )
-            values = self._parsed(items, stop if items.size else items.start, KINDS[what])
+            values = self._parsed(items, stop if items.size else items.start, FOAM_NUMBERS[what])
         if items.uniform and len(values) == width:
             values = np.tile(values, items.size)
         if len(values) % width or items.size not in (-1, len(values) // width):
@@ -96,14 +96,14 @@ class FoamFile(NamedTuple):
             )
         return values.reshape(-1, width)
 
-    def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> np.ndarray:
+    def _parsed(self, items: List, stop: int, kind: type, mark: bytes = b" ") -> ndarray:
         """Reads the numbers of a text list; `mark` takes the place of opening parentheses."""
         parts = [_narrow(np.zeros(0, kind))]
-        for chunk in chunks(self.data, items.start, stop):
+        for chunk in line_chunks(self.data, items.start, stop):
             parts.append(_narrow(parse(chunk.replace(b"(", mark).translate(PARENTHESES), kind)))
         return np.concatenate(parts)
 
-    def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
+    def binary(self, items: List, what: str, width: int = 1) -> tuple[ndarray, int]:
         """Views the numbers of a binary list, one element if it is uniform; tells where it ends."""
         dtype = self.dtype(what)
         stored = width * (1 if items.uniform else items.size)
@@ -121,31 +121,31 @@ class FoamFile(NamedTuple):
             )
         return np.frombuffer(self.data, dtype, stored, items.start), end + 1
 
-    def faces(self) -> Rows:
+    def faces(self) -> Ragged:
         if not self.is_binary:
             return self._text_faces()
         if "Compact" not in self.header.get("class", ""):
             return self._separate_faces()
         starts, end = self.binary(self.list_at(self.end), "label")
         labels, _ = self.binary(self.list_at(end), "label")
-        starts = starts.astype(np.int64)
-        if not len(starts) or starts[0] or starts[-1] != len(labels) or (np.diff(starts) < 3).any():
+        rows = Ragged(_narrow(labels), starts.astype(np.int64))
+        if starts[[0, -1][: len(starts)]].tolist() != [0, len(labels)] or (rows.sizes < 3).any():
             raise self.error(f"the offsets of the faces do not fit their {len(labels)} labels")
-        return _narrow(labels), starts
+        return rows
 
-    def _separate_faces(self) -> Rows:
+    def _separate_faces(self) -> Ragged:
         """Reads a binary list of lists of older versions: faces with their counts, in turn."""
         items = self.list_at(self.end)
         at = items.start
-        parts = [np.zeros(0, self.dtype("label"))]
+        parts = []
         for face in range(items.size):
             labels, at = self.binary(self.list_at(at), "label")
             if len(labels) < 3:
                 raise self.error(f"face {face} has {len(labels)} labels; it needs 3 at least")
             parts.append(labels)
-        return _narrow(np.concatenate(parts)), np.cumsum(list(map(len, parts)))
+        return Ragged.of(_narrow(join_ids(parts)), list(map(len, parts)))
 
-    def _text_faces(self) -> Rows:
+    def _text_faces(self) -> Ragged:
         # Opening parentheses become the number -1: behind the count of a face, before its labels.
         items = self.list_at(self.end)
         values = self._parsed(items, self.end_of_text(items.start), np.int64, b" -1 ")
@@ -157,29 +157,30 @@ class FoamFile(NamedTuple):
                 f"{items.size} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other "
                 "numbers of labels"
             )
-        return np.delete(values, np.concatenate([begins - 1, begins])), np.append(
-            0, np.cumsum(sizes)
-        )
+        return Ragged.of(np.delete(values, np.concatenate([begins - 1, begins])), sizes)
 
 
-def _narrow(values: np.ndarray) -> np.ndarray:
+def _narrow(values: ndarray) -> ndarray:
     """Takes labels to int32, unless they are too large for it, and scalars to float64."""
     if values.dtype.kind == "f":
         return values.astype(float, copy=False)
     return values.astype(np.int32 if not len(values) or values.max() < 2**31 else np.int64)
 
 
-def load(folder: pathlib.Path, name: str) -> FoamFile:
+def load_file(folder: pathlib.Path, name: str) -> FoamFile:
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
     with unpacked(path) as plain:
         raw = path.read_bytes()
         data = plain.read_bytes()
-    match = _HEADER.search(data, 0, 1 << 14)
+    match = _FOAM_HEADER.search(data, 0, 1 << 14)
     if match is None:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
-    header = {key: " ".join(values).strip('"') for key, *values in _statements(_nested(match[1]))}
+    header = {
+        key: " ".join(values).strip('"')
+        for key, *values in _split_statements(_parse_nested(match[1]))
+    }
     return FoamFile(path, raw, data, header, match.end())
 
 
@@ -205,7 +206,7 @@ class FoamPatch(NamedTuple):
         return self.start + self.size
 
     @property
-    def faces(self) -> np.ndarray:
+    def faces(self) -> ndarray:
         return np.arange(self.start, self.end)
 
     @property
@@ -216,9 +217,9 @@ class FoamPatch(NamedTuple):
 Boundary = list[FoamPatch]
 
 
-def patches(file: FoamFile) -> Boundary:
+def read_patches(file: FoamFile) -> Boundary:
     """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
-    tree = _nested(file.data[file.end :])
+    tree = _parse_nested(file.data[file.end :])
     _refuse_directives(file, tree)
     stated = int(tree.pop(0)) if re.fullmatch(r"\d{1,19}", str(*tree[:1])) else None
     if tree[:1] != ["("]:
@@ -227,7 +228,7 @@ def patches(file: FoamFile) -> Boundary:
         )
     end = tree.index(")") if ")" in tree else len(tree)
     found = [
-        _patch(file, str(name), body)
+        _read_patch(file, str(name), body)
         for name, body in itertools.zip_longest(tree[1:end:2], tree[2:end:2])
     ]
     name, count = collections.Counter(["", *(patch.name for patch in found)]).most_common(1)[0]
@@ -250,10 +251,10 @@ def _refuse_directives(file: FoamFile, words: list[Any]) -> None:
             )
 
 
-def _nested(data: bytes) -> list[Any]:
+def _parse_nested(data: bytes) -> list[Any]:
     """Lists the words of a text; those between braces are a list of their own."""
     stack: list[list[Any]] = [[]]
-    for word in _WORD.findall(_COMMENT.sub(" ", data.decode(errors="replace"))):
+    for word in _WORD.findall(_COMMENT.sub(" ", decoded(data))):
         if word == "{":
             stack.append([])
         elif word == "}" and len(stack) > 1:
@@ -264,7 +265,7 @@ def _nested(data: bytes) -> list[Any]:
     return stack[0]
 
 
-def _statements(words: list[Any]) -> Iterator[list[str]]:
+def _split_statements(words: list[Any]) -> Iterator[list[str]]:
     """Yields the words of each entry `key word word;`, and the key of each dictionary."""
     statement: list[str] = []
     for word in words:
@@ -275,12 +276,12 @@ def _statements(words: list[Any]) -> Iterator[list[str]]:
             statement = []
 
 
-def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
+def _read_patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
     if not isinstance(body, list):
         raise file.error(
             f"patch {name[:80]} has no entries between {{ and }}; is the file cut short?"
         )
-    entries = {key: words for key, *words in _statements(body)}
+    entries = {key: words for key, *words in _split_statements(body)}
     firsts = {key: words[0].strip('"') for key, words in entries.items() if words}
     _refuse_directives(
         file, [*entries, *(firsts.get(key) for key in ("type", "nFaces", "startFace"))]
@@ -304,17 +305,17 @@ def _patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
         ) from error
 
 
-def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
+def load_faces(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
     """Reads `faces`, `owner` and `neighbour`. Raises `ValueError` where they close no cells."""
-    labels, starts = load(folder, "faces").faces()
+    rows = load_file(folder, "faces").faces()
     owner, neighbour = (
-        load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour")
+        load_file(folder, name).numbers("label").ravel() for name in ("owner", "neighbour")
     )
-    if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
-        counts = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
+    if len(owner) != len(rows) or len(neighbour) > len(owner) or not len(owner):
+        counts = f"{len(rows)} faces, {len(owner)} owners and {len(neighbour)} neighbours"
         raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {counts}.")
-    _check_labels(folder, labels, n, owner, neighbour)
-    faces = Faces(labels, starts, owner, neighbour[neighbour >= 0])
+    _check_labels(folder, rows.values, n, owner, neighbour)
+    faces = Faces(rows.values, rows.starts, owner, neighbour[neighbour >= 0])
     counts = np.bincount(np.concatenate([owner, faces.neighbour]))
     if counts.min() < 4:
         raise ValueError(
@@ -330,7 +331,7 @@ def faces_of(folder: pathlib.Path, boundary: Boundary, n: int) -> Faces:
 
 
 def _check_labels(
-    folder: pathlib.Path, labels: np.ndarray, n: int, owner: np.ndarray, neighbour: np.ndarray
+    folder: pathlib.Path, labels: ndarray, n: int, owner: ndarray, neighbour: ndarray
 ) -> None:
     """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
 

@@ -10,18 +10,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
+from numpy import ndarray
 
 from jaxmorph import Layer, Mesh, Periodic, Plan, export
 from jaxmorph._boundary.outer_faces import outer_faces
+from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.arguments import checked, shown
-from jaxmorph._host.package.files import complete, named, output_path
+from jaxmorph._host.package.files import complete, name_errors_by, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
+from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, content_of
-from .case import NAME, check_new, copy_case, file_points, read, regions, write_points
-from .file import load, patches
-from .plane import cyclic_pairs
+from .case import (
+    NAME,
+    check_new_folder,
+    compute_file_points,
+    copy_case,
+    list_regions,
+    read,
+    write_points,
+)
+from .file import load_file, read_patches
+from .plane import list_cyclic_pairs
 
 PLAN = "jaxmorph.plan"
 """The file of a plan, which `native/openfoam` reads in `constant`."""
@@ -46,10 +57,10 @@ class Side(NamedTuple):
     - `pairs`, `symmetry`: pairs of cyclic patches, and patches in symmetry planes.
     """
 
-    nodes: np.ndarray
-    points: np.ndarray
-    faces: Mapping[str, np.ndarray]
-    patches: Mapping[str, np.ndarray]
+    nodes: ndarray
+    points: ndarray
+    faces: Mapping[str, ndarray]
+    patches: Mapping[str, ndarray]
     groups: Mapping[str, tuple[str, ...]]
     pairs: tuple[tuple[str, str], ...]
     symmetry: tuple[str, ...]
@@ -82,13 +93,15 @@ class Decomposed:
 
     @checked
     def __init__(self, path: str | os.PathLike[str]):
-        self.path, self.region = pathlib.Path(path), ""
+        self.path = pathlib.Path(path)
+        self.region = ""
         if self.path.parent.name == "constant":
-            self.path, self.region = self.path.parent.parent, self.path.name
+            self.region = self.path.name
+            self.path = self.path.parent.parent
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
-        self.count = _count(self.path)
-        found = regions(self.path / "processor0" / "constant")
+        self.count = _count_parts(self.path)
+        found = list_regions(self.path / "processor0" / "constant")
         is_there = (
             self.region in found
             if self.region
@@ -125,7 +138,7 @@ class Decomposed:
         return self._last[1]
 
     def side(self, k: int) -> Side:
-        boundary = patches(load(self._mesh_folder(k), "boundary"))
+        boundary = read_patches(load_file(self._mesh_folder(k), "boundary"))
         if not sum(patch.size for patch in boundary):
             raise ValueError(
                 f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose "
@@ -140,8 +153,7 @@ class Decomposed:
         ids = global_nodes(mesh)
         outer = outer_faces(mesh)
         corners = {} if outer is None else outer.corners
-        outside = [np.asarray(rows).ravel() for rows in (*corners.values(), *mesh.patches.values())]
-        rows = np.unique(np.concatenate([np.zeros(0, np.int64), *outside]))
+        rows = np.unique(join_ids((*corners.values(), *mesh.patches.values())))
         rows = rows[np.argsort(ids[rows])]
         return Side(
             ids[rows],
@@ -149,7 +161,7 @@ class Decomposed:
             {kind: ids[rows] for kind, rows in corners.items()},
             {name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
             mesh.source.groups,
-            tuple((a.name, b.name) for a, b in cyclic_pairs(boundary)),
+            tuple((a.name, b.name) for a, b in list_cyclic_pairs(boundary)),
             mesh.source.symmetry,
             mesh.kinds,
         )
@@ -174,20 +186,20 @@ class Decomposed:
                 f"{shown(sides)}."
             )
         nodes, points = self._common_points(sides)
-        faces, members = (_gathered(sides, name, nodes) for name in ("faces", "patches"))
+        faces = _join_sides(sides, "faces", nodes)
+        members = _join_sides(sides, "patches", nodes)
         cells = {kind: corners for kind, corners in faces.items() if len(corners)}
-        known = _said(sides, members)
+        known = _join_facts(sides, members)
         return Mesh(
             points, cells, members, source=Source(self.path, NAME, None, node_ids=nodes, **known)
         )
 
-    def _common_points(self, sides: Sequence[Side]) -> tuple[np.ndarray, np.ndarray]:
-        everywhere, places = (
-            np.concatenate([getattr(side, name) for side in sides]) for name in ("nodes", "points")
-        )
-        nodes, first, back = np.unique(everywhere, return_index=True, return_inverse=True)
+    def _common_points(self, sides: Sequence[Side]) -> Pair:
+        everywhere = np.concatenate([side.nodes for side in sides])
+        places = np.concatenate([side.points for side in sides])
+        first, back = first_of_equals(everywhere)
         points = places[first]
-        distance = np.abs(places - points[back.ravel()]).max(axis=1)
+        distance = np.abs(places - points[back]).max(axis=1)
         wrong = np.flatnonzero(distance > 1e-9 * np.ptp(points, axis=0).max())
         if len(wrong):
             raise ValueError(
@@ -196,12 +208,14 @@ class Decomposed:
                 f"{everywhere[wrong[0]]} of the whole mesh, by {distance[wrong[0]]:.3g}: they are "
                 f"not parts of one mesh. {REMEDY}."
             )
-        return nodes, points
+        return everywhere[first], points
 
     @checked
     def check_output(self, path: str | os.PathLike[str]) -> None:
         """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
-        check_new(output_path(path, folder=True), self.path, "a new folder for the moved case")
+        check_new_folder(
+            output_path(path, folder=True), self.path, "a new folder for the moved case"
+        )
 
     @checked
     @contextlib.contextmanager
@@ -227,7 +241,7 @@ class Decomposed:
             if ranks.rank:
                 return None
             new = stack.enter_context(complete(target, folder=True, name_errors=False))
-            with named(target):
+            with name_errors_by(target):
                 copy_case(
                     self.path,
                     new,
@@ -252,16 +266,14 @@ class Decomposed:
             together(ranks, end)
 
 
-def _gathered(sides: Sequence[Side], name: str, nodes: np.ndarray) -> dict[str, np.ndarray]:
+def _join_sides(sides: Sequence[Side], name: str, nodes: ndarray) -> dict[str, ndarray]:
     """Joins the ids that all sides have by type or patch, and renumbers them by their place."""
-    return gathered(
-        (key, np.searchsorted(nodes, ids))
-        for side in sides
-        for key, ids in getattr(side, name).items()
+    return Rows(nodes).renumbered(
+        gathered(item for side in sides for item in getattr(side, name).items())
     )
 
 
-def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _join_facts(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[str, Any]:
     """Lists what the sides know; parts have the same patches, of which some are empty."""
     pairs = [Periodic(*pair) for pair in sides[0].pairs if all(len(members[name]) for name in pair)]
     symmetry = dict.fromkeys(itertools.chain(*(side.symmetry for side in sides)))
@@ -274,7 +286,7 @@ def _said(sides: Sequence[Side], members: Mapping[str, np.ndarray]) -> dict[str,
     }
 
 
-def _count(path: pathlib.Path) -> int:
+def _count_parts(path: pathlib.Path) -> int:
     names = {
         folder.name.removeprefix("processor")
         for folder in path.glob("processor*")
@@ -314,7 +326,7 @@ class Writer(NamedTuple):
         part `k` or does not fit the other parts.
         """
 
-        def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def shared() -> tuple[ndarray, ndarray, ndarray]:
             if moved is None:
                 return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
             if k is None:
@@ -329,7 +341,7 @@ class Writer(NamedTuple):
             if k in self.written:
                 raise ValueError(f"part {k} was written already.")
             self.written.add(k)
-            return content.shared, file_points(moved), content.point_ids[content.shared]
+            return content.shared, compute_file_points(moved), content.point_ids[content.shared]
 
         rows, points, ids = together(self.ranks, shared)
         points = np.array(points)
@@ -345,14 +357,14 @@ class Writer(NamedTuple):
                 )
             points[rows] = agreed
             if moved is not None:
-                with named(self.path):
+                with name_errors_by(self.path):
                     write_points(self.folder / f"processor{k}", content_of(moved, NAME), points)
 
         together(self.ranks, write)
 
 
 @checked
-def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
+def global_nodes(mesh: Mesh) -> Int[ndarray, " n"]:
     """Returns the whole mesh's number of each node of an OpenFOAM part (`pointProcAddressing`).
 
     Nodes that parts share have one number. In 2-D it is that of the point in front.
@@ -411,8 +423,8 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     region = place.name if place.parent.name == "constant" else ""
     root = place.parent.parent if region else place
     files = [root / "constant" / region / PLAN]
-    with named(files[0]):
-        export(plan, files[0], layer=_layer(content))
+    with name_errors_by(files[0]):
+        export(plan, files[0], layer=_make_layer(content))
     if not (root / "processor0").is_dir():
         return files
     case = Decomposed(path)
@@ -422,20 +434,18 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
         rows = ids if content.plane is None else content.plane.file_nodes()[ids]
         _check_part(case.folder(k), np.asarray(part.points), np.asarray(plan.points), rows)
         files.append(case.folder(k) / "constant" / region / PLAN)
-        export(plan, files[-1], nodes=rows, layer=_layer(content_of(part, NAME)))
+        export(plan, files[-1], nodes=rows, layer=_make_layer(content_of(part, NAME)))
     return files
 
 
-def _layer(content: Any) -> Layer | None:
+def _make_layer(content: Any) -> Layer | None:
     if content.plane is None:
         return None
     first, second = np.abs(content.plane.axes[0]).argmax(axis=1).tolist()
     return Layer(content.plane.file_nodes(), (first, second))
 
 
-def _check_part(
-    folder: pathlib.Path, part: np.ndarray, whole: np.ndarray, rows: np.ndarray
-) -> None:
+def _check_part(folder: pathlib.Path, part: ndarray, whole: ndarray, rows: ndarray) -> None:
     away = (
         np.abs(part - whole[rows]).max(axis=1)
         if rows.max(initial=-1) < len(whole)

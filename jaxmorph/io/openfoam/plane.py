@@ -6,17 +6,21 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
+from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.errors import place_of
+from jaxmorph._host.ragged import Ragged
+from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.exchange import gathered
 from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, triangles
 
-from .file import Boundary, FoamPatch, load, patches
+from .file import Boundary, FoamPatch, load_file, read_patches
 
-FLAT = 1e-6
+OFF_PLANE = 1e-6
 """Distance of a node off its plane, as a share of the mesh's extent."""
-APART = 1e-3
+PARTNERS_APART = 1e-3
 """Distance between two partners, as a share of the mesh's extent."""
 ROUNDING = 1e-12
 """Distance of a node off its axis, relative to the mesh's extent, that is written as zero."""
@@ -33,37 +37,36 @@ class Front(NamedTuple):
     """
 
     kind: str
-    front: np.ndarray
-    back: np.ndarray
-    axes: np.ndarray
-    origin: np.ndarray
+    front: ndarray
+    back: ndarray
+    axes: ndarray
+    origin: ndarray
 
     @property
-    def on_axis(self) -> np.ndarray:
+    def on_axis(self) -> ndarray:
         return self.front == self.back
 
-    def file_nodes(self) -> np.ndarray:
+    def file_nodes(self) -> ndarray:
         """Returns the 2-D mesh's node (N,) of each node of the case, in front and behind."""
         nodes = np.zeros(max(self.front.max(), self.back.max()) + 1, np.int64)
         nodes[self.front] = nodes[self.back] = np.arange(len(self.front))
         return nodes
 
-    def ids(self, nodes: np.ndarray) -> np.ndarray:
-        at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
-        return at[self.front[at] == nodes]
+    def ids(self, nodes: ndarray) -> ndarray:
+        return Rows(self.front).take(nodes)
 
-    def fitted(self, points: np.ndarray) -> "Front":
+    def fitted(self, points: ndarray) -> "Front":
         if self.kind == "empty":
             return self
-        axes, origin = _frame((self.front, np.unique(self.back)), points)
+        axes, origin = _find_axis((self.front, np.unique(self.back)), points)
         return self._replace(axes=axes, origin=origin)
 
-    def in_plane(self, points: np.ndarray) -> np.ndarray:
+    def in_plane(self, points: ndarray) -> ndarray:
         plane = (points[self.front] - self.origin) @ self.axes[0].T
         plane[self.on_axis, 1] = 0
         return plane
 
-    def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    def in_space(self, old: ndarray, plane: ndarray) -> ndarray:
         """Places both planes of `old` at `plane`; coordinates that have not moved stay."""
         moved = plane - self.in_plane(old)
         limit = ROUNDING * np.ptp(old, axis=0).max()
@@ -82,32 +85,32 @@ class Front(NamedTuple):
             new[nodes] = np.where(has_moved, old[nodes] - here @ axes + there @ axes, old[nodes])
         return new
 
-    def added(self, values: np.ndarray) -> np.ndarray:
+    def added(self, values: ndarray) -> ndarray:
         """Adds values (N, 3) of both planes to (n, 2): the transpose of `in_space`."""
         behind = np.where(self.on_axis[:, None], 0, values[self.back])
         return values[self.front] @ self.axes[0].T + behind @ self.axes[1].T
 
 
-def sector(faces: Faces, points: np.ndarray, patches: Sequence[np.ndarray]) -> Front:
+def find_sector(faces: Faces, points: ndarray, patches: Sequence[ndarray]) -> Front:
     planes = [np.unique(nodes) for nodes in patches]
     if len(np.union1d(*planes)) < len(points):
         raise ValueError(
             "patches of type wedge, but there are nodes off both: there is more than one layer "
             "of cells."
         )
-    axes, origin = _frame(planes, points)
+    axes, origin = _find_axis(planes, points)
     # the plane farther around the axis is in front: seen from outside, (x, r) is right-handed
     turn = 1 if np.cross(axes[1, 1], axes[0, 1]) @ axes[0, 0] > 0 else -1
-    return _paired("wedge", faces, points, planes[::turn], axes[::turn], origin)
+    return _pair_planes("wedge", faces, points, planes[::turn], axes[::turn], origin)
 
 
-def _paired(
+def _pair_planes(
     kind: str,
     faces: Faces,
-    points: np.ndarray,
-    planes: Sequence[np.ndarray],
-    axes: np.ndarray,
-    origin: np.ndarray,
+    points: ndarray,
+    planes: Sequence[ndarray],
+    axes: ndarray,
+    origin: ndarray,
 ) -> Front:
     """Finds the node behind that an edge joins to each node in front; one in both is its own."""
     front, back = planes
@@ -130,7 +133,7 @@ def _paired(
         (points[nodes] - origin) @ own.T for nodes, own in zip((front, partner), axes, strict=True)
     )
     distance = np.linalg.norm(here - there, axis=1).max()
-    if distance > APART * np.ptp(points, axis=0).max():
+    if distance > PARTNERS_APART * np.ptp(points, axis=0).max():
         raise ValueError(
             f"patches of type {kind}, but nodes of the two planes are {distance:.3g} apart along "
             "them."
@@ -138,7 +141,7 @@ def _paired(
     return Front(kind, front, partner, axes, origin)
 
 
-def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_axis(patches: Sequence[ndarray], points: ndarray) -> Pair:
     """Finds the axis of two planes: unit vectors (2, 2, 3) along and away from it, and a point."""
     size = np.ptp(points, axis=0).max()
     middles = np.stack([points[nodes].mean(axis=0) for nodes in patches])
@@ -146,7 +149,7 @@ def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarra
     normals = np.stack([np.linalg.svd(arm, full_matrices=False)[2][-1] for arm in arms])
     if (
         max(np.abs(arm @ normal).max() for arm, normal in zip(arms, normals, strict=True))
-        > FLAT * size
+        > OFF_PLANE * size
     ):
         raise ValueError("a patch of type wedge does not lie in a plane.")
     axis = np.cross(*normals)
@@ -157,17 +160,17 @@ def _frame(patches: Sequence[np.ndarray], points: np.ndarray) -> tuple[np.ndarra
         )
     axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
     sharp = np.round(axis)
-    axis = sharp if np.abs(axis - sharp).max() < FLAT else axis
+    axis = sharp if np.abs(axis - sharp).max() < OFF_PLANE else axis
     heights = np.append((normals * middles).sum(axis=1), 0)
     origin = np.linalg.lstsq(np.vstack([normals, axis]), heights, rcond=None)[0]
-    origin = np.where(np.abs(origin) < FLAT * size, 0, origin)
+    origin = np.where(np.abs(origin) < OFF_PLANE * size, 0, origin)
     away = middles - origin
     away -= (away @ axis)[:, None] * axis
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return np.stack([np.tile(axis, (2, 1)), away], axis=1), origin
 
 
-def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
+def find_layer(faces: Faces, points: ndarray, empty: ndarray) -> Front:
     """Finds the two planes of a case with patches of type empty, whose faces are `empty`."""
     low = points.min(axis=0)
     high = points.max(axis=0)
@@ -177,7 +180,7 @@ def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
     reach = (np.maximum.reduceat(corners, starts) - np.minimum.reduceat(corners, starts))[
         empty
     ].max(axis=0)
-    normals = np.flatnonzero(np.maximum(away, reach) <= FLAT * (high - low))
+    normals = np.flatnonzero(np.maximum(away, reach) <= OFF_PLANE * (high - low))
     if len(normals) != 1:
         raise ValueError(
             f"patches of type empty, but their faces are two planes across {len(normals)} of the "
@@ -191,12 +194,12 @@ def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Front:
     is_high = points[:, normal] - low[normal] > high[normal] - points[:, normal]
     is_front = ~is_high if normal == 1 else is_high
     planes = np.flatnonzero(is_front), np.flatnonzero(~is_front)
-    return _paired("empty", faces, points, planes, np.stack([axes, axes]), np.zeros(3))
+    return _pair_planes("empty", faces, points, planes, np.stack([axes, axes]), np.zeros(3))
 
 
-def plane_cells(
-    faces: Faces, points: np.ndarray, chosen: np.ndarray, plane: Front
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Polyhedra | None]:
+def make_front_cells(
+    faces: Faces, points: ndarray, chosen: ndarray, plane: Front
+) -> tuple[dict[str, ndarray], dict[str, ndarray], Polyhedra | None]:
     """Makes triangles and quads of the front in cell order; larger faces become triangles.
 
     `chosen` are the faces of both planes. Also returns the ids of their cells by type, and the
@@ -226,14 +229,12 @@ def plane_cells(
             )
         pieces, piece_of = triangles(faces, cut, points)
         parts.append(("triangle", pieces, faces.owner[cut][piece_of]))
-        whole = Polyhedra(_edges(faces, chosen, is_front, plane), faces.owner[cut])
-    cells = gathered(
-        (kind, np.searchsorted(plane.front, rows)) for kind, rows, _ in parts if len(rows)
-    )
+        whole = Polyhedra(_make_front_edges(faces, chosen, is_front, plane), faces.owner[cut])
+    cells = gathered((kind, Rows(plane.front).of(rows)) for kind, rows, _ in parts if len(rows))
     return cells, gathered((kind, cell) for kind, _, cell in parts), whole
 
 
-def _edges(faces: Faces, chosen: np.ndarray, is_front: np.ndarray, plane: Front) -> Faces:
+def _make_front_edges(faces: Faces, chosen: ndarray, is_front: ndarray, plane: Front) -> Faces:
     """Makes the front's edges, one a face across the layer, with its cell on the left."""
     across = np.delete(np.arange(len(faces.owner)), chosen)
     corners = faces.corners(across, 4)
@@ -246,7 +247,7 @@ def _edges(faces: Faces, chosen: np.ndarray, is_front: np.ndarray, plane: Front)
         raise ValueError(
             f"patches of type {plane.kind}, but there are faces that do not join the two planes."
         )
-    labels = np.searchsorted(plane.front, ends).ravel()
+    labels = Rows(plane.front).of(ends).ravel()
     starts = 2 * np.arange(len(across) + 1)
     return Faces(labels, starts, faces.owner[across], faces.all_neighbours()[across])
 
@@ -255,26 +256,26 @@ MATCH = 1e-4
 """Distance of paired faces, relative to their size: OpenFOAM's own `matchTolerance`."""
 
 
-def cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
+def list_cyclic_pairs(boundary: Boundary) -> list[tuple[FoamPatch, FoamPatch]]:
     """Lists the pairs of cyclic patches, without cyclicAMI and cyclicACMI: these need not match."""
     pairs = itertools.combinations(boundary, 2)
     return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.neighbour == b.name]
 
 
-def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> None:
+def check_cyclic(topology: pathlib.Path, old: ndarray, new: ndarray) -> None:
     """Raises `ValueError` where cyclic patches matched with `old` points, but not with `new`."""
-    every = cyclic_pairs(patches(load(topology, "boundary")))
+    every = list_cyclic_pairs(read_patches(load_file(topology, "boundary")))
     pairs = [(a, b) for a, b in every if a.size == b.size > 0]
     if not pairs or np.array_equal(old, new):
         return
-    labels, starts = load(topology, "faces").faces()
+    faces = load_file(topology, "faces").faces()
     for first, second in pairs:
         before, after = (
-            [_faces(points, labels, starts, patch) for patch in (first, second)]
+            [_measure_faces(points, faces.take(patch.faces)) for patch in (first, second)]
             for points in (old, new)
         )
-        turns = bool((_misses(*before, turned=False) > MATCH).any())
-        wrong = _misses(*after, turned=turns) - _misses(*before, turned=turns)
+        turns = bool((_measure_mismatch(*before, turned=False) > MATCH).any())
+        wrong = _measure_mismatch(*after, turned=turns) - _measure_mismatch(*before, turned=turns)
         if (wrong > MATCH).any():
             face = int(wrong.argmax())
             raise ValueError(
@@ -286,22 +287,20 @@ def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> No
             )
 
 
-def _faces(
-    points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: FoamPatch
-) -> tuple[np.ndarray, np.ndarray]:
-    """Computes middles (k, 3) and sizes (k,), roots of areas, of a patch's faces."""
-    begins = np.asarray(starts[patch.start : patch.start + patch.size + 1], dtype=np.int64)
-    corners = points[labels[begins[0] : begins[-1]]]
-    begins, sizes = begins - begins[0], np.diff(begins)
-    middles = np.add.reduceat(corners, begins[:-1]) / sizes[:, None]
-    arms = corners - np.repeat(middles, sizes, axis=0)
-    areas = np.add.reduceat(np.cross(arms, following(arms, begins)), begins[:-1]) / 2
+def _measure_faces(points: ndarray, faces: Ragged) -> Pair:
+    """Computes middles (k, 3) and sizes (k,), roots of areas, of faces."""
+    corners = points[faces.values]
+    begins = faces.starts[:-1]
+    middles = np.add.reduceat(corners, begins) / faces.sizes[:, None]
+    arms = corners - middles[faces.row]
+    areas = np.add.reduceat(np.cross(arms, following(arms, faces.starts)), begins) / 2
     return middles, np.sqrt(np.linalg.norm(areas, axis=1))
 
 
-def _misses(first: tuple, second: tuple, turned: bool) -> np.ndarray:
+def _measure_mismatch(first: tuple, second: tuple, turned: bool) -> ndarray:
     """Measures how far (k,) faces miss partners, by size, after the best transform."""
-    (middles, sizes), (partners, others) = first, second
+    middles, sizes = first
+    partners, others = second
     arms = middles - middles.mean(axis=0)
     ends = partners - partners.mean(axis=0)
     if turned:
