@@ -15,8 +15,8 @@ from scipy.spatial import KDTree
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._boundary.boundary import with_faces
-from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._host.package.ranks import Alone
+from jaxmorph._mesh.topology import OuterFaces
 from jaxmorph.cli import main
 from jaxmorph.cli._decomposed import STARTED, _ranks, _say_warnings_of_all
 from jaxmorph.cli._output import Output

@@ -13,7 +13,8 @@ from .._host.package.arguments import freeze, real_array, rows_of, shown
 from .._host.package.errors import MeshError, check_none, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
-from .outer_faces import Faces, FreeFaces, Ids, OuterFaces, free_faces, mask, outer_faces, row_of
+from .._mesh.topology import OuterFaces
+from .outer_faces import Faces, FreeFaces, Ids, free_faces, mask, row_of
 from .periodic import Pairing, Periodic, merged, paired
 from .slide import Slide, Walls, walls_of_patch, with_own_curves
 from .symmetry import Plane, check_dimension, check_planes
@@ -123,7 +124,7 @@ class Boundary:
         moving, fixed, free = _listed(points, patches, moving=moving, fixed=fixed, free=free)
         planes = planes_named(symmetry, points, patches)
         check_dimension(planes, points.shape[1])
-        outer = None if patches is None else outer_faces(patches)
+        outer = None if patches is None else patches.outer_faces
         pairings = _pairings(periodic, points, patches)
         walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, outer)
         tracks, corners = tracks_of(walls, planes if walls else (), points)
@@ -143,7 +144,7 @@ class Boundary:
         made = boundary_of_lists(
             points, mesh=patches, planes=planes, pairings=pairings, tracks=tracks, **lists
         )
-        vars(self).update(vars(made if patches is None else with_cells(made, patches, outer)))
+        vars(self).update(vars(made if patches is None else with_cells(made, patches)))
 
     def __repr__(self) -> str:
         n, d = self.points.shape
@@ -233,9 +234,9 @@ def boundary_of_lists(points: np.ndarray, **fields: Any) -> Boundary:
     return boundary
 
 
-def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) -> Boundary:
-    """Adds the cells of a mesh, and its boundary faces. Default: these are found."""
-    outer = outer_faces(mesh) if outer is None else outer
+def with_cells(boundary: Boundary, mesh: Mesh) -> Boundary:
+    """Adds the cells of a mesh, and its boundary faces."""
+    outer = mesh.outer_faces
     if outer is None:
         return boundary
     cells = {
@@ -243,9 +244,7 @@ def with_cells(boundary: Boundary, mesh: Mesh, outer: OuterFaces | None = None) 
         for kind, corners in solid(mesh.linear.cells, boundary.points.shape[1]).items()
     }
     # in no cell stand, for example, gmsh's points of the geometry with `SaveAll`
-    labels = [] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels]
-    in_cells = mask(len(mesh.points), *mesh.cells.values(), *labels)
-    loose = np.setdiff1d(np.flatnonzero(~in_cells), boundary.nodes) if cells else boundary.loose
+    loose = np.setdiff1d(mesh.topology.loose, boundary.nodes) if cells else boundary.loose
     hidden, outer = _without_bodies(boundary, mesh, cells, outer)
     return with_faces(changed(boundary, mesh=mesh, cells=cells, loose=loose, hidden=hidden), outer)
 
@@ -261,7 +260,7 @@ def _without_bodies(
         left = {kind: corners[~is_moving[corners].all(axis=1)] for kind, corners in cells.items()}
         hidden = np.flatnonzero(is_hidden & ~mask(n, *left.values()))
         if len(hidden):
-            return hidden, outer_faces(Mesh(mesh.points, left)) or outer
+            return hidden, Mesh(mesh.points, left).outer_faces or outer
     return _NONE, outer
 
 

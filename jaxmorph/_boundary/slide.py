@@ -10,8 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, QhullError
 
 from .._host.cells.adjacency import parts_of
-from .._host.cells.pieces import boundary_sides, linear_cells
-from .._host.cells.topology import solid
+from .._host.cells.pieces import linear_cells
 from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
@@ -336,13 +335,8 @@ def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
 
 
 def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
-    cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
     nodes = np.asarray(wall.nodes)
-    sides = {
-        kind: ids
-        for kind, ids in boundary_sides(cells, len(mesh.points), nodes).items()
-        if len(ids)
-    }
+    sides = {kind: ids for kind, (ids, _) in mesh.topology.outer(nodes).items() if len(ids)}
     pieces = sum(
         len(ids) * (2 if kind == "quad" else 1) for kind, ids in linear_cells(sides).items()
     )

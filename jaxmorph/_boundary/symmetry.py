@@ -13,7 +13,7 @@ from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .outer_faces import Ids, Points, mask, outer_faces
+from .outer_faces import Ids, Points, mask
 
 # distance from a plane, relative to the mesh's extent, within which a node lies on it
 TOLERANCE = 1e-8
@@ -83,7 +83,7 @@ class Plane(Module):
         """
         points = np.asarray(mesh.points)
         nodes = mesh.patch(patch)
-        outer = outer_faces(mesh)
+        outer = mesh.outer_faces
         faces = (
             mesh.cells if outer is None else outer.corners
         )  # the cells of a surface mesh are faces

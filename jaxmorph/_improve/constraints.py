@@ -11,7 +11,6 @@ from .._boundary.boundary import Boundary
 from .._boundary.outer_faces import mask
 from .._boundary.tracks import Track, check_repeated, smoothed, tracks_of
 from .._boundary.walls import Flat
-from .._host.cells.pieces import boundary_faces
 from .._host.cells.topology import solid
 from .._host.linear.hessians import Pattern, pattern
 from .._kernels.compile import compiled
@@ -76,7 +75,7 @@ def _split_held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track
 def _held_sides(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
     """Nodes of patches and outer faces, except where one lies wholly in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
-    sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
+    sides += [ids for ids, _ in mesh.linear.topology.sides.values()]
     for is_led in ways:
         sides = [ids[~is_led[ids].all(axis=1)] for ids in sides]
     return np.concatenate([np.zeros(0, int), *map(np.ravel, sides)])

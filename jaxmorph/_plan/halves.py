@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary, changed, checked_points, with_faces
-from .._boundary.outer_faces import OuterFaces
 from .._host.cells.adjacency import rows_among
 from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
@@ -20,6 +19,7 @@ from .._host.surface.skin import has_free_sides
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
+from .._mesh.topology import OuterFaces
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.reconstruction import sees_free_sides

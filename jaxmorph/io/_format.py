@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from jaxmorph import Mesh
 from jaxmorph._boundary.periodic import Periodic
-from jaxmorph._host.cells.pieces import boundary_sides
+from jaxmorph._host.cells.pieces import owned_sides
 from jaxmorph._host.cells.topology import CORNERS, EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.text import MESHES
@@ -278,9 +278,8 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
     nodes_of_all = np.unique(
         np.concatenate([np.zeros(0, np.int64), *map(np.asarray, mesh.patches.values())])
     )
-    left = boundary_sides(
-        {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, nodes_of_all
-    )
+    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+    left = {kind: faces for kind, (faces, _) in owned_sides(cells, n, nodes_of_all).items()}
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: len(item[1])):
         inside = np.zeros(n, bool)
         inside[nodes] = True

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxmorph import Layer, Mesh, Periodic, Plan, export
-from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.package.arguments import checked, shown
 from jaxmorph._host.package.files import complete, named, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
@@ -138,7 +137,7 @@ class Decomposed:
                 f"{self.folder(k)}: it has faces to processor{last}, which is missing. {REMEDY}."
             )
         ids = global_nodes(mesh)
-        outer = outer_faces(mesh)
+        outer = mesh.outer_faces
         corners = {} if outer is None else outer.corners
         outside = [np.asarray(rows).ravel() for rows in (*corners.values(), *mesh.patches.values())]
         rows = np.unique(np.concatenate([np.zeros(0, np.int64), *outside]))
