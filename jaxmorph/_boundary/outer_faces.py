@@ -13,7 +13,7 @@ from .._mesh.topology import OuterFaces
 
 Points = Float[np.ndarray, "n d"]
 Ids = Int[np.ndarray, " k"]
-Faces = Mapping[str, np.ndarray]  # corners (k, c), or numbers (k,), by type
+Faces = Mapping[str, Any]  # corners (k, c), or numbers (k,), by type
 
 
 def mask(n: int, *nodes: Any) -> Bool[np.ndarray, " n"]:
@@ -81,7 +81,7 @@ class FreeFaces:
         )
 
 
-def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
+def free_faces(patches: Faces, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
     """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
     ids = np.concatenate([np.zeros(0, int), *faces.ids.values()])
 
@@ -94,10 +94,10 @@ def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFace
         return len(np.unique(ids[chosen]))
 
     free = ~inside(is_listed)
-    patches = {}
+    counts = {}
     unnamed = free.copy()
-    for name, nodes in mesh.patches.items() if free.any() else ():
+    for name, nodes in patches.items() if free.any() else ():
         here = free & inside(mask(len(is_listed), nodes))
         unnamed &= ~here
-        patches |= {name: count(here)} if here.any() else {}
-    return FreeFaces(count(free), count(slice(None)), patches, count(unnamed))
+        counts |= {name: count(here)} if here.any() else {}
+    return FreeFaces(count(free), count(slice(None)), counts, count(unnamed))

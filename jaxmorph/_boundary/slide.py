@@ -114,6 +114,33 @@ class Slide:
         )
 
 
+def walls_of(
+    slides: Sequence[tuple[Slide, Ids]], points: np.ndarray, mesh: Mesh | None, lists: Faces
+) -> Walls:
+    """Makes the walls of all patches; `lists` are the `fixed` and `moving` nodes."""
+    walls = []
+    faces = None
+    if mesh is not None:
+        outer = mesh.outer_faces
+        faces = mesh.linear.cells if outer is None else outer.corners  # of a surface, its cells
+    for k, (slide, nodes) in enumerate(slides):
+        for name, listed in lists.items():
+            check_none(
+                nodes if np.isin(nodes, listed).all() else nodes[:0],
+                f"all {{count}} nodes of {slide.name} are in `{name}`, first node {{node}} at "
+                f"({{place}}): the patch would not "
+                "slide. Remove them from one list.",
+                points,
+            )
+        if any(np.array_equal(nodes, other) for _, other in slides[:k]):
+            raise ValueError(
+                f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. "
+                "Remove one."
+            )
+        walls += with_own_curves(walls_of_patch(slide, nodes, points, faces, lists["moving"]), mesh)
+    return walls
+
+
 def walls_of_patch(
     slide: Slide,
     nodes: Ids,

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .._boundary.boundary import nodes_named
 from .._boundary.facets import Facets
+from .._boundary.names import nodes_named
 from .._boundary.symmetry import Plane
 from .._host.cells.lagrange import lagrange_types
 from .._host.package.arguments import checked, finite_array, shown
