@@ -388,34 +388,27 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
 def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Points (p, d) of lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
-    # A point between corners is known by these and their weights, in ascending order: cells that
-    # share a face agree on it. The corners come first.
+    # A point is known by corners and their weights, in ascending order: cells that share a face
+    # agree on it. In the order of these keys corners come first, which stay where they are.
     points = np.asarray(mesh.points)
-    shapes = {kind: SHAPES[kind] for kind in mesh.cells}
-    corners = {
-        kind: np.asarray(mesh.cells[kind])[:, : CORNERS[shape]] for kind, shape in shapes.items()
-    }
-    used = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, corners.values())]))
-    keys = [np.zeros((0, 16), np.int64)]
+    keys = {}
     places = [points[:0]]
-    tables = {}
-    first = 0
-    for kind, shape in shapes.items():
-        keys.append(node_keys(corners[kind], of_order(shape, steps)).reshape(-1, 16))
-        inner = places_of(kind, steps)[CORNERS[shape] :]
-        nodes = points[np.asarray(mesh.cells[kind])]
-        places.append(np.einsum("sn,knd->ksd", inner, nodes).reshape(-1, points.shape[1]))
-    _, rows, number = np.unique(
-        np.concatenate(keys), axis=0, return_index=True, return_inverse=True
+    for kind, ids in mesh.cells.items():
+        nodes = np.asarray(ids)
+        corners = nodes[:, : CORNERS[SHAPES[kind]]]
+        keys[kind] = node_keys(corners, of_order(SHAPES[kind], steps))
+        here = np.einsum("sn,knd->ksd", places_of(kind, steps), points[nodes])
+        here[:, : corners.shape[1]] = points[corners]
+        places.append(here.reshape(-1, points.shape[1]))
+    rows = [np.zeros((0, 16), np.int64), *(key.reshape(-1, 16) for key in keys.values())]
+    _, first, number = np.unique(
+        np.concatenate(rows), axis=0, return_index=True, return_inverse=True
     )
-    for kind, part in zip(shapes, keys[1:], strict=True):
-        count = len(places_of(kind, steps)) - CORNERS[shapes[kind]]  # also of a type without cells
-        new = len(used) + number.ravel()[first : first + len(part)].reshape(
-            len(corners[kind]), count
-        )
-        tables[kind] = np.concatenate([np.searchsorted(used, corners[kind]), new], axis=1)
-        first += len(part)
-    return np.concatenate([points[used], np.concatenate(places)[rows]]).astype(points.dtype), tables
+    parts = np.split(number.ravel(), np.cumsum(list(map(len, rows)))[:-1])[1:]
+    tables = {
+        kind: part.reshape(keys[kind].shape[:2]) for kind, part in zip(keys, parts, strict=True)
+    }
+    return np.concatenate(places)[first].astype(points.dtype), tables
 
 
 def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:

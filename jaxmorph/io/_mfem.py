@@ -46,7 +46,10 @@ def numbered(
     cells and of the sides, and the number of all nodes.
     """
     elements = [*cells, *sides]
-    keys = [node_keys(each.corners, of_order(each.kind, order)) for each in elements]
+    keys = [
+        node_keys(each.corners, of_order(each.kind, order))[:, each.corners.shape[1] :]
+        for each in elements
+    ]
     same = np.unique(
         np.concatenate([key.reshape(-1, 16) for key in keys]), axis=0, return_inverse=True
     )[1].ravel()
