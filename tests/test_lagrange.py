@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxmorph._host.cells.lagrange import lagrange_types
-from jaxmorph._host.cells.pieces import boundary_faces, boundary_sides, linear_cells, owners
+from jaxmorph._host.cells.pieces import boundary_faces, linear_cells, owned_sides, owners
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, FRAMES, NODES, SHAPES
 
 TYPES = lagrange_types()
@@ -65,7 +65,9 @@ def test_pieces_fill_the_cell_and_meet_in_equal_faces(name):
         assert _sets(boundary_faces(cells, n)) == sides
     whole = {name: np.arange(n)[None]}
     assert _sets(boundary_faces(whole, n)) == sides
-    assert _sets(boundary_sides(whole, n)) == {frozenset(rows.tolist()) for _, rows in cell.sides}
+    assert _sets({kind: ids for kind, (ids, _) in owned_sides(whole, n).items()}) == {
+        frozenset(rows.tolist()) for _, rows in cell.sides
+    }
     three = owners({name: np.zeros((3, n), int), "line": np.zeros((2, 2), int)})
     assert np.bincount(np.concatenate(list(three.values()))).tolist() == [
         sum(map(len, cells.values()))

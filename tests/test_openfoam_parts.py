@@ -14,9 +14,8 @@ from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._boundary.boundary import with_faces
-from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._host.package.ranks import Alone
+from jaxmorph._mesh.topology import OuterFaces
 from jaxmorph.cli import main
 from jaxmorph.cli._decomposed import STARTED, _ranks, _say_warnings_of_all
 from jaxmorph.cli._output import Output
@@ -112,7 +111,7 @@ def test_the_surface_is_that_of_the_whole(divided):
     for name in whole.patches:
         np.testing.assert_array_equal(ids[surface.patch(name)], whole.patch(name))
     named = jm.Boundary(surface, "floor", "roof", free="sides")
-    named = with_faces(named, OuterFaces.numbered(surface.cells))
+    named = named.with_faces(OuterFaces.numbered(surface.cells))
     expected = jm.Boundary(whole, "floor", "roof", free="sides")
     np.testing.assert_array_equal(ids[named.nodes], expected.nodes)
     assert named.is_open == expected.is_open

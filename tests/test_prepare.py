@@ -11,6 +11,8 @@ from runs import over, refusals
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
+from jaxmorph._mesh import topology
+from jaxmorph._plan import prepare
 
 
 def rings():
@@ -245,3 +247,35 @@ def test_nothing_is_written_for_arrays_and_folders_that_are_none(tmp_path):
         with pytest.raises(ValueError, match=rf"no/{re.escape(name)}: there is no folder"):
             write(tmp_path / "no" / name, MESH)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_mesh_and_its_boundary_know_is_found_once(monkeypatch):
+    """Outer faces once a mesh, each plane on all nodes once, the surface once; moved meshes share the topology."""
+    mesh, calls = unit_box(), []
+
+    def counted(owner, name, of_interest=lambda *_: True):
+        function = getattr(owner, name)
+
+        def counting(*arguments, **options):
+            calls.append(name) if of_interest(*arguments) else None
+            return function(*arguments, **options)
+
+        monkeypatch.setattr(owner, name, counting)
+
+    counted(topology, "owned_sides")
+    counted(topology, "_seen_from_outside")
+    counted(prepare, "surface_of")
+    counted(jm.Plane, "height", lambda plane, points: len(points) == len(mesh.points))
+    planes = ("x0", "x1", "y0", "y1")
+    for method in (None, jm.RBF()):
+        calls.clear()
+        jm.prepare(mesh, "z1", "z0", symmetry=planes, method=method)
+        assert calls.count("height") == len(planes)
+        assert calls.count("surface_of") == 2  # one more for the field that guides nodes
+    jm.prepare(mesh.moved(mesh.points + 1), "z1", "z0", symmetry=planes, method=jm.RBF())
+    calls.clear()
+    again = unit_box()
+    jm.prepare(again, "z1", "z0", symmetry=planes)
+    jm.quality(again)
+    again.moved(again.points + 1).skin()
+    assert calls.count("owned_sides") == calls.count("_seen_from_outside") == 1

@@ -388,7 +388,8 @@ def test_neighbours_are_those_of_scipy_and_the_same_when_traced():
     neighbour, flipped = neighbours(cells)
     expected = Delaunay(tetrahedra().points).neighbors
     np.testing.assert_array_equal(np.sort(neighbour.reshape(-1, 4)), np.sort(expected))
-    traced = jax.jit(lambda ids: link({"tetra": ids}).neighbour)(cells["tetra"])
+    alone = jm.Mesh(tetrahedra().points, cells)
+    traced = jax.jit(lambda mesh: link(mesh).neighbour)(alone)
     np.testing.assert_array_equal(neighbour, traced)
     assert not flipped[neighbour < 0].any()
     # a face of three cells belongs to none of them

@@ -189,7 +189,7 @@ def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
     assert {frozenset(nodes) for _, nodes in parts} == {
         frozenset(mesh.patch(name)) for name in sides
     }
-    assert set(tracks_of(parts, (), mesh.points)[1]) == set(
+    assert set(tracks_of(parts, (), np.zeros((len(mesh.points), 0), bool), mesh.points)[1]) == set(
         np.flatnonzero((np.abs(mesh.points) == 4).all(axis=1))
     )
     radius, angle = np.meshgrid(np.arange(3) / 2, np.arange(6) * np.pi / 3)
@@ -201,7 +201,9 @@ def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
         walls = walls_of_patch(
             jm.Slide(np.arange(18), jm.Revolution((1, 0, 0))), np.arange(18), points, None
         )
-        np.testing.assert_array_equal(tracks_of(walls, (), points)[1], stays)
+        np.testing.assert_array_equal(
+            tracks_of(walls, (), np.zeros((len(points), 0), bool), points)[1], stays
+        )
 
 
 @pytest.mark.nightly

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._boundary.outer_faces import mask, outer_faces, row_of
+from .._boundary.outer_faces import mask, row_of
 from .._host.cells.adjacency import parts_of
 from .._host.linear.products import FLAT, outward
 from .._host.package.rounding import Tree
@@ -102,7 +102,7 @@ def wall_crossings(
         for u in turned_path(points[ids[: plan.n_moving]], np.asarray(path, float), bodies)
     ]
     if nodes is None and moved is not None:
-        outer = outer_faces(mesh)
+        outer = mesh.outer_faces
         corners = [] if outer is None else [rows.ravel() for rows in outer.corners.values()]
         rest = np.setdiff1d(np.concatenate(corners), ids)
         way = np.asarray(moved, float)[rest] - points[rest]
@@ -233,7 +233,7 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
     """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes`, seen
     from outside; None without faces. Also returns the number (f,) of the file's face of each.
     """
-    outer = outer_faces(mesh)
+    outer = mesh.outer_faces
     if outer is None:
         return None
     rows = row_of(nodes, len(mesh.points))

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
-from .._boundary.boundary import Boundary, with_cells
+from .._boundary.boundary import Boundary
+from .._boundary.conditions import Conditions
 from .._host.package.arguments import checked, finite_array
 from .._mesh.mesh import Mesh
 from .._plan.deform import deform
@@ -68,7 +69,7 @@ def cures(boundary: Boundary, u: Real[ArrayLike, "m d"]) -> Iterator[Cure]:
     )
 
 
-def _cures(boundary: Boundary, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Iterator[Cure]:
+def _cures(boundary: Conditions, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Iterator[Cure]:
     points = np.asarray(mesh.points)
     if len(points) > MOST_POINTS[points.shape[1]]:
         return
@@ -128,5 +129,5 @@ def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
         )
     else:
         method = METHODS[cure.method].make(float(np.ptp(points[moving], axis=0).max()))
-        cured = plan_of(with_cells(plan.boundary, mesh), method)
+        cured = plan_of(plan.boundary.with_mesh(mesh), method)
     return np.asarray(deform(cured, u))

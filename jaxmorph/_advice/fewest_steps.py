@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._boundary.boundary import changed
 from .._host.package.arguments import between, checked, finite_array, whole
 from .._improve.improve import Improvement
 from .._improve.improve import improve as improved
@@ -119,7 +118,7 @@ def fewest_steps(
         improvement = None
         plans, points = march(plan, path)
         if mend:
-            improvement = improved(changed(plan.boundary, mesh=mesh), points)
+            improvement = improved(plan.boundary.altered(mesh=mesh), points)
             points = improvement.points
         verdict = judge(mesh, points, before=before)
         return Steps(count, fraction, points, verdict, plans, path, improvement)

@@ -7,32 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._host.cells import topology
-from .._host.cells.adjacency import is_among
-from .._host.cells.pieces import linear_cells, owned_sides, owners
-from .._host.linear.products import outward
 from .._host.package.arguments import checked
 from .._mesh.mesh import Mesh
-from .._mesh.polyhedra import Polyhedra, triangles
+from .._mesh.topology import OuterFaces
 
 Points = Float[np.ndarray, "n d"]
 Ids = Int[np.ndarray, " k"]
-Faces = Mapping[str, np.ndarray]  # corners (k, c), or numbers (k,), by type
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class OuterFaces:
-    """The boundary faces (edges in 2-D) of the cells that fill the mesh, seen from outside.
-    `corners` are node ids (k, corners) by type, `ids` (k,) the file's faces, one for all pieces of
-    a face.
-    """
-
-    corners: dict[str, np.ndarray]
-    ids: dict[str, np.ndarray]
-
-    @classmethod
-    def numbered(cls, faces: Mapping[str, Any]) -> "OuterFaces":
-        return cls({kind: np.asarray(nodes) for kind, nodes in faces.items()}, owners(faces))
+Faces = Mapping[str, Any]  # corners (k, c), or numbers (k,), by type
 
 
 def mask(n: int, *nodes: Any) -> Bool[np.ndarray, " n"]:
@@ -61,7 +42,7 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`. **Raises:** `ValueError`
     for a name that is no patch, and for a mesh without cells of its dimension.
     """
-    outer = outer_faces(mesh)
+    outer = mesh.outer_faces
     if outer is None:
         raise ValueError(
             f"the mesh has no cells of {mesh.points.shape[1]} dimensions, and so no boundary faces."
@@ -70,76 +51,6 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
         len(mesh.points), mesh.patch(*patches) if patches else np.arange(len(mesh.points))
     )
     return {kind: corners[inside[corners].all(axis=1)] for kind, corners in outer.corners.items()}
-
-
-def outer_faces(mesh: Mesh) -> OuterFaces | None:
-    """The boundary faces of a mesh, none to other parts; None if no cells fill the space."""
-    points = np.asarray(mesh.points)
-    cells = {
-        kind: np.asarray(corners)
-        for kind, corners in topology.solid(mesh.cells, points.shape[1]).items()
-    }
-    if not cells:
-        return None
-    if mesh.polyhedra is not None and points.shape[1] == 3:
-        return _of_polyhedra(mesh.polyhedra, points, mesh.between)
-    sides = {}
-    owner = []
-    for kind, (nodes, cell) in owned_sides(cells, len(points)).items():
-        is_outer = (
-            np.ones(len(nodes), dtype=bool)
-            if mesh.between is None
-            else ~is_among(nodes, mesh.between)
-        )
-        sides[kind] = nodes[is_outer]
-        owner.append(cell[is_outer])
-    corners = [ids[:, : topology.CORNERS[topology.SHAPES[kind]]].T for kind, ids in cells.items()]
-    middle = np.concatenate(
-        [sum(points[ids] for ids in columns) / len(columns) for columns in corners]
-    )
-    ids = owners(sides)
-    return OuterFaces(
-        _seen_from_outside(linear_cells(sides), ids, points, middle[np.concatenate(owner)]), ids
-    )
-
-
-def _seen_from_outside(
-    corners: Faces, ids: Faces, points: np.ndarray, middle: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Reverses faces that point to the `middle` (f, d) of their cell, each for itself: it runs
-    clockwise. A face has one sense, that of the sum of its pieces.
-    """
-    outwards = np.zeros(len(middle))
-    for kind, rows in corners.items():
-        x = points[rows]
-        face = ids[kind]
-        np.add.at(outwards, face, np.einsum("kd,kd->k", outward(x), x.mean(axis=1) - middle[face]))
-    return {
-        kind: np.where(outwards[ids[kind], None] < 0, rows[:, ::-1], rows)
-        for kind, rows in corners.items()
-    }
-
-
-def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
-    """The file's faces: pieces of polyhedra share none with the whole cells beside them."""
-    faces = whole.faces
-    rows = np.setdiff1d(np.arange(len(faces.owner)), np.flatnonzero(faces.neighbour >= 0))
-    if between is not None:
-        rows = rows[~is_among(faces.padded(rows), between)]
-    quads, others = (
-        np.flatnonzero(is_kind) for is_kind in (faces.sizes[rows] == 4, faces.sizes[rows] != 4)
-    )
-    none = np.zeros((0, 3), np.int64), np.zeros(0, int)
-    cut, piece_of = triangles(faces, rows[others], points) if len(others) else none
-    corners = {
-        "triangle": cut,
-        "quad": faces.corners(rows[quads], 4) if len(quads) else np.zeros((0, 4), np.int64),
-    }
-    ids = {"triangle": others[piece_of], "quad": quads}
-    owner = faces.owner[rows]
-    return OuterFaces(
-        _seen_from_outside(corners, ids, points, whole.middles(points, owner)[owner]), ids
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,7 +81,7 @@ class FreeFaces:
         )
 
 
-def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
+def free_faces(patches: Faces, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
     """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
     ids = np.concatenate([np.zeros(0, int), *faces.ids.values()])
 
@@ -183,10 +94,10 @@ def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFace
         return len(np.unique(ids[chosen]))
 
     free = ~inside(is_listed)
-    patches = {}
+    counts = {}
     unnamed = free.copy()
-    for name, nodes in mesh.patches.items() if free.any() else ():
+    for name, nodes in patches.items() if free.any() else ():
         here = free & inside(mask(len(is_listed), nodes))
         unnamed &= ~here
-        patches |= {name: count(here)} if here.any() else {}
-    return FreeFaces(count(free), count(slice(None)), patches, count(unnamed))
+        counts |= {name: count(here)} if here.any() else {}
+    return FreeFaces(count(free), count(slice(None)), counts, count(unnamed))

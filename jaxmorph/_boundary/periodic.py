@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.arguments import between, check_patch, whole
 from .._host.package.errors import check_none, worst_first
@@ -265,13 +265,15 @@ def paired(
     raise errors[0]
 
 
-def across_one_layer(planes: Sequence[Plane], points: Points) -> tuple[Pairing, ...]:
+def across_one_layer(
+    planes: Sequence[Plane], on: Bool[np.ndarray, "n p"], points: Points
+) -> tuple[Pairing, ...]:
     """Pairs the nodes of two parallel planes that hold all nodes, around one layer of cells. The
     pairs move alike, and make no images. There are none where the planes' nodes do not match.
     """
-    for one, other in itertools.combinations(planes, 2):
+    pairs = zip(planes, map(np.flatnonzero, on.T), strict=True)
+    for (one, first), (other, second) in itertools.combinations(pairs, 2):
         normal = one.normal
-        first, second = (np.flatnonzero(plane.holds(points)) for plane in (one, other))
         if facing((one, other)).all() and 2 * len(first) == 2 * len(second) == len(points):
             pair = Periodic(
                 first, second, translation=(other.origin - one.origin) @ normal * normal

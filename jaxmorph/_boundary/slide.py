@@ -10,8 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, QhullError
 
 from .._host.cells.adjacency import parts_of
-from .._host.cells.pieces import boundary_sides, linear_cells
-from .._host.cells.topology import solid
+from .._host.cells.pieces import linear_cells
 from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
@@ -113,6 +112,33 @@ class Slide:
             if isinstance(self.patch, str)
             else "a sliding patch"
         )
+
+
+def walls_of(
+    slides: Sequence[tuple[Slide, Ids]], points: np.ndarray, mesh: Mesh | None, lists: Faces
+) -> Walls:
+    """Makes the walls of all patches; `lists` are the `fixed` and `moving` nodes."""
+    walls = []
+    faces = None
+    if mesh is not None:
+        outer = mesh.outer_faces
+        faces = mesh.linear.cells if outer is None else outer.corners  # of a surface, its cells
+    for k, (slide, nodes) in enumerate(slides):
+        for name, listed in lists.items():
+            check_none(
+                nodes if np.isin(nodes, listed).all() else nodes[:0],
+                f"all {{count}} nodes of {slide.name} are in `{name}`, first node {{node}} at "
+                f"({{place}}): the patch would not "
+                "slide. Remove them from one list.",
+                points,
+            )
+        if any(np.array_equal(nodes, other) for _, other in slides[:k]):
+            raise ValueError(
+                f"{slide.name} comes twice in `sliding`. Its nodes slide along one surface. "
+                "Remove one."
+            )
+        walls += with_own_curves(walls_of_patch(slide, nodes, points, faces, lists["moving"]), mesh)
+    return walls
 
 
 def walls_of_patch(
@@ -336,13 +362,8 @@ def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
 
 
 def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
-    cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
     nodes = np.asarray(wall.nodes)
-    sides = {
-        kind: ids
-        for kind, ids in boundary_sides(cells, len(mesh.points), nodes).items()
-        if len(ids)
-    }
+    sides = {kind: ids for kind, (ids, _) in mesh.topology.outer(nodes).items() if len(ids)}
     pieces = sum(
         len(ids) * (2 if kind == "quad" else 1) for kind, ids in linear_cells(sides).items()
     )

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,7 +13,7 @@ from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .outer_faces import Ids, Points, mask, outer_faces
+from .outer_faces import Ids, Points, mask
 
 # distance from a plane, relative to the mesh's extent, within which a node lies on it
 TOLERANCE = 1e-8
@@ -83,7 +83,7 @@ class Plane(Module):
         """
         points = np.asarray(mesh.points)
         nodes = mesh.patch(patch)
-        outer = outer_faces(mesh)
+        outer = mesh.outer_faces
         faces = (
             mesh.cells if outer is None else outer.corners
         )  # the cells of a surface mesh are faces
@@ -180,41 +180,53 @@ NARROWEST = 180  # mirrors at an angle of 180 / n degrees have 2 n images
 ANGLE = 1e-6  # radians by which the angle of two mirrors may be off
 
 
-def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
-    check_dimension(planes, points.shape[1])
-    edges = edges_of(planes)
-    for edge in edges:
-        inward = []
-        for plane in (planes[k] for k in edge):
-            height = plane.height(points)
-            inward.append(np.sign(height[np.abs(height).argmax()]) * plane.normal)
-        angle = np.arccos(-inward[0] @ inward[1])  # of the mesh between the planes
-        sectors = round(np.pi / angle)
-        is_mirror = sectors <= NARROWEST and abs(angle - np.pi / sectors) < ANGLE
-        if len(edges) > 1 or not is_mirror:
-            raise ValueError(
-                f"{len(planes)} symmetry planes are not all parallel or at right angles, two meet "
-                f"at {np.rad2deg(angle):.6g} degrees: one pair may meet at 180 / n degrees, n up "
-                f"to {NARROWEST}. Hold the nodes of other planes in `fixed`."
-            )
-    for plane in planes:
-        _check_bounds(plane, points)
+class Mirrors(NamedTuple):
+    """Symmetry planes, the signed heights (n, p) of all nodes above them, and the nodes on them."""
+
+    planes: tuple[Plane, ...]
+    heights: Float[np.ndarray, "n p"]
+    on: Bool[np.ndarray, "n p"]
+
+    @classmethod
+    def of(cls, planes: tuple[Plane, ...], points: np.ndarray) -> "Mirrors":
+        n, dimension = points.shape
+        for plane in planes:
+            if len(plane.normal) != dimension:
+                raise ValueError(
+                    f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has "
+                    f"{dimension} dimensions."
+                )
+        heights = np.reshape([plane.height(points) for plane in planes], (len(planes), n)).T
+        return cls(planes, heights, np.abs(heights) <= tolerance(points))
+
+    def check(self, points: np.ndarray, loose: Ids) -> None:
+        """Refuses planes that do not bound the mesh, whose nodes but the `loose` count, and angles
+        between planes that mirrors do not have.
+        """
+        of_cells = np.ones(len(points), bool)
+        of_cells[loose] = False
+        edges = edges_of(self.planes)
+        for edge in edges:
+            inward = []
+            for k in edge:
+                height = self.heights[of_cells, k]
+                inward.append(np.sign(height[np.abs(height).argmax()]) * self.planes[k].normal)
+            angle = np.arccos(-inward[0] @ inward[1])  # of the mesh between the planes
+            sectors = round(np.pi / angle)
+            is_mirror = sectors <= NARROWEST and abs(angle - np.pi / sectors) < ANGLE
+            if len(edges) > 1 or not is_mirror:
+                raise ValueError(
+                    f"{len(self.planes)} symmetry planes are not all parallel or at right angles, "
+                    f"two meet at {np.rad2deg(angle):.6g} degrees: one pair may meet at 180 / n "
+                    f"degrees, n up to {NARROWEST}. Hold the nodes of other planes in `fixed`."
+                )
+        for plane, height, is_on in zip(self.planes, self.heights.T, self.on.T, strict=True):
+            _check_bounds(plane, np.where(of_cells, height, 0), is_on & of_cells, points)
 
 
-def check_dimension(planes: Sequence[Plane], dimension: int) -> None:
-    for plane in planes:
-        if len(plane.normal) != dimension:
-            raise ValueError(
-                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has "
-                f"{dimension} dimensions."
-            )
-
-
-def _check_bounds(plane: Plane, points: np.ndarray) -> None:
-    height = plane.height(points)
-    on = plane.holds(points)
+def _check_bounds(plane: Plane, height: np.ndarray, is_on: np.ndarray, points: np.ndarray) -> None:
     name = f"the symmetry plane with normal {plane.normal.tolist()} through {plane.origin.tolist()}"
-    if not on.any():
+    if not is_on.any():
         nearest = np.abs(height).argmin()
         raise MeshError(
             f"{name} holds no node of the mesh: the nearest, node {{node}}, is "
@@ -222,8 +234,8 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
             f"{tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch.",
             np.array([nearest]),
         )
-    above = ~on & (height > 0)
-    below = ~on & (height < 0)
+    above = ~is_on & (height > 0)
+    below = ~is_on & (height < 0)
     off = np.abs(height) * (above if above.sum() < below.sum() else below)
     check_none(
         worst_first(off, 0),

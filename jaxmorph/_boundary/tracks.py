@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._kernels.values import Either
-from .outer_faces import mask
 from .periodic import Nodal, Pairing
 from .symmetry import Plane
 from .walls import AbstractWall, Faceted, Flat, Places, Round, SmoothFaces, solved
@@ -88,7 +87,10 @@ def _least(normals: Float[Array, "k w d"], above: Float[Array, "k w"]) -> Places
 
 
 def tracks_of(
-    walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
+    walls: Sequence[tuple[AbstractWall, np.ndarray]],
+    planes: Sequence[Plane],
+    on_plane: Bool[np.ndarray, "n p"],
+    points: np.ndarray,
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Tracks of nodes of sliding patches, by walls, and nodes that cannot slide: corners, apex."""
     # A node has a row of flags: the walls and planes on which it lies. Equal rows are one track. A
@@ -96,15 +98,12 @@ def tracks_of(
     n, dimension = points.shape
     surfaces = [wall for wall, _ in walls] + [Flat(plane.normal, plane.origin) for plane in planes]
     is_apex = np.zeros(n, dtype=bool)
-    for wall, nodes in walls:
+    on_wall = np.zeros((n, len(walls)), dtype=bool)
+    for k, (wall, nodes) in enumerate(walls):
         is_apex[nodes] |= wall.is_apex(points[nodes])
-    on = [mask(n, nodes) for _, nodes in walls]
-    sliding = np.flatnonzero(mask(n, *(nodes for _, nodes in walls)) & ~is_apex)
-    flags = (
-        np.array([*on, *(plane.holds(points) for plane in planes)], dtype=bool)
-        .reshape(-1, n)[:, sliding]
-        .T
-    )
+        on_wall[nodes, k] = True
+    sliding = np.flatnonzero(on_wall.any(axis=1) & ~is_apex)
+    flags = np.concatenate([on_wall, on_plane], axis=1)[sliding]
     groups, number = np.unique(flags, axis=0, return_inverse=True)
     tracks: list[Track] = []
     corners: list[np.ndarray] = [np.flatnonzero(is_apex)]

@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._boundary.boundary import Boundary
+from .._boundary.conditions import Conditions
 from .._boundary.outer_faces import mask
 from .._boundary.tracks import Track, check_repeated, smoothed, tracks_of
 from .._boundary.walls import Flat
-from .._host.cells.pieces import boundary_faces
 from .._host.cells.topology import solid
 from .._host.linear.hessians import Pattern, pattern
 from .._kernels.compile import compiled
@@ -22,7 +21,7 @@ from .motion import Distortion, Ways
 
 
 def problem_of(
-    boundary: Boundary, mesh: Mesh, dtype, ideal: bool, size_weight: float
+    boundary: Conditions, mesh: Mesh, dtype, ideal: bool, size_weight: float
 ) -> tuple[Distortion, Pattern]:
     n, d = mesh.points.shape
     pairings = boundary.pairings
@@ -48,18 +47,18 @@ def problem_of(
     return jax.lax.stop_gradient(distortion), pattern(groups, n, d)
 
 
-def _split_held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]]:
+def _split_held(boundary: Conditions, mesh: Mesh) -> tuple[np.ndarray, tuple[Track, ...]]:
     """Nodes that do not move, and tracks of those that slide."""
     points = boundary.points
     held = [boundary.moving, boundary.fixed]
     sliding = mask(len(points), *(track.rows for track in boundary.tracks))
-    on_plane = boundary.on_planes.T
+    on_plane = boundary.on.T
     pairs = zip(boundary.planes, on_plane, strict=True)
     walls = [
         (Flat(plane.normal, plane.origin), np.flatnonzero(is_on & ~sliding))
         for plane, is_on in pairs
     ]
-    tracks, corners = tracks_of(walls, (), points)
+    tracks, corners = tracks_of(walls, (), boundary.on[:, :0], points)
     tracks = *boundary.tracks, *tracks
     edges = [track.rows for track in tracks if len(track.walls) > 1]
     ways = [track.rows for track in tracks]
@@ -76,7 +75,7 @@ def _split_held(boundary: Boundary, mesh: Mesh) -> tuple[np.ndarray, tuple[Track
 def _held_sides(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarray:
     """Nodes of patches and outer faces, except where one lies wholly in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
-    sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
+    sides += [ids for ids, _ in mesh.linear.topology.sides.values()]
     for is_led in ways:
         sides = [ids[~is_led[ids].all(axis=1)] for ids in sides]
     return np.concatenate([np.zeros(0, int), *map(np.ravel, sides)])

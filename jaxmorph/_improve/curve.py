@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .._boundary.boundary import nodes_named
 from .._boundary.facets import Facets
-from .._boundary.outer_faces import outer_faces
+from .._boundary.names import nodes_named
 from .._boundary.symmetry import Plane
 from .._host.cells.lagrange import lagrange_types
 from .._host.package.arguments import checked, finite_array, shown
@@ -86,7 +85,7 @@ def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:
     """Raises `ValueError` for places farther from their nodes than faces there are long."""
     points = np.asarray(mesh.points)
     reach = np.zeros(len(mesh.points))
-    outer = outer_faces(mesh)
+    outer = mesh.outer_faces
     for ids in () if outer is None else outer.corners.values():
         extent = np.linalg.norm(np.ptp(points[ids], axis=1), axis=1)
         np.maximum.at(reach, ids.ravel(), np.repeat(extent, ids.shape[1]))

@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
-from .._boundary.boundary import Boundary, check_finite
+from .._boundary.boundary import Boundary
+from .._boundary.conditions import Conditions
+from .._boundary.names import check_finite
 from .._host.cells.pieces import owners
 from .._host.package.arguments import between, checked, whole
 from .._kernels.module import Module
@@ -86,7 +88,7 @@ class Improvement(Module):
 
 @checked
 def improve(
-    mesh: Mesh | Boundary,
+    mesh: Mesh | Conditions,
     points: Real[ArrayLike, "n d"] | Sequence[Any],
     *,
     ideal: bool = False,
@@ -144,7 +146,7 @@ def improve(
     boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        boundary = mesh if isinstance(mesh, Boundary) else Boundary(mesh, ())
+        boundary = mesh if isinstance(mesh, Conditions) else Boundary(mesh, ())
     if (own := boundary.mesh) is None:
         raise ValueError(
             "this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...)."

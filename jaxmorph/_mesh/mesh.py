@@ -1,6 +1,7 @@
 """The mesh: points, cells, and patches of boundary nodes."""
 
 import dataclasses
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,10 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
-from .._host.cells.adjacency import is_among
 from .._host.cells.lagrange import ORDERS, node_keys, of_order
-from .._host.cells.pieces import boundary_sides, linear_cells, owned_sides, places_of, steps_of
-from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, solid
+from .._host.cells.pieces import linear_cells, places_of, steps_of
+from .._host.cells.topology import CORNERS, DIMENSION, SHAPES
 from .._host.package.arguments import check, checked, shown, whole
 from .._host.package.text import patch_names
 from .._kernels.module import Module
@@ -20,9 +20,14 @@ from .._kernels.values import is_known
 from . import exchange, export, vtk
 from .exchange import checked_parts, floats
 from .polyhedra import Polyhedra
+from .topology import OuterFaces, Topology
 
 PointsLike = Real[ArrayLike, "n d"] | Sequence[Any]
 """Coordinates as public functions take them: arrays of real numbers, or lists."""
+
+# What meshes have found, beside them: Equinox takes what stands in a module for its structure.
+_TOPOLOGIES: weakref.WeakKeyDictionary["Mesh", Topology] = weakref.WeakKeyDictionary()
+_OUTER_FACES: weakref.WeakKeyDictionary["Mesh", OuterFaces | None] = weakref.WeakKeyDictionary()
 
 
 class Mesh(Module):
@@ -190,24 +195,25 @@ class Mesh(Module):
                 f"{self} has polyhedra or polygons: jm.boundary_faces(mesh) lists their outer "
                 "faces."
             )
-        inner = {
-            kind: np.asarray(ids)
-            for kind, ids in self.cells.items()
-            if DIMENSION[kind] == self.points.shape[1]
-        }
-        numbers = [
-            first + np.arange(len(self.cells[kind]))
-            for kind, first in self._firsts.items()
-            if kind in inner
-        ]
-        among = self.patch(*patches) if patches else None
-        sides = {}
-        owners = [np.zeros(0, np.int64)]
-        for kind, (ids, owner) in sorted(owned_sides(inner, len(self.points), among).items()):
-            is_outer = slice(None) if self.between is None else ~is_among(ids, self.between)
-            sides[kind] = ids[is_outer]
-            owners.append(np.concatenate(numbers)[owner[is_outer]])
+        outer = self.topology.outer(self.patch(*patches) if patches else slice(None))
+        owners = [np.zeros(0, np.int64), *(outer[kind][1] for kind in sorted(outer))]
+        sides = {kind: nodes for kind, (nodes, _) in outer.items()}
         return Mesh(self.points, sides, self.patches), np.concatenate(owners)
+
+    @property
+    def topology(self) -> Topology:
+        """How the cells hang together, found once; `moved` copies share it."""
+        if self not in _TOPOLOGIES:
+            n, d = self.points.shape
+            _TOPOLOGIES[self] = Topology(self.cells, n, d, self.between, self.polyhedra)
+        return _TOPOLOGIES[self]
+
+    @property
+    def outer_faces(self) -> OuterFaces | None:
+        """The boundary faces, seen from outside, found once; None if no cells fill the space."""
+        if self not in _OUTER_FACES:
+            _OUTER_FACES[self] = OuterFaces.of(self.topology, np.asarray(self.points))
+        return _OUTER_FACES[self]
 
     @property
     def _firsts(self) -> dict[str, int]:  # the number of the first cell of each type
@@ -256,7 +262,9 @@ class Mesh(Module):
                 f"`points` has shape {tuple(places.shape)}; this mesh has "
                 f"{tuple(self.points.shape)}."
             )
-        return self._with("points", places)
+        moved = self._with("points", places)
+        _TOPOLOGIES[moved] = self.topology
+        return moved
 
     def _with(self, name: str, value: Any) -> "Mesh":
         other = object.__new__(Mesh)
@@ -380,43 +388,36 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
 def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Points (p, d) of lattices of all cells, `steps` to an edge, and their ids (k, s) by type."""
-    # A point between corners is known by these and their weights, in ascending order: cells that
-    # share a face agree on it. The corners come first.
+    # A point is known by corners and their weights, in ascending order: cells that share a face
+    # agree on it. In the order of these keys corners come first, which stay where they are.
     points = np.asarray(mesh.points)
-    shapes = {kind: SHAPES[kind] for kind in mesh.cells}
-    corners = {
-        kind: np.asarray(mesh.cells[kind])[:, : CORNERS[shape]] for kind, shape in shapes.items()
-    }
-    used = np.unique(np.concatenate([np.zeros(0, np.int64), *map(np.ravel, corners.values())]))
-    keys = [np.zeros((0, 16), np.int64)]
+    keys = {}
     places = [points[:0]]
-    tables = {}
-    first = 0
-    for kind, shape in shapes.items():
-        keys.append(node_keys(corners[kind], of_order(shape, steps)).reshape(-1, 16))
-        inner = places_of(kind, steps)[CORNERS[shape] :]
-        nodes = points[np.asarray(mesh.cells[kind])]
-        places.append(np.einsum("sn,knd->ksd", inner, nodes).reshape(-1, points.shape[1]))
-    _, rows, number = np.unique(
-        np.concatenate(keys), axis=0, return_index=True, return_inverse=True
+    for kind, ids in mesh.cells.items():
+        nodes = np.asarray(ids)
+        corners = nodes[:, : CORNERS[SHAPES[kind]]]
+        keys[kind] = node_keys(corners, of_order(SHAPES[kind], steps))
+        here = np.einsum("sn,knd->ksd", places_of(kind, steps), points[nodes])
+        here[:, : corners.shape[1]] = points[corners]
+        places.append(here.reshape(-1, points.shape[1]))
+    rows = [np.zeros((0, 16), np.int64), *(key.reshape(-1, 16) for key in keys.values())]
+    _, first, number = np.unique(
+        np.concatenate(rows), axis=0, return_index=True, return_inverse=True
     )
-    for kind, part in zip(shapes, keys[1:], strict=True):
-        count = len(places_of(kind, steps)) - CORNERS[shapes[kind]]  # also of a type without cells
-        new = len(used) + number.ravel()[first : first + len(part)].reshape(
-            len(corners[kind]), count
-        )
-        tables[kind] = np.concatenate([np.searchsorted(used, corners[kind]), new], axis=1)
-        first += len(part)
-    return np.concatenate([points[used], np.concatenate(places)[rows]]).astype(points.dtype), tables
+    parts = np.split(number.ravel(), np.cumsum(list(map(len, rows)))[:-1])[1:]
+    tables = {
+        kind: part.reshape(keys[kind].shape[:2]) for kind, part in zip(keys, parts, strict=True)
+    }
+    return np.concatenate(places)[first].astype(points.dtype), tables
 
 
 def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
     patches = {name: [np.asarray(nodes)] for name, nodes in mesh.patches.items()}
-    for kind, faces in boundary_sides(solid(cells, mesh.points.shape[1]) or cells, n).items():
+    highest = max(DIMENSION[kind] for kind in cells)
+    for kind, (sides, _) in Topology(cells, n, highest).sides.items():
+        corners = sides[:, : CORNERS[SHAPES[kind]]]
         for name, nodes in mesh.patches.items():
             inside = np.zeros(n, bool)
             inside[np.asarray(nodes)] = True
-            patches[name].append(
-                faces[inside[faces[:, : CORNERS[SHAPES[kind]]]].all(axis=1)].ravel()
-            )
+            patches[name].append(sides[inside[corners].all(axis=1)].ravel())
     return {name: np.concatenate(parts) for name, parts in patches.items()}

@@ -10,8 +10,10 @@ import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
-from .._boundary.boundary import Boundary, changed, checked_points, with_faces
-from .._boundary.outer_faces import OuterFaces
+from .._boundary.boundary import Boundary
+from .._boundary.names import checked_points
+from .._boundary.surface import surface_of
+from .._boundary.symmetry import Mirrors
 from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
@@ -20,12 +22,13 @@ from .._host.surface.skin import has_free_sides
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
+from .._mesh.topology import OuterFaces
 from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points
 from .._methods.reconstruction import sees_free_sides
 from .._methods.surface import ByKind, Surface
 from .plan import Plan, SurfacePart, VolumePart
-from .prepare import between_planes, default_for, plan_of, refuse_cells, surface_of
+from .prepare import default_for, plan_of, refuse_cells
 
 # largest difference of a surface node's place in piece and half, as a share of the extent
 SAME = 1e-12
@@ -122,26 +125,21 @@ class SurfaceHalf:
         self._check_sides(surface, given, place)
         x = given.astype(plan.points.dtype)
         count = len(given)
+        is_here = place >= 0
         base = np.asarray(plan.points)
-        x[place[place >= 0]] = base[place >= 0]
-        rows = np.where(place < 0, count + np.cumsum(place < 0) - 1, place)
-        together = np.concatenate([x, base[place < 0]])
+        x[place[is_here]] = base[is_here]
+        rows = np.where(is_here, place, count + np.cumsum(~is_here) - 1)
+        together = np.concatenate([x, base[~is_here]])
         surface = surface.altered(nodes=np.where(surface.nodes < 0, -1, rows[surface.nodes]))
-        ids = as_jax(
-            jax.tree.map(lambda leaf: leaf[:count], plan.method.connect(surface, together)[1])
-        )
-        planes = plan.boundary.planes
-        on_plane = (
-            np.array([plane.holds(together)[:count] for plane in planes], bool)
-            .reshape(len(planes), count)
-            .T
-        )
+        ids = plan.method.connect(surface, together)[1]
+        on_plane = Mirrors.of(plan.images.planes, together).on
+        ids, on_plane = as_jax(jax.tree.map(lambda leaf: leaf[:count], (ids, on_plane)))
         own = dataclasses.replace(
             plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
         )
         base = as_jax(x)
-        volume = VolumePart(base, as_jax(on_plane), ids, _placed(plan.method, own, base, ids))
-        return Plan(plan.method, own, volume, plan.n_moving, plan.n_guided, is_piece=True)
+        volume = VolumePart(base, on_plane, ids, _placed(plan.method, own, base, ids))
+        return dataclasses.replace(plan, surface=own, volume=volume, is_piece=True)
 
     def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
         """Refuses points on a free side, if the surface was prepared without."""
@@ -159,12 +157,13 @@ class SurfaceHalf:
     @functools.cached_property
     def _surface(self) -> Surface:
         """The surface as methods see it."""
-        boundary = changed(self.plan.boundary, pairings=(), tracks=(), is_open=self.is_open)
-        if self.faces is not None:
-            faces = {kind: boundary.nodes[rows] for kind, rows in self.faces.items()}
-            boundary = changed(boundary, faces=faces)
+        boundary = self.plan.boundary
+        faces = self.faces
+        if faces is not None:
+            faces = {kind: boundary.nodes[rows] for kind, rows in faces.items()}
         images = self.plan.images  # their order is that of the places in double precision
-        return surface_of(boundary, np.asarray(images.rows)[np.asarray(images.kind) == 0])[0]
+        order = np.asarray(images.rows)[np.asarray(images.kind) == 0]
+        return surface_of(boundary.altered(faces=faces, is_open=self.is_open), (), order)[0]
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
         """Finds the row (k,) in `points` of each node of the half; -1 for an absent node."""
@@ -238,23 +237,26 @@ def prepare_surface(
     """
     _check_kinds(boundary, method)
     count = len(boundary.points)
+    whole = boundary
     if faces is not None:
-        boundary = with_faces(
-            boundary, OuterFaces.numbered(Mesh(boundary.points, dict(faces)).cells)
-        )
+        cells = Mesh(boundary.points, dict(faces)).cells
+        whole = boundary.with_faces(OuterFaces.numbered(cells))
     ids = np.arange(count) if nodes is None else _unique_ids(nodes, count)
-    boundary = boundary if is_open is None else changed(boundary, is_open=is_open)
-    method = default_for(boundary) if method is None else method
-    refuse_cells(method)
-    boundary = between_planes(boundary, method)
-    is_open = has_open_side(boundary) if boundary.is_open is None else boundary.is_open
+    if method is not None:
+        refuse_cells(method)
+    surface = surface_of(whole)[0]
+    method = default_for(whole, surface) if method is None else method
+    is_open = whole.is_open if is_open is None else is_open
+    if is_open is None:
+        is_inner = surface.rows(count) == len(surface.points)
+        is_open = has_free_sides(surface.points, is_inner, boundary.points)
     # the outermost nodes and one node of every symmetry plane set the tolerances
-    points = boundary.of_cells
-    place = np.delete(np.arange(count), boundary.loose)
-    on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
+    place = np.delete(np.arange(count), whole.loose)
+    points = whole.points[place]
+    on_planes = (np.flatnonzero(is_on)[:1] for is_on in whole.on[place].T)
     fence = place[np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes])]
-    rows = np.union1d(boundary.nodes, fence)
-    part = changed(boundary.part(rows), is_open=is_open)
+    rows = np.union1d(whole.nodes, fence)
+    part = whole.altered(is_open=is_open).part(rows)
     try:
         return SurfaceHalf(plan_of(part, method), ids[rows], part.surface_faces, is_open)
     except MeshError as error:
@@ -273,14 +275,6 @@ def _unique_ids(nodes: Any, count: int) -> np.ndarray:
             "twice."
         )
     return ids
-
-
-def has_open_side(boundary: Boundary) -> bool:
-    """Checks, by points alone, whether a flat side is free: not moving, fixed or symmetric."""
-    surface = surface_of(changed(boundary, pairings=()))[0]
-    return has_free_sides(
-        surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points
-    )
 
 
 def prepare_in_chunks(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
-from .._boundary.boundary import Boundary, boundary_of_lists, renumbered
+from .._boundary.conditions import Conditions, renumbered
 from .._boundary.images import Images
 from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
@@ -155,17 +155,22 @@ class Plan(Module):
         return self.surface.nodes[len(self.surface.nodes) - self.n_guided :]
 
     @property
-    def boundary(self) -> Boundary:
+    def boundary(self) -> Conditions:
         """What moves, stays, slides and repeats, on the host; a plan keeps no faces."""
-        points, moving, fixed, guided = map(
-            np.asarray, (self.points, self.moving, self.fixed, self.guided)
-        )
         pairings, tracks = jax.tree.map(np.asarray, (self.surface.pairings, self.surface.tracks))
-        pairings, tracks = renumbered(pairings, tracks, np.concatenate([moving, fixed, guided]))
-        loose = np.zeros(0, int) if self.volume.rests is None else np.flatnonzero(self.volume.rests)
-        lists = {"moving": moving, "fixed": fixed, "guided": guided, "loose": loose}
-        return boundary_of_lists(
-            points, planes=self.images.planes, pairings=pairings, tracks=tracks, **lists
+        pairings, tracks = renumbered(pairings, tracks, np.asarray(self.surface.nodes))
+        points = np.asarray(self.points)
+        rests = self.volume.rests
+        return Conditions(
+            points=points,
+            moving=np.asarray(self.moving),
+            fixed=np.asarray(self.fixed),
+            guided=np.asarray(self.guided),
+            planes=self.images.planes,
+            on=np.asarray(self.volume.on_plane)[: len(points)],
+            pairings=pairings,
+            tracks=tracks,
+            loose=np.flatnonzero(np.zeros(0, bool) if rests is None else rests),
         )
 
     @property

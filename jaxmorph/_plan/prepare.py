@@ -8,21 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from .._boundary.boundary import Boundary, Nodes, changed, nothing_in
-from .._boundary.images import Images, images_of
-from .._boundary.periodic import Periodic, across_one_layer, check_pairings
+from .._boundary.boundary import Boundary
+from .._boundary.conditions import Conditions
+from .._boundary.images import Images
+from .._boundary.names import Nodes, nothing_in
+from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
-from .._boundary.symmetry import Plane, check_planes, edges_of, facing
+from .._boundary.surface import surface_of
+from .._boundary.symmetry import Plane
 from .._host.package.errors import warn
 from .._host.package.rounding import SAME
-from .._host.surface.walls import ordered_rows
 from .._kernels.compile import quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Rows, check_kind
 from .._methods.multiscale import carrying, guiding
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.surface import Cells, Surface
+from .._methods.surface import Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
 
@@ -33,7 +35,7 @@ FEW = (
 
 
 def prepare(
-    mesh: Boundary | Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
+    mesh: Conditions | Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
     moving: Nodes | None = None,
     fixed: Nodes = (),
     *,
@@ -64,7 +66,7 @@ def prepare(
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     lists = {"symmetry": symmetry, "periodic": periodic, "sliding": sliding, "free": free}
-    if not isinstance(mesh, Boundary):
+    if not isinstance(mesh, Conditions):
         return plan_of(Boundary(mesh, () if moving is None else moving, fixed, **lists), method)
     if moving is not None or not nothing_in(fixed, *lists.values()):
         raise ValueError(
@@ -74,17 +76,23 @@ def prepare(
     return plan_of(mesh, method)
 
 
-def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
+def plan_of(boundary: Conditions, method: AbstractMethod | None) -> Plan:
     if not len(boundary.moving):
         raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
     boundary.warn_of_free_faces()
-    method = default_for(boundary) if method is None else method
-    boundary = between_planes(boundary, method)
-    check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))
-    if boundary.cells is None:
-        refuse_cells(method)
+    if method is not None and method.needs_cells:
+        if boundary.cells is None:
+            refuse_cells(method)
+        boundary = boundary.for_cells()
+    surface, images = surface_of(boundary)
+    method = default_for(boundary, surface) if method is None else method
+    if method.needs_cells and images.edges:
+        raise ValueError(
+            f"{type(method).__name__} takes symmetry planes that are parallel or at right "
+            "angles: for others call prepare with SurfaceReconstruction() or RBF()."
+        )
     guide = _guide_of(boundary, method)
-    plan = _plan_of(changed(boundary, pairings=(), tracks=()), method, guide)
+    plan = _plan_of(boundary, method, surface, images, guide)
     if plan.points.dtype != boundary.points.dtype:
         warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary "
@@ -94,47 +102,16 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     return plan
 
 
-def default_for(boundary: Boundary) -> AbstractMethod:
-    """Chooses the default method, which IDWarp's replaces where nothing holds an outer boundary."""
+def default_for(boundary: Conditions, surface: Surface) -> AbstractMethod:
+    """Chooses the default method: inverse distances if no outer boundary is fixed."""
     if len(boundary.fixed) or not boundary.surface_faces:
         return SurfaceReconstruction()
-    surface = surface_of(changed(between_planes(boundary), pairings=()))[0].points
-    points = boundary.of_cells
+    points = np.delete(boundary.points, boundary.loose, axis=0)
     slack = SAME * np.ptp(points, axis=0).max()
-    is_beyond = (points < surface.min(axis=0) - slack) | (points > surface.max(axis=0) + slack)
+    low = surface.points.min(axis=0) - slack
+    high = surface.points.max(axis=0) + slack
+    is_beyond = (points < low) | (points > high)
     return carrying() if is_beyond.any() else SurfaceReconstruction()
-
-
-def between_planes(boundary: Boundary, method: AbstractMethod | None = None) -> Boundary:
-    """Checks the planes, and guides the nodes of parallel planes, except for methods on cells.
-
-    Two parallel mirrors have endless images. A field with some of them has a step beside the plane,
-    by which cells invert. So parallel planes make no images, and their nodes are guided. Where
-    planes hold all nodes, around one layer of cells, guided nodes that face each other move alike.
-    """
-    if boundary.planes:
-        check_planes(boundary.planes, boundary.of_cells)
-    if method is not None and method.needs_cells:
-        if edges_of(boundary.planes):
-            raise ValueError(
-                f"{type(method).__name__} takes symmetry planes that are parallel or at right "
-                "angles: for others call prepare with SurfaceReconstruction() or RBF()."
-            )
-        return boundary
-    others = np.setdiff1d(
-        np.flatnonzero(boundary.on_planes[:, facing(boundary.planes)].any(axis=1)), boundary.nodes
-    )
-    others = np.setdiff1d(others, boundary.loose)
-    if not len(others):
-        return boundary
-    place = np.delete(np.arange(len(boundary.points)), boundary.loose)
-    layer = across_one_layer(boundary.planes, boundary.of_cells)
-    layer = tuple(
-        pairing.renumbered(np.where(np.isin(place, others), place, -1)) for pairing in layer
-    )
-    guided = np.union1d(boundary.guided, others)
-    pairings = (*boundary.pairings, *layer)
-    return changed(boundary, guided=guided, pairings=pairings)
 
 
 def refuse_cells(method: AbstractMethod) -> None:
@@ -145,8 +122,13 @@ def refuse_cells(method: AbstractMethod) -> None:
         )
 
 
-def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
-    surface, images = surface_of(boundary)
+def _plan_of(
+    boundary: Conditions,
+    method: AbstractMethod,
+    surface: Surface,
+    images: Images,
+    guide: Guide | None = None,
+) -> Plan:
     points = boundary.points
     like = np.arange(len(boundary.points))
     rests = None
@@ -157,9 +139,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     surface_ids, volume_ids = as_jax(method.connect(surface, points))
     if rests is not None:
         volume_ids = jax.tree.map(lambda leaf: leaf[like], volume_ids)
-    nodes, base, on_plane = as_jax(
-        (boundary.nodes.astype(np.int32), boundary.points, boundary.on_planes)
-    )
+    nodes, base, on_plane = as_jax((boundary.nodes.astype(np.int32), boundary.points, boundary.on))
     plan = Plan(
         method=method,
         surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
@@ -177,50 +157,11 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     return plan
 
 
-def surface_of(boundary: Boundary, order: np.ndarray | None = None) -> tuple[Surface, Images]:
-    """Returns the surface that a method sees, and its images. The `order` (o,) of the surface's
-    nodes follows from their places, unless it is known.
-    """
-    points = boundary.points
-    nodes = boundary.nodes
-    planes = boundary.planes
-    moving = len(boundary.moving)
-    faces = boundary.surface_faces
-    order = ordered_rows(points[nodes], moving, faces) if order is None else order
-    on_plane = boundary.on_planes
-    images, copies = images_of(boundary, order)
-    place = np.argsort(order)
-    own = order[copies.rows]
-    faces = (
-        None
-        if faces is None
-        else {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
-    )
-    normals = np.array([plane.normal for plane in planes]).reshape(-1, points.shape[1])
-    cells = None if boundary.cells is None else Cells(boundary.cells, normals, on_plane)
-    everything = points[nodes[order]]
-    if len(copies.matrices) > 1:
-        everything = np.asarray(images.points(jnp.asarray(points[nodes])))
-    surface = Surface(
-        points=everything,
-        nodes=np.where(copies.kind == 0, nodes[own], -1),
-        moving=int((own < moving).sum()),
-        images=copies.first,
-        faces=faces,
-        is_open=boundary.is_open,
-        cells=cells,
-        in_planes=(own >= moving + len(boundary.fixed)) & on_plane[nodes[own]].any(axis=1),
-        listed=own,
-        hidden=np.isin(nodes[own], boundary.hidden),
-    )
-    return surface, images
-
-
-def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
+def _guide_of(boundary: Conditions, method: AbstractMethod) -> Guide | None:
     if not boundary.pairings and not boundary.tracks and not len(boundary.guided):
         return None
     alone = boundary.alone()
-    plan = _plan_of(alone, guiding(method))
+    plan = _plan_of(alone, guiding(method), *surface_of(alone, alone.pairings))
     known = len(boundary.moving) + len(boundary.fixed)
     rows = [
         *(pairing.nodes for pairing in alone.pairings),

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._boundary.boundary import changed, with_cells
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
@@ -146,9 +145,8 @@ def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:
 
 
 def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
-    boundary = changed(plan.boundary, points=np.asarray(points))
+    boundary = plan.boundary.altered(points=np.asarray(points))
     if mesh is not None:
-        boundary = changed(
-            with_cells(boundary, mesh), left=None
-        )  # `prepare` has warned of free faces
+        # `prepare` has warned of free faces
+        boundary = boundary.with_mesh(mesh.moved(points)).altered(left=None)
     return plan_of(boundary, plan.method)

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._host.cells.adjacency import columns_of, is_among, neighbours
-from .._host.cells.topology import DIMENSION, FACES, solid
+from .._host.cells.adjacency import columns_of, is_among
+from .._host.cells.topology import DIMENSION, FACES
 from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._host.package.cores import in_order
@@ -213,22 +213,16 @@ class Sides:
 
 def _faces_of_types(mesh: Mesh) -> Iterator[_Faces]:
     """Lists each inner face once, with the first of its two cells, and each outer face."""
-    solids = {
-        kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()
-    }
-    counts = list(map(len, mesh.cells.values()))
-    is_solid = np.repeat([kind in solids for kind in mesh.cells], counts)
-    # The file's numbers of cells, which are counted among solids here; -1, for none, is the last.
-    numbers = np.append(mesh.cell_ids[is_solid], -1).astype(np.int32)
-    neighbour, is_turned = neighbours(solids)
+    neighbour, is_turned = mesh.topology.neighbours
+    numbers = np.append(mesh.cell_ids, -1).astype(np.int32)  # -1, for none, is the last
     parts: dict[int, list[_Faces]] = {}
     cells = 0
     sides = 0
-    for kind, ids in solids.items():
-        columns = columns_of(ids)
+    for kind, ids in mesh.cells.items():
+        columns = columns_of(np.asarray(ids))
         own = np.arange(cells, cells + len(ids))
         number = len(FACES[kind])
-        for k, face in enumerate(FACES[kind]):
+        for k, face in enumerate(FACES[kind] if DIMENSION[kind] == mesh.points.shape[1] else ()):
             every = slice(sides + k, sides + number * len(ids), number)  # this face of each cell
             behind = neighbour[every]
             is_shared = (behind >= 0) & ~is_turned[every]

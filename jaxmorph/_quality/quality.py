@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.cells.adjacency import handedness, neighbours
 from .._host.cells.topology import CORNERS, DIMENSION, FACES, HIGH_ORDER, SHAPES, solid
 from .._host.linear.products import FLAT
 from .._host.package.arguments import checked
@@ -25,6 +24,7 @@ from .._kernels.values import (
     smallest,
 )
 from .._mesh.mesh import Mesh, PointsLike
+from .._mesh.topology import Topology
 from . import measures
 from .bounds import least_jacobian
 from .report import QualityReport
@@ -78,7 +78,7 @@ def quality(mesh: Mesh, points: PointsLike | None = None) -> QualityReport:
     current = places(mesh, points)
     # computed when a caller traces, not folded into the caller's program
     with jax.ensure_compile_time_eval():
-        links = link(mesh.cells)
+        links = link(mesh)
         standards = None if points is None else standards_of(mesh, current.dtype, links)
     types = tuple((kind, len(ids)) for kind, ids in mesh.cells.items())
     columns = as_jax(_judge_all(mesh.cells, links, current, standards))
@@ -128,23 +128,26 @@ class Links(NamedTuple):
     part: Ids
 
 
-def link(cells: ValuesByType) -> Links:
-    def linked(*corners: np.ndarray) -> list[np.ndarray]:
-        known = dict(zip(cells, corners, strict=True))
-        found = neighbours(known)
-        return [found[0], *handedness(known, *found)]
+def link(mesh: Mesh) -> Links:
+    def linked(topology: Topology) -> tuple[np.ndarray, ...]:
+        return topology.neighbours[0], *topology.handedness
 
+    cells = mesh.cells
     if is_known(*cells.values()):
-        return Links(*linked(*(np.asarray(corners) for corners in cells.values())))
+        return Links(*linked(mesh.topology))
+    n, d = mesh.points.shape
     faces = sum(len(FACES[kind]) * len(ids) for kind, ids in cells.items())
     count = sum(map(len, cells.values()))
+
+    def on_host(*corners: np.ndarray) -> np.ndarray:
+        return np.concatenate(linked(Topology(dict(zip(cells, corners, strict=True)), n, d)))
+
     structure = jax.ShapeDtypeStruct((faces + 2 * count,), np.int32)
-    found = host_call(lambda *corners: np.concatenate(linked(*corners)), structure, *cells.values())
-    return Links(*jnp.split(found, (faces, faces + count)))
+    return Links(*jnp.split(host_call(on_host, structure, *cells.values()), (faces, faces + count)))
 
 
 def signs_of(mesh: Mesh, links: Links | None = None) -> dict[str, Ids]:
-    return _signs_by_type(mesh.cells, links or link(mesh.cells), mesh.points)
+    return _signs_by_type(mesh.cells, links or link(mesh), mesh.points)
 
 
 @by_place

@@ -68,7 +68,7 @@ def smooth_quality(
         if is_known(value):
             between(name, value, 0)
     with jax.ensure_compile_time_eval():
-        links = link(mesh.cells)
+        links = link(mesh)
         standards = standards_of(mesh, current.dtype, links)
     options = jnp.asarray(sharpness, current.dtype), jnp.asarray(softness, current.dtype)
     return _measure_softly(mesh.cells, links.neighbour, current, standards, options)

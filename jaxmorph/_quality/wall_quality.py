@@ -97,7 +97,8 @@ def wall_quality(
         np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
     )
     ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
-    lines = first_lines(jax.tree.map(np.asarray, mesh.cells), np.asarray(mesh.points), ids)
+    cells = jax.tree.map(np.asarray, mesh.cells)
+    lines = first_lines(cells, mesh.topology.outer(ids), np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
     return WallQuality(*as_jax((lines.nodes, *_measure_lines(lines, reference, current, softness))))

@@ -109,7 +109,11 @@ class WholeSurface:
 
 
 def gather_surface(
-    comm: Any, boundary: jm.Boundary, ids: ndarray, faces: dict[str, ndarray] | None
+    comm: Any,
+    boundary: jm.Boundary,
+    ids: ndarray,
+    faces: dict[str, ndarray] | None,
+    planes: Sequence[jm.Plane],
 ) -> WholeSurface:
     """Gathers the surface of all pieces; of this one `boundary`, whose points have the `ids` (n,).
 
@@ -120,7 +124,7 @@ def gather_surface(
     # a plane holds nodes to a share of the whole mesh's size
     extent = np.concatenate([x, *comm.allgather(x[ends])])
     guided = np.isin(ids, np.concatenate([ids[:0], *map(np.ravel, (faces or {}).values())]))
-    for plane in _parallel(boundary.planes):
+    for plane in _parallel(planes):
         guided |= plane.holds(extent)[: len(x)]
     shares = comm.allgather(
         [(ids[rows], x[rows]) for rows in (boundary.moving, boundary.fixed, guided)]

@@ -154,10 +154,11 @@ def prepare(
     """
     check_comm(comm)
     mesh = points if isinstance(points, jm.Mesh) else None
-    own, ids = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
+    own, ids = together(comm, lambda: _own(points, nodes, moving, fixed))
     marks = owned(comm, ids)
     faces = faces_of_piece(comm, mesh, ids, marks[1])
-    surface = gather_surface(comm, own, ids, faces)
+    planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
+    surface = gather_surface(comm, own, ids, faces, planes)
     shares = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
@@ -172,7 +173,7 @@ def prepare(
                 }
             }
         try:
-            boundary = surface.boundary(symmetry, is_open)
+            boundary = surface.boundary(planes, is_open)
             return jm.prepare_surface(boundary, nodes=surface.names, method=method, **known)
         except jm.MeshError as error:
             raise error.renumbered(surface.names) from None
@@ -183,12 +184,10 @@ def prepare(
     return Piece(comm, plan, ids, own.moving, rows, *marks)
 
 
-def _own(
-    points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any
-) -> tuple[jm.Boundary, ndarray]:
+def _own(points: Any, nodes: Any, moving: Any, fixed: Any) -> tuple[jm.Boundary, ndarray]:
     """Returns the boundary of a piece, and the ids (n,) of its points."""
     x = points.points if isinstance(points, jm.Mesh) else points
-    boundary = jm.Boundary(x, moving, fixed, symmetry=symmetry)
+    boundary = jm.Boundary(x, moving, fixed)
     ids = np.asarray(nodes)
     n = len(boundary.points)
     if (

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from jaxmorph import Mesh
 from jaxmorph._boundary.periodic import Periodic
-from jaxmorph._host.cells.pieces import boundary_sides
+from jaxmorph._host.cells.pieces import owned_sides
 from jaxmorph._host.cells.topology import CORNERS, EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
 from jaxmorph._host.package.text import MESHES
@@ -301,7 +301,8 @@ def patch_faces(mesh: MeshLike) -> dict[str, dict[str, ndarray]]:
     n = mesh.points.shape[0]
     found = {}
     cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
-    left = boundary_sides(cells, n, np.unique(join_ids(mesh.patches.values())))
+    sides = owned_sides(cells, n, np.unique(join_ids(mesh.patches.values())))
+    left = {kind: faces for kind, (faces, _) in sides.items()}
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: len(item[1])):
         inside = np.zeros(n, bool)
         inside[nodes] = True

@@ -47,7 +47,10 @@ def number_nodes(
     elements = [*cells, *sides]
     if order == 1:
         return [each.corners for each in elements], count
-    keys = [node_keys(each.corners, of_order(each.kind, 2)).reshape(-1, 16) for each in elements]
+    keys = [
+        node_keys(each.corners, of_order(each.kind, 2))[:, each.corners.shape[1] :].reshape(-1, 16)
+        for each in elements
+    ]
     _, place = first_of_equals(np.concatenate(keys))
     ends = np.cumsum([len(key) for key in keys])[:-1]
     new = [

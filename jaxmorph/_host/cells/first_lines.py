@@ -1,14 +1,14 @@
 """First grid lines off a wall, from the cells' own polynomials; linear cells are of order 1."""
 
 import functools
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
-from .pieces import owned_sides
-from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType
+from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType, Pair
 
 
 class WallSides(NamedTuple):
@@ -60,28 +60,29 @@ def _node_areas(x: Any, slopes: Any) -> Any:
     return a[..., after] * b[..., before] - a[..., before] * b[..., after]
 
 
-def first_lines(cells: ByType, points: ndarray, wall: ndarray) -> Lines:
+def first_lines(cells: ByType, sides: Mapping[str, Pair], points: ndarray, wall: ndarray) -> Lines:
     """Picks, for every wall node, the grid line off the wall that is nearest to the wall's normal.
-    From a node inside of an edge or a side, a line goes to the node opposite. Raises `ValueError`
-    if no boundary side of a cell has all nodes among the wall nodes.
+    From a node inside of an edge or a side, a line goes to the node opposite. Of the `sides` among
+    the wall nodes, each has its cell, numbered as in `cells`. Raises `ValueError` for none.
     """
     on_wall = np.zeros(len(points), dtype=bool)
     on_wall[wall] = True
-    cells = {
-        kind: np.asarray(ids) for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]
+    centre = np.concatenate([_centres(kind, ids, points) for kind, ids in cells.items()])
+    walls = {
+        kind: _wall_sides(kind, ids, centre[owner], points) for kind, (ids, owner) in sides.items()
     }
-    sides = _sides(cells, points, wall)
-    if not any(len(side.ids) for side in sides.values()):
+    if not any(len(side.ids) for side in walls.values()):
         raise ValueError(
             f"no cell has a boundary side whose nodes are all among the {len(wall)} wall nodes: "
             "name the nodes of a patch."
         )
     normal = np.zeros(points.shape)
     beside = np.full(len(points), -1)
-    for kind, side in sides.items():
+    for kind, side in walls.items():
         np.add.at(normal, side.ids, side.areas(points))
         beside[side.ids.T] = side.ids.T[_neighbours(kind)]
-    start, end, cell_nodes, weights = _candidates(cells, on_wall & (beside >= 0), on_wall)
+    largest = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
+    start, end, cell_nodes, weights = _candidates(largest, on_wall & (beside >= 0), on_wall)
     along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
     size = np.linalg.norm(along, axis=1)
     steepness = np.round(np.sum(along * normal[start], axis=1) / np.where(size > 0, size, 1), 12)
@@ -90,7 +91,7 @@ def first_lines(cells: ByType, points: ndarray, wall: ndarray) -> Lines:
     chosen = order[first]
     place = np.full(len(points), len(nodes))
     place[nodes] = np.arange(len(nodes))
-    every = tuple(side._replace(rows=place[side.ids]) for side in sides.values())
+    every = tuple(side._replace(rows=place[side.ids]) for side in walls.values())
     return Lines(nodes, end[chosen], cell_nodes[chosen], weights[chosen], beside[nodes], every)
 
 
@@ -103,22 +104,19 @@ def _neighbours(kind: str) -> ndarray:
     return np.where(squared > 0, squared, squared.max() + 1).argmin(axis=1)
 
 
-def _sides(cells: ByType, points: ndarray, wall: ndarray) -> dict[str, WallSides]:
-    """Sides of single cells with all nodes on the wall, by type; rows are ids here."""
-    corners = [points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1) for kind, ids in cells.items()]
-    centre = np.concatenate(corners or [points[:0]])
-    result = {}
-    for side, (ids, owner) in owned_sides(cells, len(points), wall).items():
-        slopes = derivatives_at_nodes(side)
-        if SHAPES[side] == side:  # of a linear side their mean, the whole face's
-            slopes = np.broadcast_to(slopes.mean(axis=0), slopes.shape)
-        area = _node_areas(points[ids], slopes).mean(axis=1)
-        inward = centre[owner] - points[ids[:, : CORNERS[SHAPES[side]]]].mean(axis=1)
-        sign = np.where(np.sum(area * inward, axis=1) < 0, -1, 1) * (
-            0.5 if SHAPES[side] == "triangle" else 1
-        )
-        result[side] = WallSides(ids, ids, sign, slopes)
-    return result
+def _centres(kind: str, ids: ndarray, points: ndarray) -> ndarray:
+    return points[ids[:, : CORNERS[SHAPES[kind]]]].mean(axis=1)
+
+
+def _wall_sides(kind: str, ids: ndarray, inside: ndarray, points: ndarray) -> WallSides:
+    """Sides of one type, each with a place (f, d) in its cell; rows are ids here."""
+    slopes = derivatives_at_nodes(kind)
+    if SHAPES[kind] == kind:  # of a linear side their mean, the whole face's
+        slopes = np.broadcast_to(slopes.mean(axis=0), slopes.shape)
+    area = _node_areas(points[ids], slopes).mean(axis=1)
+    is_outward = np.sum(area * (inside - _centres(kind, ids, points)), axis=1) < 0
+    size = 0.5 if SHAPES[kind] == "triangle" else 1
+    return WallSides(ids, ids, np.where(is_outward, -size, size), slopes)
 
 
 def _candidates(cells: ByType, starts: ndarray, on_wall: ndarray) -> tuple[ndarray, ...]:

@@ -257,8 +257,8 @@ def collapsed(kind: str, places: ndarray) -> ndarray:
 
 
 def node_keys(ids: ndarray, cell: Lagrange) -> ndarray:
-    """Ascending corners and weights in turn (k, new, 16) of new nodes; zeros in front."""
-    places = collapsed(cell.shape, cell.reference[cell.corners :])
+    """Ascending corners and weights in turn (k, s, 16) of a cell's nodes; zeros in front."""
+    places = collapsed(cell.shape, cell.reference)
     weights = np.rint(12**3 * values(cell.shape, places)).astype(np.int64)  # of corners, linear
     # alike in cells of all types that share a face
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]

@@ -38,19 +38,14 @@ def owners(cells: Mapping[str, Any]) -> dict[str, ndarray]:
 
 
 def boundary_faces(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, ndarray]:
-    return linear_cells(boundary_sides(cells, n, among))
-
-
-def boundary_sides(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, ndarray]:
-    """Finds faces (f, nodes) that belong to one cell only (2-D: edges), by type, with all of their
-    nodes, counterclockwise as seen from outside. `cells` are node ids (k, nodes) by type, below
-    `n`; all nodes of a face are `among` these ids.
-    """
-    return {side: ids for side, (ids, _) in owned_sides(cells, n, among).items()}
+    return linear_cells({kind: ids for kind, (ids, _) in owned_sides(cells, n, among).items()})
 
 
 def owned_sides(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, Pair]:
-    """Finds the `boundary_sides`, and the cell (f,) of each; cells are numbered as in `cells`."""
+    """Finds faces (f, nodes) that belong to one cell only (2-D: edges), by type, with all of their
+    nodes, counterclockwise as seen from outside. Also returns the cell (f,) of each, numbered as in
+    `cells`, node ids (k, nodes) by type below `n`. All nodes of a face are `among` these ids.
+    """
     is_candidate = np.zeros(n, bool)
     is_candidate[[] if among is None else among] = True
     found: dict[str, list[tuple[list[ndarray], ndarray]]] = {}

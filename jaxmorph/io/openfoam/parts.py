@@ -13,7 +13,6 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from jaxmorph import Layer, Mesh, Periodic, Plan, export
-from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.arguments import checked, shown
 from jaxmorph._host.package.files import complete, name_errors_by, output_path
@@ -151,7 +150,7 @@ class Decomposed:
                 f"{self.folder(k)}: it has faces to processor{last}, which is missing. {REMEDY}."
             )
         ids = global_nodes(mesh)
-        outer = outer_faces(mesh)
+        outer = mesh.outer_faces
         corners = {} if outer is None else outer.corners
         rows = np.unique(join_ids((*corners.values(), *mesh.patches.values())))
         rows = rows[np.argsort(ids[rows])]
