@@ -122,7 +122,7 @@ class Inspection:
                 f"worst nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). "
                 f"{remedies(self.rests, self.touches)}"
             )
-        if self.crossings:
+        if self.crossings is not None and str(self.crossings):
             yield str(self.crossings)
         if len(self.put_back):
             yield (

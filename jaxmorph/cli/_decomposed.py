@@ -9,14 +9,14 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.extend import Alone, together
+from jaxmorph.extend import Alone, together, wall_crossings
 
 from ._deform import say_motion, write_job
 from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
-from ._way import Way, faults, is_kept, moved, say_verdict
+from ._way import Way, faults, is_kept, moved, say_verdict, warn_of_crossings
 
 T = TypeVar("T")
 
@@ -141,6 +141,8 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     say_motion(request, patches, half.plan, path[-1], out)
     for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
         out.warn(warning)
+    rows = np.searchsorted(io.global_nodes(surface), half.nodes)
+    warn_of_crossings(wall_crossings(half.plan, surface, path, nodes=rows), out)
     write_job(request, out)
     return half, path
 
