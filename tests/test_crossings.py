@@ -473,7 +473,6 @@ def commands(folder, case, motion):
         "DV_FILENAME": "wall.dat",
         "DV_MARKER": f"( {moving} )",
         "MARKER_SYM": f"( {', '.join(more.get('symmetry', ['NONE']))} )",
-        "MARKER_INTERNAL": f"( {', '.join(more.get('free', ['NONE']))} )",
     }
     (folder / "in.cfg").write_text("".join(f"{key}= {text}\n" for key, text in lines.items()))
     return {"deform": words, "su2 def": ["su2", "def", str(folder / "in.cfg")]}
