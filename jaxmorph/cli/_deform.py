@@ -98,6 +98,7 @@ class Attempt:
 
 
 def deform(request: Deform, out: Output) -> int:
+    io.check_output(request.output, request.file)
     with out.progress(f"reading {title(request.file)}"):
         mesh = mesh_of(request.file, request.zone, request.tags)
     with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):

@@ -28,6 +28,9 @@ from ._way import (
 
 
 def run(request: SU2, out: Output) -> int:
+    if request.action == "def":
+        options = su2.read_options(request.file)
+        io.check_output(request.output or options.output, options.mesh_file)
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition, zone=request.zone)
     mesh = config.mesh

@@ -22,7 +22,7 @@ from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Format, Source, faults_of, own_source, source_of, warn_of_loss
+from ._format import Format, Source, faults_of, only_of, own_source, source_of, warn_of_loss
 from ._text import PathLike
 
 XML = rb"(?:<\?xml.{0,200}?\?>\s*)?(?:<!(?:--.*?--|DOCTYPE[^<\[>]*(?:\[.*?\]\s*)?)>\s*)*"
@@ -30,9 +30,20 @@ XML = rb"(?:<\?xml.{0,200}?\?>\s*)?(?:<!(?:--.*?--|DOCTYPE[^<\[>]*(?:\[.*?\]\s*)
 HDF = rb"\x89HDF"
 
 FORMATS = (
-    Format("SU2", "_su2", begins=rb"(?:%[^\n]*\s+)*(?:NDIME|NZONE|IZONE|NELEM|NPOIN|NMARK)\s*="),
-    Format("VTK", "_vtk", holds_arrays=True, begins=rb"# vtk DataFile|" + XML + rb"<VTKFile\b"),
-    Format("gmsh", "_gmsh", begins=rb"\$(?:MeshFormat|NOD|Comments)\b"),
+    Format(
+        "SU2",
+        "_su2",
+        begins=rb"(?:%[^\n]*\s+)*(?:NDIME|NZONE|IZONE|NELEM|NPOIN|NMARK)\s*=",
+        takes_any=True,
+    ),
+    Format(
+        "VTK",
+        "_vtk",
+        holds_arrays=True,
+        begins=rb"# vtk DataFile|" + XML + rb"<VTKFile\b",
+        takes_any=True,
+    ),
+    Format("gmsh", "_gmsh", begins=rb"\$(?:MeshFormat|NOD|Comments)\b", takes_any=True),
     Format("Fluent", "_fluent", begins=rb"\(\s*\d+\s"),
     Format("Fluent HDF5", "_fluent_h5", begins=HDF),
     Format("CGNS", "cgns.file", begins=HDF + rb"|.{4}ADF Database"),
@@ -117,7 +128,7 @@ def _by_name(path: Path, found: Sequence[Format]) -> Format:
     if is_folder(path):  # it raises for unknown endings
         return next(candidate for candidate in FORMATS if candidate.is_folder)
     point = plugin(path)
-    return Format(point.name, _Plugin(point.name, point.load()))
+    return Format(point.name, _Plugin(point.name, point.load()), takes_any=True)
 
 
 class _Plugin(NamedTuple):
@@ -332,19 +343,37 @@ def as_written(path: PathLike, mesh: Mesh) -> Float[ndarray, "n d"]:
 
 
 @checked
-def check_output(path: PathLike, mesh: Mesh) -> bool:
+def check_output(path: PathLike, mesh: Mesh | PathLike) -> bool:
     """Checks a path as `write` does, before any work.
 
     **Arguments:**
 
-    - `path`, `mesh`: as `write` takes them.
+    - `path`, `mesh`: as `write` takes them. Of the file of a mesh that is not read yet, the format
+      is compared.
 
     **Returns:** True if the format holds arrays.
 
     **Raises:** `ValueError` as `write` does, for what is wrong whatever the points are.
     `ImportError` when the extra is missing.
     """
+    if not isinstance(mesh, Mesh):
+        return _checked_kinds(Path(path), Path(mesh)).holds_arrays
     return _checked(path, mesh).holds_arrays
+
+
+def _checked_kinds(path: Path, origin: Path) -> Format:
+    """Finds the format to write a mesh of the file `origin`; a packed one is taken by its name."""
+    kind = format_of(origin).name
+    chosen = format_to_write(path, Source(origin, kind, None))
+    files.output_path(path, folder=chosen.is_folder)
+    codec = chosen.codec()
+    with faults_of(path):
+        if hasattr(codec, "check_ending"):
+            codec.check_ending(path)
+        is_packed = origin.suffix.lower() == ".gz"
+        if not (chosen.takes_any or chosen.name == kind or is_packed):
+            raise ValueError(only_of(chosen.name, ".su2"))
+    return chosen
 
 
 def _checked(name: PathLike, mesh: Mesh) -> Format:
