@@ -356,36 +356,32 @@ def check_output(path: PathLike, mesh: Mesh | PathLike) -> bool:
     **Raises:** `ValueError` as `write` does, for what is wrong whatever the points are.
     `ImportError` when the extra is missing.
     """
-    if not isinstance(mesh, Mesh):
-        return _checked_kinds(Path(path), Path(mesh)).holds_arrays
     return _checked(path, mesh).holds_arrays
 
 
-def _checked_kinds(path: Path, origin: Path) -> Format:
-    """Finds the format to write a mesh of the file `origin`; a packed one is taken by its name."""
-    kind = format_of(origin).name
-    chosen = format_to_write(path, Source(origin, kind, None))
-    files.output_path(path, folder=chosen.is_folder)
-    codec = chosen.codec()
-    with faults_of(path):
-        if hasattr(codec, "check_ending"):
-            codec.check_ending(path)
-        is_packed = origin.suffix.lower() == ".gz"
-        if not (chosen.takes_any or chosen.name == kind or is_packed):
-            raise ValueError(only_of(chosen.name, ".su2"))
-    return chosen
+def _source_unread(path: Path) -> Source:
+    return Source(path, format_of(path).name, None)
 
 
-def _checked(name: PathLike, mesh: Mesh) -> Format:
-    source = mesh.source
-    chosen = format_to_write(Path(name), mesh.source)
+def _checked(name: PathLike, mesh: Mesh | PathLike) -> Format:
+    source = mesh.source if isinstance(mesh, Mesh) else _source_unread(Path(mesh))
+    chosen = format_to_write(Path(name), source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
+    file = path.with_suffix("") if path.suffix.lower() == ".gz" else path
     with faults_of(path):
+        if hasattr(codec, "check_ending"):
+            codec.check_ending(file)
+        if not isinstance(mesh, Mesh):
+            # what is in a packed file is not known by its name
+            is_packed = Path(mesh).suffix.lower() == ".gz"
+            if not (chosen.takes_any or source.format == chosen.name or is_packed):
+                raise ValueError(only_of(chosen.name, ".su2"))
+            return chosen
         if hasattr(codec, "check"):
-            codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
+            codec.check(file, mesh)
         else:
             own_source(mesh, chosen.name)
     bad = np.flatnonzero(~np.isfinite(np.asarray(mesh.points)).all(axis=1))

@@ -85,7 +85,6 @@ def check_ending(path: Path) -> None:
 
 
 def check(path: Path, mesh: MeshLike) -> None:
-    check_ending(path)
     suffix = path.suffix.lower()
     content = content_of(mesh, NAME)
     for kind in mesh.cells if content is None else ():
