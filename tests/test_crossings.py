@@ -494,7 +494,8 @@ def test_commands_name_them_without_dry_runs(command, name, tmp_path, capsys, mo
     status = main(commands(tmp_path, case, motion)[command])
     said = " ".join(capsys.readouterr().err.split())
     assert status == 1 or "turned" in name
-    for word in (*map(repr, patches), "first near", "move the wall less"):
+    names = patches if command == "deform" else patches[1:]  # fixed ends may cross before walls
+    for word in (*map(repr, names), "first near", "move the wall less"):
         assert word in said
 
 

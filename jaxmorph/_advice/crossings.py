@@ -93,9 +93,9 @@ def wall_crossings(
     path: Float[np.ndarray, "k m d"],
     moved: np.ndarray | None = None,
     nodes: np.ndarray | None = None,
-) -> Crossings | None:
-    """Finds what walls cross on a path (k, m, d) of displacements, from rest on; None without
-    faces. Between two of them each connected body turns as in `Turn`. `nodes` are the mesh's ids
+) -> Crossings:
+    """Finds what walls cross on a path (k, m, d) of displacements, from rest on. Between two of
+    them each connected body turns as in `Turn`. `nodes` are the mesh's ids
     of the plan's points. Where the whole mesh is, the points `moved` at the end are known, walls
     that pass through symmetry planes and free boundaries are found, too.
     """
@@ -103,8 +103,6 @@ def wall_crossings(
     ids = surface if nodes is None else np.asarray(nodes)[surface]
     points = np.asarray(mesh.points, dtype=float)
     cut = simplices(mesh, ids)
-    if cut is None:
-        return None
     inner = cut[0][(cut[0] < plan.n_moving).all(axis=1)]
     bodies = _bodies(inner, plan.n_moving)
     states = [
@@ -113,7 +111,7 @@ def wall_crossings(
     ]
     if nodes is None and moved is not None:
         corners = [rows.ravel() for rows in _faces_of(mesh).corners.values()]
-        rest = np.setdiff1d(np.concatenate(corners), ids)
+        rest = np.setdiff1d(np.concatenate([ids, *corners]), ids)
         way = np.asarray(moved, float)[rest] - points[rest]
         states = [np.concatenate([u, (k + 1) / len(states) * way]) for k, u in enumerate(states)]
         ids = np.concatenate([ids, rest])
@@ -146,7 +144,7 @@ def turned_path(
 
 
 def crossings(
-    cut: tuple[np.ndarray, np.ndarray] | None,
+    cut: tuple[np.ndarray, np.ndarray],
     mesh: Mesh,
     nodes: np.ndarray,
     states: Float[np.ndarray, "*k o d"],
@@ -158,7 +156,6 @@ def crossings(
     those of walls; others follow, and may be in each other's way. Faces of nodes that are not held
     (o,) follow the walls that they are connected with, well or badly: these do not pass them.
     """
-    assert cut is not None
     faces, ids = cut
     points = np.asarray(mesh.points, dtype=float)
     before = points[nodes]
@@ -251,17 +248,15 @@ def _faces_of(mesh: Mesh) -> OuterFaces:
     return outer
 
 
-def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes`, seen
-    from outside; None without faces. Also returns the number (f,) of the file's face of each. A
+    from outside. Also returns the number (f,) of the file's face of each. A
     mesh of a surface alone has its cells for faces.
     """
     outer = _faces_of(mesh)
-    if not outer.corners:
-        return None
     rows = row_of(nodes, len(mesh.points))
-    faces = []
-    ids = []
+    faces = [np.zeros((0, mesh.points.shape[1]), int)]
+    ids = [np.zeros(0, int)]
     for kind, corners in outer.corners.items():
         triangles = (
             [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]

@@ -122,8 +122,8 @@ class Inspection:
                 f"worst nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). "
                 f"{remedies(self.rests, self.touches)}"
             )
-        if self.crossings is not None and str(self.crossings):
-            yield str(self.crossings)
+        if said := "" if self.crossings is None else str(self.crossings):
+            yield said
         if len(self.put_back):
             yield (
                 f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is "
@@ -262,13 +262,13 @@ def inspect(
         mesh,
         np.asarray(u, float)[None],
         moved,
-        ids if nodes is not None else None,
+        None if np.array_equal(ids, np.arange(len(mesh.points))) else ids,
     )
     inspection = _of_plan(plan, u, vectors, moved).renumbered(ids)
     faces, found = looking.result()
     found["crossings"] = crossing.result()
     torn = inspection.contradictions
-    if faces is not None and inspection.rests.any():
+    if len(faces) and inspection.rests.any():
         rows = row_of(ids[surface], len(mesh.points))
         found["touches"] = inspection.rests & share_faces(rows[torn], faces, len(surface))
     found["torn"] = tuple(names_of(mesh, torn[:1].reshape(-1, 1)))
@@ -299,14 +299,14 @@ def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
 
 def _of_faces(
     plan: Plan, mesh: Mesh, ids: np.ndarray, vectors: np.ndarray
-) -> tuple[np.ndarray | None, dict[str, Any]]:
+) -> tuple[np.ndarray, dict[str, Any]]:
     """Finds the boundary faces' simplices, and what is left of gaps, by field, where the surface
     moves by `vectors` (o, d).
     """
     nodes = ids[np.asarray(plan.surface_nodes)]
     cut = simplices(mesh, nodes)
-    if cut is None or not len(cut[0]):
-        return cut and cut[0], {}
+    if not len(cut[0]):
+        return cut[0], {}
     before = np.asarray(mesh.points, dtype=float)[nodes]
     wall = walls(before, plan.n_moving, {"simplex": cut[0]})
     share = share_left(

@@ -16,7 +16,7 @@ from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
-from ._way import Way, faults, is_kept, moved, say_verdict, warn_of_crossings
+from ._way import Way, faults, is_kept, moved, say_verdict
 
 T = TypeVar("T")
 
@@ -139,10 +139,11 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
         f"{surface.points.shape[1]}-D"
     )
     say_motion(request, patches, half.plan, path[-1], out)
-    for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
-        out.warn(warning)
+    inspection = jm.inspect(half.plan, path[-1].astype(request.method.dtype))
     rows = np.searchsorted(io.global_nodes(surface), half.nodes)
-    warn_of_crossings(wall_crossings(half.plan, surface, path, nodes=rows), out)
+    crossed = str(wall_crossings(half.plan, surface, path, nodes=rows))
+    for warning in (*inspection.warnings, *filter(None, [crossed])):
+        out.warn(warning)
     write_job(request, out)
     return half, path
 

@@ -117,7 +117,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     crossed = None
     if request.steps == AUTO:
         with out.progress("inspecting the motion"):
-            crossed = wall_crossings(plan, mesh, attempt.path(), nodes=nodes)
+            path = attempt.path()
+            crossed = wall_crossings(plan, mesh, path, np.asarray(jm.deform(plan, path[-1])))
     if crossed:  # no number of steps helps
         request = dataclasses.replace(request, steps=1)
         attempt = dataclasses.replace(attempt, request=request)

@@ -22,7 +22,6 @@ from ._way import (
     faults,
     finish,
     say_verdict,
-    warn_of_crossings,
     warn_of_size,
 )
 
@@ -100,7 +99,8 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
             )
         with out.progress("inspecting the motion"):
             crossed = wall_crossings(plan, mesh, config.path, np.asarray(moved.points))
-            warn_of_crossings(crossed, out)
+            if said := str(crossed):
+                out.warn(said)
         with out.progress("judging the cells"):
             verdict = Way(output, mesh, (np.asarray(moved.points),)).judge()
         say_verdict(verdict, out)

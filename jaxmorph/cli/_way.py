@@ -114,11 +114,6 @@ def warn_of_size(share: float, out: Output) -> None:
         )
 
 
-def warn_of_crossings(crossed: Any, out: Output) -> None:
-    if crossed is not None and str(crossed):
-        out.warn(str(crossed))
-
-
 def check_picture(picture: Path | None) -> None:
     """Raises `ImportError` where an extra is missing."""
     if picture is not None:
