@@ -16,6 +16,25 @@ AXIS = jm.Revolution((0, 0, 3))
 LEFT = box_with_hole().patch("left")
 
 
+def with_empty_patch():
+    mesh = ring()
+    return jm.Mesh(mesh.points, mesh.cells, dict(mesh.patches) | {"none": []})
+
+
+test_what_is_empty_has_a_sentence = refusals(
+    (lambda _: jm.prepare(with_empty_patch(), "wall", "none"), "'none', have no nodes"),
+    (lambda _: jm.prepare(with_empty_patch(), "none", "far"), "`moving` is empty: name the nodes"),
+    (lambda _: jm.Facets(np.zeros((3, 2)), np.array([[0, 1], [1, 2]])), "has no extent"),
+    (
+        lambda folder: jm.export(
+            jm.prepare(ring(), "wall", "far", method=jm.DelaunayGraph()), folder, nodes=[]
+        ),
+        "a process without points needs no plan",
+    ),
+    of=lambda: ("empty.plan",),
+)
+
+
 def arc():
     """The upper half of a ring: its outer polygon has two ends."""
     mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))

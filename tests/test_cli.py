@@ -105,6 +105,22 @@ def test_the_wall_and_the_overshoot_stand_in_the_table(here, capsys):
     assert max(map(len, text.split("\n"))) <= 80
 
 
+def test_what_is_done_to_files_and_units_is_said(here, capsys):
+    """A file that is replaced, and a motion that has another unit than the mesh."""
+    commands = [
+        ["deform", "ring.su2", "twice.su2", "--moving", "wall", "--fixed", "far", "--rotate", "5"],
+        ["convert", "ring.su2", "twice.vtu"],
+    ]
+    for words in commands:
+        for is_old in (False, True):
+            assert ("in place of an older file" in printed(capsys, words)) == is_old
+    for way, status in (("1e-5", 0), ("1", 0), ("25", 1)):
+        assert deform(f"{way}.su2", "--translate", way, "0", "--no-dry-run") == status
+        said = " ".join(capsys.readouterr().err.split())
+        ratio = f"moves by {float(way) / 2:.3g} times the length of what moves"
+        assert (ratio in said and "(m or mm)" in said) == (way != "1")
+
+
 BY_NAME = {
     "elasticity": jm.LinearElasticity(),
     "inverse-distance": jm.InverseDistance(),

@@ -85,7 +85,12 @@ def test_bad_cases_are_left_out_and_told(here, capsys):
         "bad_0003.vtu",
     ]
     assert pyvista.PVDReader("bad.pvd").time_values == [1.0, 3.0]  # the amplitudes do not go up
+    capsys.readouterr()
     assert modes("bad.pvd", *flags, "--allow-inverted") == 1
+    said = capsys.readouterr().out
+    assert "wrote bad_0001.vtu to bad_0003.vtu" in said
+    assert "in place of 2 older files\n" in said
+    assert "in place of an older file" in said
     assert (here / "bad_0002.vtu").exists()
 
 

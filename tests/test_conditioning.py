@@ -113,6 +113,27 @@ def test_what_is_told_of_two_nodes_that_nearly_coincide_helps(solver, more):
         prepared(jm.RBF(jm.Multiquadric(1.0), close, close, solver=solver))
 
 
+BASES = [jm.Gaussian(0.3), jm.WendlandC2(1.0), jm.ThinPlateSpline()]
+
+
+@over(
+    "basis list_of_twin", [(BASES[0], "fixed"), (BASES[0], "moving")],
+    nightly=[(basis, name) for basis in BASES[1:] for name in ("fixed", "moving")],
+)  # fmt: skip
+def test_two_nodes_that_nearly_coincide_are_told_with_every_basis(basis, list_of_twin):
+    """1e-9 apart: what one of them does otherwise than the other is blown up by a million, or worse."""
+    mesh = body(2)
+    points = np.concatenate([mesh.points, mesh.points[mesh.moving[:1]] + 1e-9])
+    lists = {"moving": mesh.moving, "fixed": mesh.fixed}
+    lists[list_of_twin] = np.append(lists[list_of_twin], len(mesh.points))
+    told = "sources is ill-conditioned: rounding changes .* the nearest two sources"
+    caught = pytest.raises(ValueError, match=told)
+    if list_of_twin == "moving":
+        caught = pytest.warns(UserWarning, match=told)
+    with caught:
+        jm.prepare(points, **lists, method=full(basis, 1))
+
+
 @over("degree", [0], nightly=[None])
 def test_one_source(degree):
     """Its value spreads as the basis does; with a constant, everything moves alike."""

@@ -415,18 +415,23 @@ def test_numbering_does_not_matter_to_prepares_own_default(kind, alone):
     assert change_by_numbers(make(), lambda: None, range(3), alone, **boundaries) < 1e-9
 
 
-SIZES = {
-    *("AROUND", "AT_ONCE", "BATCH", "BLOCK", "CACHED", "CELLS", "CLOSEST", "COARSEST", "DIRECT"),
-    *("FEW", "KERNEL_BLOCK", "LEAST", "MANY", "MOST", "NEIGHBOURS", "RESORT", "ROOM", "ROWS"),
-    *("SAMPLE", "SIDES", "SQUARE", "STEP", "TOGETHER", "WALLS", "WIDER", "WIDTH"),
-    *("CANDIDATES", "CURVE_SAMPLE", "FEW_POINTS", "HULL_SIDES", "LEAP_NEIGHBOURS", "VOTERS"),
-    *("POINTS_TOGETHER", "ROWS_OF_A_CORE", "ROWS_TOGETHER", "ROW_WIDTH", "WALLS_APART"),
+BLOCKS = {
+    *("AT_ONCE", "BATCH", "BLOCK", "CACHED", "CELLS", "CHUNK", "FACES_AT_ONCE", "FEW_PARTS"),
+    *("KERNEL_BLOCK", "LEAST", "MOST", "POINTS_TOGETHER", "ROOM", "ROWS_TOGETHER", "SLAB"),
+    *("SQUARE", "STEP", "TOGETHER", "TRACED_ROOM", "WIDER"),
 }
-"""Names of constants that divide work into blocks, or decide how many of many are looked at."""
+"""Names of constants that divide work into blocks, and nothing else."""
+
+SIZES = BLOCKS | {
+    *("AROUND", "CLOSEST", "COARSEST", "DENSE", "DIRECT", "ENOUGH", "FEW", "FITS", "LEAVES"),
+    *("MANY", "NEIGHBOURS", "RESORT", "ROWS", "SAMPLE", "SIDES", "SOURCES_ALONE"),
+    *("WALLS", "WIDTH", "CANDIDATES", "CURVE_SAMPLE", "FEW_POINTS", "HULL_SIDES", "VOTERS"),
+    *("LEAP_NEIGHBOURS", "ROWS_OF_A_CORE", "ROW_WIDTH", "WALLS_APART"),
+}
+"""These, and constants that decide how many of many are looked at."""
 
 
-@pytest.fixture
-def small(monkeypatch):
+def lower(monkeypatch, names):
     """Lowers all of these sizes to 10; code that was compiled with others is dropped."""
 
     def lowered(value):
@@ -436,7 +441,7 @@ def small(monkeypatch):
 
     count = 0
     for name, module in list(sys.modules.items()):
-        for word in SIZES & {*vars(module)} if name.startswith("jaxmorph.") else ():
+        for word in names & {*vars(module)} if name.startswith("jaxmorph.") else ():
             value = vars(module)[word]
             parts = list(value.values()) if isinstance(value, dict) else value
             if all(
@@ -447,6 +452,11 @@ def small(monkeypatch):
                 monkeypatch.setattr(module, word, lowered(value))
     assert count > 15
     drop_compiled_code()
+
+
+@pytest.fixture
+def small(monkeypatch):
+    lower(monkeypatch, SIZES)
     yield
     monkeypatch.undo()
     drop_compiled_code()
@@ -462,6 +472,37 @@ def drop_compiled_code():
 def test_numbering_does_not_matter_however_small_blocks_and_samples_are(small, kind):
     make, boundaries = NUMBERED[kind]
     assert change_by_numbers(make(), lambda: None, [0], **boundaries) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    runs(
+        [("inverse-distance", "2-D")],
+        slow=[("default", "2-D"), ("elasticity", "tetra")],
+        nightly=[("default", "tetra"), ("compact", "2-D"), ("iterative", "2-D")],
+    ),
+)
+def test_the_size_of_blocks_does_not_matter(monkeypatch, name, kind):
+    """Points, quality and proofs of an even mesh, all of it in blocks of ten."""
+    mesh = even(kind)
+    wall = mesh.patch("wall")
+    u = motion(2 * np.asarray(mesh.points)[wall])
+
+    def answers():
+        plan = jm.prepare(mesh, wall, mesh.patch("far"), method=BY_NAME[name].make(0.3))
+        moved = jm.deform(plan, u)
+        report = jm.quality(mesh, moved)
+        margin = jm.proof(mesh, moved).margin
+        return [np.asarray(each) for each in (moved, report.jacobian_ratio, margin)]
+
+    expected = answers()
+    lower(monkeypatch, BLOCKS)
+    try:
+        for found, old in zip(answers(), expected, strict=True):
+            np.testing.assert_allclose(found, old, rtol=0, atol=1e-9 * np.abs(u).max())
+    finally:
+        monkeypatch.undo()
+        drop_compiled_code()
 
 
 @pytest.mark.nightly

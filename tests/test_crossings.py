@@ -1,11 +1,13 @@
 """`inspect(plan, u, mesh=mesh)` finds walls that run into another boundary or into themselves: closed forms."""
 
+import itertools
 from typing import Any
 
+import foam
 import numpy as np
 import pytest
 from meshes import blocks, lattice, turn
-from runs import over
+from runs import over, runs
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -430,11 +432,97 @@ def test_a_path_counts_and_not_its_end_alone():
     assert wall_crossings(plan, mesh, back)
 
 
-def test_no_cures_are_tried_for_them(monkeypatch):
-    """Neither by `inspect`, nor for walls that could slide along what they are torn from are they left out."""
-    mesh, plan, u, _ = verdict_of(TWO, by(-12.5, 0.25))
+@pytest.mark.parametrize("name", MOTIONS)
+def test_no_cures_are_tried_for_them(name, monkeypatch):
+    """Neither by `inspect` nor are they listed, but for walls that could slide along what they are torn from."""
+    case, motion, patches, _ = MOTIONS[name]
+    _, moving, fixed, more = case
+    mesh, plan, u, _ = verdict_of(case, motion)
     monkeypatch.setattr("jaxmorph._advice.inspect.advice_on_folds", lambda *_: 1 / 0)
     found = jm.inspect(plan, u, mesh=mesh)
     assert found.is_hopeless
     assert found.advice == ()
-    assert "leave the domain" in " ".join(found.warnings)
+    assert repr(patches[0]) in " ".join(found.warnings)
+    listed = jm.cures(jm.Boundary(mesh, moving, fixed, **more), u)
+    assert [cure for cure in listed if not cure.sliding] == []
+
+
+def commands(folder, case, motion):
+    """Command lines that move a mesh by a table of new positions, and one by SU2's config file."""
+    make, moving, fixed, more = case
+    mesh = make()
+    io.write(folder / "in.su2", mesh)
+    nodes = mesh.patch(moving)
+    wall = np.asarray(mesh.points)[nodes]
+    rows = np.column_stack([nodes, wall + motion(wall)])
+    np.savetxt(folder / "wall.csv", rows, "%.17g", ",")
+    np.savetxt(folder / "wall.dat", rows, "%.17g")
+    words = ["deform", str(folder / "in.su2"), str(folder / "out.su2"), "--moving", moving]
+    words += ["--displacement", str(folder / "wall.csv")]
+    for flag, names in (
+        ("--fixed", fixed),
+        *((f"--{name}", names) for name, names in more.items()),
+    ):
+        words += [flag, *([names] if isinstance(names, str) else names)] if names else []
+    lines = {
+        "MESH_FILENAME": "in.su2",
+        "DV_KIND": "SURFACE_FILE",
+        "DV_PARAM": "( 1.0 )",
+        "DV_VALUE": "1.0",
+        "DV_FILENAME": "wall.dat",
+        "DV_MARKER": f"( {moving} )",
+        "MARKER_SYM": f"( {', '.join(more.get('symmetry', ['NONE']))} )",
+    }
+    (folder / "in.cfg").write_text("".join(f"{key}= {text}\n" for key, text in lines.items()))
+    return {"deform": words, "su2 def": ["su2", "def", str(folder / "in.cfg")]}
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    runs(
+        [("deform", "inside out"), ("su2 def", "through a symmetry plane")],
+        nightly=sorted(
+            {*itertools.product(("deform", "su2 def"), MOTIONS)}
+            - {("deform", "inside out"), ("su2 def", "through a symmetry plane")}
+        ),
+    ),
+)
+def test_commands_name_them_without_dry_runs(command, name, tmp_path, capsys, monkeypatch):
+    case, motion, patches, _ = MOTIONS[name]
+    monkeypatch.setattr("jaxmorph.cli._deform._works", lambda *_: 1 / 0)
+    status = main(commands(tmp_path, case, motion)[command])
+    said = " ".join(capsys.readouterr().err.split())
+    assert status == 1 or "turned" in name
+    names = patches if command == "deform" else patches[1:]  # fixed ends may cross before walls
+    for word in (*map(repr, names), "first near", "move the wall less"):
+        assert word in said
+
+
+@over("name", ["a cube out of its box"], nightly=["a cube half out of its box"])
+def test_a_decomposed_case_names_them(name, tmp_path, capsys):
+    (make, moving, fixed, _), motion, patches, _ = MOTIONS[name]
+    mesh = make()
+    points = np.asarray(mesh.points)
+    cells = foam.hexahedra(mesh.cells["hexahedron"])
+    inside = np.isin(np.arange(len(points)), mesh.patch(moving))
+    sides = [("ball", "wall", lambda nodes: inside[nodes].all()), ("outer", "wall", lambda _: True)]
+    foam.write_case(tmp_path / "case", points, cells, sides)
+    halves = (points[mesh.cells["hexahedron"]].mean(axis=1)[:, 0] > 3.5).astype(int).tolist()
+    foam.write_parts(tmp_path / "case", points, cells, sides, halves)
+    way = map(str, motion(points[:1])[0])
+    words = ["deform", str(tmp_path / "case"), str(tmp_path / "new"), "--moving", moving]
+    words += ["--fixed", fixed, "--decomposed", "--translate", *way]
+    assert main(words) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    for word in (*map(repr, patches), "first near", "move the wall less"):
+        assert word in said
+
+
+def test_faces_that_all_come_near_each_other_are_told_and_not_compared(monkeypatch):
+    """Work is bounded: of a bound of no pairs a motion that crosses a wall is not known."""
+    monkeypatch.setattr("jaxmorph._host.surface.gaps.PAIRS_OF_FACE", 0)
+    monkeypatch.setattr("jaxmorph._host.surface.gaps.PAIRS_ALWAYS", 0)
+    mesh, plan, u, found = verdict_of(TWO, by(7.5, 0.25))
+    assert not found
+    assert not found.is_known
+    assert "walls may cross on their way" in " ".join(jm.inspect(plan, u, mesh=mesh).warnings)

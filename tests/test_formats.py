@@ -2,6 +2,7 @@
 
 import functools
 import warnings
+from contextlib import nullcontext
 
 import cgns
 import exodus
@@ -15,7 +16,7 @@ import vtk_files
 from formats import ENDINGS, OTHERS, SINGLE, rewritten, write, written
 from meshes import bricks
 from plot3d import write as write_plot3d
-from runs import over
+from runs import over, refused
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -248,6 +249,9 @@ def decide(tmp_path, capsys, mesh, moved, source, to):
         io.check_output(out, mesh)
     except ValueError as error:
         refusal = str(error)
+    early = pytest.raises(ValueError, match="only a mesh that") if refusal else nullcontext()
+    with early:  # by the kinds of the two files
+        assert io.check_output(out, tmp_path / f"in{source}") == io.check_output(out, mesh)
     if refusal:
         assert refusal.startswith(f"{out}: only a mesh that was read from")
         with pytest.raises(ValueError, match="only a mesh that was read from"):
@@ -267,6 +271,32 @@ def decide(tmp_path, capsys, mesh, moved, source, to):
             assert next(lists) == next(lists)
     one_way = (".cgns", ".cas", ".h5", "", ".med", ".e", ".xyz", ".mesh", *OTHERS)
     assert bool(refusal) == (to in one_way and source != to)
+
+
+MOVES = ("--moving", "floor", "--fixed", "roof")
+UNWRITTEN = {
+    "deform": (["deform", "in.su2", "out.e", *MOVES, "--translate", "0", "0", "1"], "an Exodus"),
+    "modes": (["modes", "in.su2", "out.med", *MOVES, "--mode", "in.su2"], "a MED"),
+    "convert": (["convert", "in.su2", "out.cgns"], "a CGNS"),
+    "convert to files": (["convert", "in.su2", "out.vtm"], r"\.vtm files name other files"),
+    "su2 def": (["su2", "def", "in.cfg"], "a CGNS"),
+    "su2 def -o": (["su2", "def", "in.cfg", "-o", "out.med"], "a MED"),
+    "parts": (
+        ["deform", "case", "out.su2", *MOVES, "--translate", "0", "0", "1", "--decomposed"],
+        "a decomposed case is written to a new folder",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNWRITTEN)
+def test_a_kind_that_is_not_written_is_told_before_reading(tmp_path, capsys, monkeypatch, name):
+    """By every command that writes a mesh; a file that would be read is damaged here."""
+    words, told = UNWRITTEN[name]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in.su2").write_text("NDIME= 3\nNELEM= 9\n")
+    (tmp_path / "in.cfg").write_text("MESH_FILENAME= in.su2\nMESH_OUT_FILENAME= out.cgns\n")
+    (tmp_path / "case" / "constant" / "polyMesh").mkdir(parents=True)
+    refused(capsys, words, told)
 
 
 @pytest.mark.parametrize(
@@ -301,7 +331,7 @@ def test_a_patch_that_faces_cannot_express_is_told_before_any_work(tmp_path, end
         *([({"a=b": [0, 1, 2]}, "cannot be the tag")] if ending == ".su2" else []),
     ):
         loose = jm.Mesh(mesh.points, mesh.cells, patches)
-        for refused in (io.check_output, io.write):
+        for call in (io.check_output, io.write):
             with pytest.raises(ValueError, match=message):
-                refused(tmp_path / f"a{ending}", loose)
+                call(tmp_path / f"a{ending}", loose)
     assert not list(tmp_path.iterdir())

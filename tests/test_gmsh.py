@@ -154,6 +154,47 @@ def test_bytes_that_are_put_in_make_no_other_mesh(tmp_path):
             assert_same(io.read(path), mesh)
 
 
+def two_tetrahedra(path, order, in_one):
+    """A binary file of version 2.2: two triangles and two tetrahedra, each behind a head of its own, or by type."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1.0]])
+    nodes = np.zeros(5, np.dtype([("id", f"{order}i4"), ("x", f"{order}f8", 3)]))
+    nodes["id"] = 1 + np.arange(5)
+    nodes["x"] = points
+    rows = {
+        2: [[1, 1, 1, 1, 2, 3], [2, 1, 1, 1, 2, 4]],
+        4: [[3, 2, 2, 1, 2, 3, 4], [4, 2, 2, 5, 3, 2, 4]],
+    }
+    words = []
+    for kind, of_kind in rows.items():
+        for some in [of_kind] if in_one else [[row] for row in of_kind]:
+            words += [kind, len(some), 2, *(word for row in some for word in row)]
+    one = np.array([1], f"{order}i4").tobytes()
+    parts = [b"$MeshFormat\n2.2 1 8\n", one, b"\n$EndMeshFormat\n$Nodes\n5\n", nodes.tobytes()]
+    parts += [b"\n$EndNodes\n$Elements\n4\n", np.array(words, f"{order}i4").tobytes()]
+    path.write_bytes(b"".join([*parts, b"\n$EndElements\n"]))
+
+
+@pytest.mark.parametrize("in_one", [False, True])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_bytes_at_every_place_make_no_other_mesh(tmp_path, order, in_one):
+    """One to eight bytes twice, or left out, at each place among the elements of a small file."""
+    path = tmp_path / "a.msh"
+    two_tetrahedra(path, order, in_one)
+    data, mesh = path.read_bytes(), io.read(path)
+    assert len(mesh.cells["tetra"]) == 2
+    assert [len(nodes) for nodes in mesh.patches.values()] == [4]
+    start = data.index(b"\n", data.index(b"$Elements\n") + 10) + 1
+    for at in range(start, data.index(b"$EndElements")):
+        for size in (1, 4, 8):
+            for changed in (
+                data[:at] + data[at : at + size] + data[at:],
+                data[:at] + data[at + size :],
+            ):
+                path.write_bytes(changed)
+                with contextlib.suppress(ValueError):
+                    assert_same(io.read(path), mesh)
+
+
 @pytest.mark.parametrize("is_one_group", [False, True])
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize(("version", "binary"), [form for form in FORMS if form[0] > 1])

@@ -110,6 +110,35 @@ def test_pieces_move_as_the_whole(mesh, tmp_path, name):
     np.testing.assert_allclose(total, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
+@over("span", slow=[0.05], nightly=[2.0])
+def test_a_wing_between_two_planes_moves_alike_however_it_is_prepared(span):
+    """At once, from its surface alone as parts of a case are, and as the one piece of an MPI run."""
+    wing = cases.wing(points=500, stations=5, span=span)
+    sides = ("root", "tip")
+    points = np.asarray(wing.points)
+    plan = jm.prepare(wing, "wing", "farfield", symmetry=sides)
+    x = np.asarray(plan.moving_points)
+    u = 0.05 * np.stack([np.cos(3 * x[:, 0]), 0 * x[:, 0], np.sin(5 * x[:, 0] + x[:, 1])], axis=1)
+    whole = np.asarray(jm.deform(plan, u))
+    outer = jm.boundary_faces(wing)
+    nodes = np.unique(np.concatenate([corners.ravel() for corners in outer.values()]))
+    faces = {kind: np.searchsorted(nodes, corners) for kind, corners in outer.items()}
+    patches = {name: np.searchsorted(nodes, ids) for name, ids in wing.patches.items()}
+    surface = jm.Mesh(points[nodes], faces, patches)
+    boundary = jm.Boundary(surface, "wing", "farfield", symmetry=sides)
+    half = jm.prepare_surface(boundary, nodes=nodes, faces=faces)
+    every = np.arange(len(points))
+    full = np.zeros(points.shape)
+    full[plan.moving] = u
+    ways = {"parts": jm.deform(half.attach(points, every), full[half.moving])}
+    mpi = pytest.importorskip("jaxmorph.integrations.mpi")
+    planes = [jm.Plane.through(points, wing.patch(name)) for name in sides]
+    piece = mpi.prepare(mpi.MPI.COMM_SELF, wing, every, plan.moving, plan.fixed, symmetry=planes)
+    ways["one process"] = piece.deform(u)
+    for moved in ways.values():
+        assert np.abs(np.asarray(moved) - whole).max() < 1e-9 * np.abs(u).max()
+
+
 @pytest.mark.nightly
 def test_pieces_march_and_replay(mesh):
     plan, half = (

@@ -274,7 +274,7 @@ def test_histogram_counts_every_cell(airfoil):
 
 def test_histogram_counts_cells_of_the_highest_dimension_alone():
     none = jnp.zeros(5)
-    flags = dict.fromkeys(("is_inverted", "is_degenerate", "was_inverted"), none > 0)
+    flags = dict.fromkeys(("is_inverted", "is_degenerate", "was_inverted", "is_folded"), none > 0)
     names = (
         "skewness",
         "aspect_ratio",

@@ -595,6 +595,10 @@ TUTORIALS = {
              ["MARKER_SYM= the mesh has no marker symmetry"]),
     "checks": ("HICKS_HENNE", "(1, 0.3)", "0.01", "FFD_INTPREV= YES\nCONVEXITY_CHECK= TRUE\nHOLD_GRID_FIXED= NO\n",
                ["not honoured .*: FFD_INTPREV= YES, CONVEXITY_CHECK= TRUE"]),
+    "periodic": ("TRANSLATION", "(0, 1, 0)", "0.1", "MARKER_PERIODIC= ( low, high, 0,0,0, 0,0,0, 0,1,0, in, out, 0,0,0, 0,0,0, 2,0,0 )\n",
+                 ["not honoured .*: MARKER_PERIODIC=", "moves periodic patches alike by --periodic low high in out"]),
+    "held": ("FFD_CONTROL_POINT_2D", "(MAIN, 2, 1, 0, 1)", "0.1", f"FFD_DEFINITION= (MAIN, {HALF_BOX})\nFFD_DEGREE= (2, 1, 0)\n",
+             [r"1 of 1 design variables move nothing, FFD_CONTINUITY= 2ND_DERIVATIVE holds .*: MAIN \(2, 1\)"]),
     "defaults": ("TRANSLATION", "(1, 0, 0)", "2.0", "DEFORM_POISSONS_RATIO= 0.30\nDEFORM_KIND= elastic\nMESH_FORMAT= SU2\n", []),
 }  # fmt: skip
 

@@ -1,5 +1,6 @@
 """Symmetry planes: a part that moves as the whole would, nodes that stay in their plane, and planes that are none."""
 
+import foam
 import numpy as np
 import pytest
 from cases import body, few, full, motion, whole_and_part
@@ -8,6 +9,7 @@ from meshes import between_half_planes, blocks, capsule, lattice, unit_box
 from runs import over, refusals
 
 import jaxmorph as jm
+from jaxmorph import io
 
 GRAPH = jm.DelaunayGraph()
 
@@ -76,6 +78,32 @@ def test_a_sector_moves_as_the_whole_body(degrees, method):
     assert (np.abs(more - x).max(axis=0) > 0.01).all()
 
 
+@pytest.mark.slow
+def test_a_wedge_of_openfoam_moves_as_the_whole_body(tmp_path):
+    """One layer of cells between two planes at 5 degrees, named as patches of the case."""
+    part, whole = capsule(5, 2), capsule(5, 2, whole=True)
+    x = np.asarray(part.points)
+    cells = [
+        *foam.hexahedra(part.cells["hexahedron"]),
+        *(foam.cell(foam.WEDGE, *row) for row in np.asarray(part.cells["wedge"]).tolist()),
+    ]
+    sides = [("wall", "wall", lambda nodes: np.isin(nodes, part.patch("wall")).all())]
+    sides += [("far", "patch", lambda nodes: np.isin(nodes, part.patch("far")).all())]
+    for name, plane in zip(("front", "back"), between_half_planes(5), strict=True):
+        sides.append((name, "symmetry", lambda nodes, plane=plane: plane.holds(x)[nodes].all()))
+    mesh = io.read(foam.write_case(tmp_path / "case", x, cells, sides))
+    assert io.symmetry(mesh) == ("front", "back")
+    method = METHODS["full"]
+    plan = jm.prepare(mesh, "wall", "far", symmetry=("front", "back"), method=method)
+    every = jm.prepare(whole, "wall", "far", method=method)
+    assert len(plan.images.matrices) == 72
+    moved = jm.deform(plan, mirrored_motion(x[plan.moving], 72))
+    u = mirrored_motion(np.asarray(whole.points)[every.moving], 72)
+    away = np.linalg.norm(x[:, None] - np.asarray(whole.points)[None], axis=2)
+    expected = np.asarray(jm.deform(every, u))[away.argmin(axis=1)]
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-10)
+
+
 @pytest.mark.nightly
 def test_the_default_moves_a_sector_and_its_cells():
     part = capsule(30)
@@ -86,8 +114,9 @@ def test_the_default_moves_a_sector_and_its_cells():
 
 def test_which_angles_of_mirrors_have_images():
     """Also of the mesh beyond 90 degrees, which is not the angle of the two normals."""
-    for degrees in (50, 72.1, 120, 135):
-        with pytest.raises(ValueError, match=r"two meet at [\d.]+ degrees: one pair may meet at"):
+    for degrees in (7, 50, 72.1, 120, 135):
+        told = rf"two meet at {degrees} degrees: one pair may meet at 180 / n degrees"
+        with pytest.raises(ValueError, match=told):
             jm.prepare(capsule(degrees), "wall", "far", symmetry=between_half_planes(degrees))
     springs = jm.SpringAnalogy()
     with pytest.raises(ValueError, match="parallel or at right angles: for others"):

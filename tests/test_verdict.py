@@ -1,11 +1,12 @@
 """`jm.judge`: whether a mesh is good, against plain NumPy, and joined over its parts."""
 
+import contextlib
 import dataclasses
 import pickle
 
 import numpy as np
 import pytest
-from meshes import ring, shaken, with_folds
+from meshes import blocks, lattice, ring, shaken, with_folds
 from oracles import corner_areas
 from runs import over, refusals
 
@@ -140,3 +141,79 @@ test_what_cannot_be_judged = refusals(
     (lambda mesh: jm.Limits(max_skewness=np.nan), "`max_skewness` must be a real number"),
     of=lambda: (ring(),),
 )
+
+
+def plate(axis=range(9)):
+    """Quads round a hole, the `wall`, in a square whose sides are `far`."""
+    points = lattice(np.array(axis, float), np.arange(9.0))
+    number = np.arange(81).reshape(9, 9)
+    cells = np.delete(blocks(number), 4 * 8 + 4, axis=0)
+    patches = {"wall": number[4:6, 4:6].ravel(), "far": number[[0, 8]].ravel()}
+    patches["far"] = np.union1d(patches["far"], number[:, [0, 8]])
+    return jm.Mesh(points, {"quad": cells}, patches)
+
+
+def folded_plate():
+    """Four quads round one node are folded before any motion."""
+    mesh = plate()
+    points = np.array(mesh.points)
+    points[10] = 2.6
+    return mesh.moved(points)
+
+
+def folded_ring():
+    """Two triangles are folded far from the body, in layers that grow outwards."""
+    mesh = ring(24, np.append(1, 1 + np.cumsum(0.2 * 1.5 ** np.arange(6))))
+    quads = np.asarray(mesh.cells["quad"])
+    points = np.array(mesh.points)
+    inner = np.setdiff1d(np.arange(len(points)), mesh.patch("wall", "far"))
+    node = inner[np.linalg.norm(points[inner], axis=1).argmax()]
+    points[node] *= 0.7
+    triangles = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+    return jm.Mesh(points, {"triangle": triangles}, mesh.patches)
+
+
+JUDGED = {
+    "sound": plate,
+    "folded quads": folded_plate,
+    "folded triangles": folded_ring,
+    "quads collapsed to lines": lambda: plate([0, 1, 1, 3, 4, 5, 6, 7, 8]),
+}
+
+
+@over("kind", JUDGED)
+@pytest.mark.parametrize("angle", [0.05, 2.8])
+def test_all_that_judge_give_one_answer(kind, angle):
+    """What a motion has spoilt is counted by `judge`; it has nothing else to say elsewhere."""
+    mesh = JUDGED[kind]()
+    boundary = jm.Boundary(mesh, "wall", "far")
+    plan = jm.prepare(mesh, "wall", "far", method=jm.DelaunayGraph())
+    wall = np.asarray(plan.moving_points)
+    u = np.asarray(jm.shapes.rotate(wall, angle, wall.mean(axis=0))) - wall
+    moved = jm.deform(plan, u)
+    verdict = jm.judge(mesh, moved)
+    is_spoilt = verdict.spoilt > 0
+    assert is_spoilt == (angle > 1)
+    assert verdict.ok != is_spoilt
+    assert jm.judge(mesh).ok == (kind == "sound")
+    assert bool(verdict.note) == ("folded" in kind)
+    report = jm.quality(mesh, moved)
+    assert int(report.is_spoilt.sum()) == verdict.spoilt
+    with contextlib.nullcontext() if not is_spoilt else pytest.raises(ValueError, match="inverted"):
+        report.raise_if_inverted()
+    found = jm.inspect(plan, u, mesh=mesh, moved=moved)
+    assert found.folded_before == verdict.note
+    assert found.folds.startswith(f"one step folds {verdict.spoilt} cells") == is_spoilt
+    assert bool(found.folds) == is_spoilt
+    for cure in jm.cures(boundary, u):
+        if found.folds.partition(". With ")[2].startswith(f"{cure.steps} steps"):
+            path = jm.Turn.of(wall, u).path(cure.steps)
+            assert jm.judge(mesh, jm.march(plan, path)[1]).spoilt == 0
+    steps = jm.fewest_steps(plan, mesh, u, min_jacobian_ratio=0.0, max_steps=1)
+    assert (steps.fraction < 1) == is_spoilt
+    assert (jm.largest_step(plan, 0 * u, u, mesh).step < 1) == is_spoilt
+    compared = jm.compare(boundary, u[None], {"default": plan.method})
+    assert compared.rows[0].inverted == verdict.spoilt
+    improved = jm.improve(mesh, moved)
+    assert int(improved.before) == verdict.inverted
+    assert int(improved.after) == jm.judge(mesh, improved.points).inverted

@@ -1,5 +1,6 @@
 """Walls that no mesh can follow: they cross a boundary, leave the domain, or fold through it."""
 
+import contextlib
 import dataclasses
 import itertools
 from typing import Any
@@ -9,10 +10,12 @@ from jaxtyping import Float
 
 from .._boundary.outer_faces import mask, row_of
 from .._host.cells.adjacency import parts_of
+from .._host.cells.topology import solid
 from .._host.linear.products import FLAT, outward
 from .._host.package.rounding import Tree
-from .._host.surface.gaps import Passages, crossing_faces, passages
+from .._host.surface.gaps import Passages, TooManyPairs, crossing_faces, passages
 from .._mesh.mesh import Mesh
+from .._mesh.topology import OuterFaces
 from .._plan.plan import Plan
 from .turn import Turn
 
@@ -20,6 +23,11 @@ from .turn import Turn
 SAME = 1e-9
 PLANAR = 1e-6  # distance of a plane's nodes from it, relative to the extent
 STRIDE = np.deg2rad(20)  # angle of a turn that is taken for a straight way
+
+UNKNOWN = (
+    "walls may cross on their way: so many boundary faces come near each other that they were not "
+    "compared. Is the motion meant to be so large? In several steps fewer do."
+)
 
 Vectors = Float[np.ndarray, "o d"]
 
@@ -36,6 +44,8 @@ class Crossings:
     - `beyond`: the largest distance of a node, after the motion, from where it has passed through.
     - `leaves`: whether a node has left the domain.
     - `crosses`: whether faces cross after the motion.
+    - `is_known`: whether all of the way was looked at. Where too many faces come near each other,
+      it is not, for that would take minutes.
     """
 
     nodes: np.ndarray
@@ -45,13 +55,14 @@ class Crossings:
     beyond: float = 0.0
     leaves: bool = False
     crosses: bool = True
+    is_known: bool = True
 
     def __len__(self) -> int:
         return len(self.nodes)
 
     def __str__(self) -> str:
         if not len(self):
-            return ""
+            return "" if self.is_known else UNKNOWN
         place = ", ".join(f"{x:.4g}" for x in self.places[0])
         pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
         between = ", ".join(_between(*pair) for pair in pairs)
@@ -83,9 +94,9 @@ def wall_crossings(
     path: Float[np.ndarray, "k m d"],
     moved: np.ndarray | None = None,
     nodes: np.ndarray | None = None,
-) -> Crossings | None:
-    """Finds what walls cross on a path (k, m, d) of displacements, from rest on; None without
-    cells. Between two of them each connected body turns as in `Turn`. `nodes` are the mesh's ids
+) -> Crossings:
+    """Finds what walls cross on a path (k, m, d) of displacements, from rest on. Between two of
+    them each connected body turns as in `Turn`. `nodes` are the mesh's ids
     of the plan's points. Where the whole mesh is, the points `moved` at the end are known, walls
     that pass through symmetry planes and free boundaries are found, too.
     """
@@ -93,8 +104,6 @@ def wall_crossings(
     ids = surface if nodes is None else np.asarray(nodes)[surface]
     points = np.asarray(mesh.points, dtype=float)
     cut = simplices(mesh, ids)
-    if cut is None:
-        return None
     inner = cut[0][(cut[0] < plan.n_moving).all(axis=1)]
     bodies = _bodies(inner, plan.n_moving)
     states = [
@@ -102,9 +111,8 @@ def wall_crossings(
         for u in turned_path(points[ids[: plan.n_moving]], np.asarray(path, float), bodies)
     ]
     if nodes is None and moved is not None:
-        outer = mesh.outer_faces
-        corners = [] if outer is None else [rows.ravel() for rows in outer.corners.values()]
-        rest = np.setdiff1d(np.concatenate(corners), ids)
+        corners = [rows.ravel() for rows in _faces_of(mesh).corners.values()]
+        rest = np.setdiff1d(np.concatenate([ids, *corners]), ids)
         way = np.asarray(moved, float)[rest] - points[rest]
         states = [np.concatenate([u, (k + 1) / len(states) * way]) for k, u in enumerate(states)]
         ids = np.concatenate([ids, rest])
@@ -137,7 +145,7 @@ def turned_path(
 
 
 def crossings(
-    cut: tuple[np.ndarray, np.ndarray] | None,
+    cut: tuple[np.ndarray, np.ndarray],
     mesh: Mesh,
     nodes: np.ndarray,
     states: Float[np.ndarray, "*k o d"],
@@ -149,7 +157,6 @@ def crossings(
     those of walls; others follow, and may be in each other's way. Faces of nodes that are not held
     (o,) follow the walls that they are connected with, well or badly: these do not pass them.
     """
-    assert cut is not None
     faces, ids = cut
     points = np.asarray(mesh.points, dtype=float)
     before = points[nodes]
@@ -158,9 +165,15 @@ def crossings(
     close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")
     place = parts_of(close[:, 0], close[:, 1], len(before))  # nearly coincident nodes are at one
     here = np.flatnonzero(is_solid[faces].all(axis=1))
-    pairs, places = crossing_faces(before, ways[-1], faces[here], place)
-    pairs = here[pairs]
-    passed = _passages(ways, faces, place, is_solid)
+    passed = Passages.none(points.shape[1])
+    pairs = passed.pairs
+    places = passed.places
+    is_known = False
+    with contextlib.suppress(TooManyPairs):
+        pairs, places = crossing_faces(before, ways[-1], faces[here], place)
+        pairs = here[pairs]
+        passed = _passages(ways, faces, place, is_solid)
+        is_known = True
     if is_held is not None:
         sheet = _bodies(faces, len(nodes))
         face = faces[passed.pairs[:, 1]]
@@ -173,7 +186,7 @@ def crossings(
         both = faces[pairs, 0]
     else:
         both = np.stack([passed.nodes, faces[passed.pairs[:, 1], 0]], axis=1)
-    facts: dict[str, Any] = {"crosses": len(pairs) > 0}
+    facts: dict[str, Any] = {"crosses": len(pairs) > 0, "is_known": is_known}
     if len(passed.nodes):
         faced = ways[-1][faces[passed.pairs[:, 1]]].mean(axis=1)
         facts |= {
@@ -229,16 +242,22 @@ def _turned_out(ways: list[np.ndarray], faces: np.ndarray, body: np.ndarray) -> 
     return np.where(np.abs(start) > FLAT * size, end / np.where(start == 0, 1, start), 1.0)
 
 
-def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes`, seen
-    from outside; None without faces. Also returns the number (f,) of the file's face of each.
-    """
+def _faces_of(mesh: Mesh) -> OuterFaces:
     outer = mesh.outer_faces
     if outer is None:
-        return None
+        return OuterFaces.numbered(solid(mesh.linear.cells, mesh.points.shape[1] - 1))
+    return outer
+
+
+def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes`, seen
+    from outside. Also returns the number (f,) of the file's face of each. A
+    mesh of a surface alone has its cells for faces.
+    """
+    outer = _faces_of(mesh)
     rows = row_of(nodes, len(mesh.points))
-    faces = []
-    ids = []
+    faces = [np.zeros((0, mesh.points.shape[1]), int)]
+    ids = [np.zeros(0, int)]
     for kind, corners in outer.corners.items():
         triangles = (
             [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]

@@ -12,11 +12,13 @@ from .._boundary.boundary import Boundary
 from .._boundary.conditions import Conditions
 from .._host.package.arguments import checked, finite_array
 from .._mesh.mesh import Mesh
+from .._methods.inverse_distance import InverseDistance
 from .._plan.deform import deform
 from .._plan.plan import Plan
 from .._plan.prepare import plan_of, prepare
 from .._plan.steps import march
 from .._quality.verdict import Verdict, judge
+from .crossings import wall_crossings
 from .largest_step import largest_step
 from .methods import METHODS, MOST_POINTS
 from .turn import Turn
@@ -48,8 +50,9 @@ def cures(boundary: Boundary, u: Real[ArrayLike, "m d"]) -> Iterator[Cure]:
     """Lists changes that may keep a motion from folding cells, the surest first; none is tried.
 
     Fixed patches that are round about the axis of the motion may slide. More steps help where the
-    motion is large, methods on cells where it is not. `inspect` tries all by the number of inverted
-    cells; a caller with limits of its own, such as `jaxmorph deform`, tries them by these.
+    motion is large, methods on cells where it is not, and neither where walls cross. `inspect`
+    tries all by the number of inverted cells; a caller with limits of its own, such as `jaxmorph
+    deform`, tries them by these.
 
     **Arguments:**
 
@@ -64,9 +67,13 @@ def cures(boundary: Boundary, u: Real[ArrayLike, "m d"]) -> Iterator[Cure]:
             "`boundary` is of points alone: there are no cells to fold. Pass jm.Boundary(mesh, "
             "...)."
         )
-    return _cures(
-        boundary, boundary.mesh, finite_array("u", u, boundary.points[boundary.moving].shape)
-    )
+    vectors = finite_array("u", u, boundary.points[boundary.moving].shape)
+    plan = plan_of(boundary, InverseDistance(rotations=False))
+    moved = np.asarray(deform(plan, vectors))
+    found = _cures(boundary, boundary.mesh, vectors)
+    if wall_crossings(plan, boundary.mesh, vectors[None].astype(float), moved):
+        return (cure for cure in found if cure.sliding)
+    return found
 
 
 def _cures(boundary: Conditions, mesh: Mesh, u: Float[np.ndarray, "m d"]) -> Iterator[Cure]:

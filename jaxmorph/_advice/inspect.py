@@ -125,9 +125,8 @@ class _Motion:
 
     @functools.cached_property
     def faces(self) -> np.ndarray | None:
-        """Simplices (s, d) of the boundary's faces, in rows of the surface; None without cells."""
-        cut = None if self.mesh is None else simplices(self.mesh, self.nodes)
-        return cut and cut[0]
+        """Simplices (s, d) of the boundary's faces, in rows of the surface; None without a mesh."""
+        return None if self.mesh is None else simplices(self.mesh, self.nodes)[0]
 
     @functools.cached_property
     def rests(self) -> np.ndarray:
@@ -298,7 +297,7 @@ def inspect(
     motion = _Motion(plan, u, ids, mesh, moved)
     crossing = None
     if mesh is not None:
-        part = None if is_whole else ids
+        part = None if np.array_equal(ids, np.arange(len(mesh.points))) else ids
         crossing = beside(wall_crossings, plan, mesh, motion.displacement[None], moved, part)
     anywhere, behind = overshoot(plan, motion.displacement, moved)
     gap_left = None if motion.gap is None else motion.gap[0]
@@ -306,8 +305,9 @@ def inspect(
     hopeless = bool(crossings) and not motion.touches.any()
     warnings = list(motion.warnings())
     advice = list(motion.advice())
-    if crossings:
-        warnings.insert(min(1, len(motion.torn)), str(crossings))
+    said = "" if crossings is None else str(crossings)
+    if said:
+        warnings.insert(min(1, len(motion.torn)), said)
     if is_whole:
         verdict = judge(mesh, moved)
         folds = ""

@@ -34,8 +34,7 @@ class Improvement(Module):
     """Result of `improve`: traced arrays, and a line about them by `str`.
 
     - `points`: the improved points (n, d).
-    - `before`, `after`: number of inverted cells before and after, as `quality` counts them. Cells
-      that are inverted on the undeformed mesh by itself count while they are by themselves.
+    - `before`, `after`: number of inverted cells before and after, as `judge` counts them.
     - `unproven`: number of cells that may fold inside: `proven_margin` at depth 1 is not positive.
     - `from_start`: number of unproven cells that are not proven on the undeformed mesh either, and
       whose margin there was no larger: the motion has not harmed them.
@@ -189,24 +188,15 @@ def _conclude(
     with jax.ensure_compile_time_eval():
         own = proven_margin(mesh, mesh.points, depth=1)
         owner = owners(jax.tree.map(np.asarray, mesh.cells))
-        old = quality(mesh).is_inverted  # these are judged by the mesh on the new points alone
-
-    def inverted_at(x: Array, judgement: QualityReport) -> Array:
-        alone = quality(mesh.moved(x)).is_inverted
-        return jnp.where(old, alone, judgement.is_inverted) & judgement.counted
-
     first = quality(mesh, start)
-    before = inverted_at(start, first)
-    is_inverted = inverted_at(moved, report)
+    before, after = (jnp.sum(it.is_folded & it.counted) for it in (first, report))
     # where held nodes coincide, a cell may have no target that does not fold another
-    is_worse = jnp.sum(is_inverted) > jnp.sum(before)
-    moved, report, is_inverted = jax.tree.map(
-        lambda new, old: jnp.where(is_worse, old, new),
-        (moved, report, is_inverted),
-        (start, first, before),
+    is_worse = after > before
+    moved, report = jax.tree.map(
+        lambda new, old: jnp.where(is_worse, old, new), (moved, report), (start, first)
     )
     margin = proven_margin(mesh, moved, depth=1)
-    lost = jnp.zeros_like(is_inverted)
+    lost = jnp.zeros_like(report.is_folded)
     for kind, is_fixed in fixed.items():
         lost = lost.at[owner[kind]].max(is_fixed)
     unproven = ~(margin > 0)
@@ -214,11 +204,11 @@ def _conclude(
     energy = jnp.where(is_worse, unmoved, energy)
     improvement = Improvement(
         points=moved,
-        before=jnp.sum(before),
-        after=jnp.sum(is_inverted),
+        before=before,
+        after=jnp.minimum(after, before),
         unproven=jnp.sum(unproven),
         from_start=jnp.sum(unproven & as_before),
-        lost=jnp.sum(lost & is_inverted),
+        lost=jnp.sum(lost & report.is_folded),
         energy=energy / sum(map(len, distortion.cells.values())),
         residual=jnp.where(is_worse, jnp.inf, jnp.max(jnp.abs(slope))),
         steps=jnp.asarray(minimum.steps),

@@ -59,7 +59,8 @@ def export(
     """Writes a plan to a file that `jmplan.h` opens: C, C++ and Fortran move the mesh, without JAX.
 
     The folder of the header is `jaxmorph.native.folder`; `jaxmorph native` prints it. The header
-    moves points as `deform` does, and pulls sensitivities back as `pullback` does.
+    moves points as `deform` does, and pulls sensitivities back as `pullback` does. Nothing is known
+    here of the motions to come: whether walls cross, or cells fold, `inspect` tells of each.
 
     **Arguments:**
 

@@ -241,7 +241,7 @@ class Plan(Module):
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Extends `u`, of the moving nodes, to displacements of all surface nodes. Traced."""
-        return kept(self, extended(self, u))
+        return _kept(self, extended(self, u))
 
     def __repr__(self) -> str:
         points = self.volume.points
@@ -351,3 +351,6 @@ def kept(plan: Plan, vectors: Own) -> Own:
     """Makes displacements of the surface's own rows keep to planes, walls and periodic pairs."""
     guide = plan.surface.guide
     return plan.images.kept(vectors if guide is None else guide(vectors))
+
+
+_kept = compiled(kept)

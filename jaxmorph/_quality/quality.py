@@ -248,7 +248,7 @@ def _judge_all(
 @by_place
 def _mark_inverted(cells: ValuesByType, points: Points, standards: dict[str, Standard]) -> Marks:
     def is_inverted(kind: str, x: Vector, standard: Standard) -> Marks:
-        return _judge_sizes(*sizes_of(kind, x)[:2], standard)["is_inverted"]
+        return _judge_sizes(*sizes_of(kind, x), standard)["is_inverted"]
 
     return join_values(namespace(points), by_type(is_inverted, points, cells, standards))
 
@@ -294,21 +294,27 @@ def _measure_shape(kind: str, x: Vector) -> dict[str, Either]:
 
 
 def _judge_moved(kind: str, x: Vector, standard: Standard) -> dict[str, Either]:
-    return _judge_sizes(*sizes_of(kind, x)[:2], standard) | _measure_shape(kind, x)
+    return _judge_sizes(*sizes_of(kind, x), standard) | _measure_shape(kind, x)
 
 
-def _judge_sizes(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
+def _judge_sizes(
+    volume: Either, jacobians: Either, noise: Either, standard: Standard
+) -> dict[str, Either]:
     """Judges cells relative to the undeformed mesh, by corners with their cell's sign there."""
     xp = namespace(volume)
     volume_ratio = xp.where(standard.is_flat, 1, volume) / standard.volume
-    least = smallest(xp.where(standard.is_judged, standard.sign[None] * jacobians, xp.inf))
+    turned = standard.sign[None] * jacobians
+    least = smallest(xp.where(standard.is_judged, turned, xp.inf))
     jacobian_ratio = xp.where(standard.is_degenerate, 1, least) / standard.jacobian
+    is_inverted = ~((volume_ratio > 0) & (jacobian_ratio > 0))
+    by_itself = ~xp.all(turned >= -noise, axis=0)
     return {
         "volume": volume,
-        "jacobian": smallest(standard.sign[None] * jacobians),
+        "jacobian": smallest(turned),
         "volume_ratio": volume_ratio,
         "jacobian_ratio": jacobian_ratio,
-        "is_inverted": ~((volume_ratio > 0) & (jacobian_ratio > 0)),
+        "is_inverted": is_inverted,
+        "is_folded": xp.where(standard.was_inverted, by_itself, is_inverted),
         "is_degenerate": standard.is_degenerate,
         "was_inverted": standard.was_inverted,
     }
@@ -318,12 +324,14 @@ def _judge_alone(kind: str, x: Vector, sign: Ids) -> dict[str, Either]:
     volume, jacobians, noise = sizes_of(kind, x)
     xp = namespace(volume)
     turned = sign[None] * jacobians
+    is_inverted = ~xp.all(turned >= -noise, axis=0)
     return {
         "volume": volume,
         "jacobian": smallest(turned),
         "volume_ratio": xp.ones_like(volume),
         "jacobian_ratio": xp.ones_like(volume),
-        "is_inverted": ~xp.all(turned >= -noise, axis=0),
+        "is_inverted": is_inverted,
+        "is_folded": is_inverted,
         "is_degenerate": xp.all(xp.abs(turned) <= noise, axis=0),
         "was_inverted": xp.zeros_like(volume, dtype=bool),
     } | _measure_shape(kind, x)

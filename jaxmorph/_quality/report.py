@@ -189,6 +189,7 @@ class QualityReport(Report, Module):
       the cell is not judged. In float32 these may be the thinnest cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
     - `was_inverted`: the undeformed mesh by itself has the cell inverted; False without `points`.
+    - `is_folded`: inverted; of a cell that `was_inverted`, until it is sound by itself.
     - `is_spoilt`: inverted, and not before the motion. Without `points` inverted, or flat: no
       corner's Jacobian is beyond round-off.
     - `degenerate`, `from_start`: numbers of such cells, and of inverted cells that were so before.
@@ -213,6 +214,7 @@ class QualityReport(Report, Module):
     is_degenerate: CellMarks
     centroid: Float[Array, "k d"]
     was_inverted: CellMarks
+    is_folded: CellMarks
     types: tuple[tuple[str, int], ...] = eqx.field(static=True)
     relative: bool = eqx.field(static=True, default=True)
 

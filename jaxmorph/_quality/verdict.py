@@ -113,11 +113,7 @@ class Judged:
 
     @functools.cached_property
     def inverted(self) -> Bool[np.ndarray, " k"]:
-        """Mask of inverted cells; old ones are so until they are sound by themselves."""
-        now = np.asarray(self.report.is_inverted)
-        if self.by_faces or not self._old.any():
-            return now
-        return np.where(self._old, quality(self.mesh.moved(self.points)).is_inverted, now)
+        return np.asarray(self.faces.is_inverted if self.by_faces else self.corners.is_folded)
 
     @property
     def _old(self) -> Bool[np.ndarray, " k"]:

@@ -9,7 +9,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.extend import Alone, together
+from jaxmorph.extend import Alone, together, wall_crossings
 
 from ._deform import say_motion, write_job
 from ._method import patches_of
@@ -139,7 +139,10 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
         f"{surface.points.shape[1]}-D"
     )
     say_motion(request, patches, half.plan, path[-1], out)
-    for warning in jm.inspect(half.plan, path[-1].astype(request.method.dtype)).warnings:
+    inspection = jm.inspect(half.plan, path[-1].astype(request.method.dtype))
+    rows = np.searchsorted(io.global_nodes(surface), half.nodes)
+    crossed = str(wall_crossings(half.plan, surface, path, nodes=rows))
+    for warning in (*inspection.warnings, *filter(None, [crossed])):
         out.warn(warning)
     write_job(request, out)
     return half, path

@@ -98,6 +98,7 @@ class Attempt:
 
 
 def deform(request: Deform, out: Output) -> int:
+    io.check_output(request.output, request.file)
     with out.progress(f"reading {title(request.file)}"):
         mesh = mesh_of(request.file, request.zone, request.tags)
     with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):
@@ -116,7 +117,8 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     crossed = None
     if request.steps == AUTO:
         with out.progress("inspecting the motion"):
-            crossed = wall_crossings(plan, mesh, attempt.path(), nodes=nodes)
+            path = attempt.path()
+            crossed = wall_crossings(plan, mesh, path, np.asarray(jm.deform(plan, path[-1])))
     if crossed:  # no number of steps helps
         request = dataclasses.replace(request, steps=1)
         attempt = dataclasses.replace(attempt, request=request)

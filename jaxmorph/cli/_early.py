@@ -138,6 +138,10 @@ def _check_deform(request: Deform, *_: Files) -> None:
             raise ValueError(
                 f"--{name} and --decomposed cannot be combined. Remove one of the two."
             )
+    if request.decomposed and not is_folder(request.output):
+        raise ValueError(
+            f"OUT {request.output}: a decomposed case is written to a new folder, not to a file."
+        )
     for name in ("chunk", "decomposed"):
         if getattr(request, name) and request.steps == AUTO:
             raise ValueError(

@@ -86,6 +86,7 @@ def info(request: Info, out: Output) -> int:
 
 
 def convert(request: Convert, out: Output) -> int:
+    io.check_output(request.output, request.file)
     with out.progress("reading"):
         mesh = mesh_of(request.file, tags=request.tags)
     lost = list(io.losses(request.output, mesh))

@@ -53,6 +53,7 @@ class Case(NamedTuple):
 
 def modes(request: ModesRequest, out: Output) -> int:
     cases = _cases(request)
+    io.check_output(cases[0].output, request.file)
     patches = _read(request, out)
     limits = request.gates.limits
     mesh = patches.mesh
@@ -83,6 +84,7 @@ def modes(request: ModesRequest, out: Output) -> int:
     )
     good = []
     bad = 0
+    replaced = 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, u, cases):
             way = Way(case.output, mesh, (points,), plan.is_linear)
@@ -90,21 +92,24 @@ def modes(request: ModesRequest, out: Output) -> int:
             bad += not verdict.ok
             _tell(case, request.mode[case.mode], verdict, out)
             if verdict.ok or request.allow_inverted:
+                replaced += case.output.is_file()
                 way.write(verdict)
                 good.append(case)
             stage.done(case.number / len(cases))
-    _end(request, good, len(cases), out)
+    _end(request, good, len(cases), replaced, out)
     return int(bad > 0)
 
 
-def _end(request: ModesRequest, good: list[Case], total: int, out: Output) -> None:
+def _end(request: ModesRequest, good: list[Case], total: int, replaced: int, out: Output) -> None:
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"
-        out.say(f"wrote {files} ({out.seconds:.1f} s)")
+        old = f", in place of {count(replaced, 'older file')}" if replaced else ""
+        out.say(f"wrote {files} ({out.seconds:.1f} s){old}", replaced=replaced)
     if request.output.suffix == ".pvd" and good:
+        was_there = request.output.is_file()
         io.write_pvd(request.output, [case.output for case in good], [case.time for case in good])
-        out.say(f"wrote {request.output}", output=str(request.output))
+        out.wrote(request.output, was_there)
     if len(good) < total:
         missing = f"{total - len(good)} of {count(total, 'case')}"
         out.complain(f"{missing} not written; --allow-inverted writes them anyway.")

@@ -15,10 +15,21 @@ from ._early import check_apart
 from ._method import Patches, described
 from ._output import Output, count, steepest, title
 from ._requests import SU2
-from ._way import Way, check_picture, draw, faults, finish, say_verdict, warn_of_size
+from ._way import (
+    Way,
+    check_picture,
+    draw,
+    faults,
+    finish,
+    say_verdict,
+    warn_of_size,
+)
 
 
 def run(request: SU2, out: Output) -> int:
+    if request.action == "def":
+        options = su2.read_options(request.file)
+        io.check_output(request.output or options.output, options.mesh_file)
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition, zone=request.zone)
     mesh = config.mesh
@@ -87,8 +98,9 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
                 np.asarray(jm.march(plan, config.path.astype(plan.points.dtype))[1], float)
             )
         with out.progress("inspecting the motion"):
-            if crossed := wall_crossings(plan, mesh, config.path, np.asarray(moved.points)):
-                out.warn(str(crossed))
+            crossed = wall_crossings(plan, mesh, config.path, np.asarray(moved.points))
+            if said := str(crossed):
+                out.warn(said)
         with out.progress("judging the cells"):
             verdict = Way(output, mesh, (np.asarray(moved.points),)).judge()
         say_verdict(verdict, out)

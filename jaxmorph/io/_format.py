@@ -129,6 +129,7 @@ class Format(NamedTuple):
     """A format: its name, and the module of this package (or the codec) that reads and writes it.
 
     `begins` is a pattern of the first bytes of its files, after blanks; None where any may come.
+    One that `takes_any` writes meshes of other formats, too.
     The module, and with it an extra, is imported at first use. It defines
 
     - `read(path) -> Parts`: `ValueError` names file, place and what was found;
@@ -146,6 +147,7 @@ class Format(NamedTuple):
     holds_arrays: bool = False
     is_folder: bool = False
     begins: bytes | None = None
+    takes_any: bool = False
 
     @property
     def suffixes(self) -> tuple[str, ...]:
@@ -180,19 +182,21 @@ def own_source(mesh: MeshLike, format_name: str) -> Source:
     """
     source = source_of(mesh, format_name)
     if source is None:
-        article = (
-            "an" if format_name in ("Exodus", "MFEM", "I-deas", "Abaqus", "XDMF", "AFLR") else "a"
-        )
-        other = ".su2" if {*mesh.cells} <= {*CORNERS} else ".msh"
-        raise ValueError(
-            f"only a mesh that was read from {article} {format_name} file can be written to one; "
-            f"write .vtu or {other}."
-        )
+        raise ValueError(only_of(format_name, ".su2" if {*mesh.cells} <= {*CORNERS} else ".msh"))
     if not getattr(source.content, "is_current", True):
         raise ValueError(
             f"{source.path} has changed since the mesh was read from it; read it again."
         )
     return source
+
+
+def only_of(format_name: str, other: str) -> str:
+    article = "a" if format_name in ("Fluent", "Fluent HDF5", "CGNS", "MED", "PLOT3D") else "an"
+    what = "OpenFOAM case" if format_name == "OpenFOAM" else f"{format_name} file"
+    return (
+        f"only a mesh that was read from {article} {what} can be written to one; write .vtu or "
+        f"{other}."
+    )
 
 
 def check_form(path: Path, mesh: MeshLike, name: str, form_of: Callable[[Path], str]) -> None:

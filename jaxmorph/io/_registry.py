@@ -22,7 +22,7 @@ from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Format, Source, faults_of, own_source, source_of, warn_of_loss
+from ._format import Format, Source, faults_of, only_of, own_source, source_of, warn_of_loss
 from ._text import PathLike
 
 XML = rb"(?:<\?xml.{0,200}?\?>\s*)?(?:<!(?:--.*?--|DOCTYPE[^<\[>]*(?:\[.*?\]\s*)?)>\s*)*"
@@ -30,9 +30,20 @@ XML = rb"(?:<\?xml.{0,200}?\?>\s*)?(?:<!(?:--.*?--|DOCTYPE[^<\[>]*(?:\[.*?\]\s*)
 HDF = rb"\x89HDF"
 
 FORMATS = (
-    Format("SU2", "_su2", begins=rb"(?:%[^\n]*\s+)*(?:NDIME|NZONE|IZONE|NELEM|NPOIN|NMARK)\s*="),
-    Format("VTK", "_vtk", holds_arrays=True, begins=rb"# vtk DataFile|" + XML + rb"<VTKFile\b"),
-    Format("gmsh", "_gmsh", begins=rb"\$(?:MeshFormat|NOD|Comments)\b"),
+    Format(
+        "SU2",
+        "_su2",
+        begins=rb"(?:%[^\n]*\s+)*(?:NDIME|NZONE|IZONE|NELEM|NPOIN|NMARK)\s*=",
+        takes_any=True,
+    ),
+    Format(
+        "VTK",
+        "_vtk",
+        holds_arrays=True,
+        begins=rb"# vtk DataFile|" + XML + rb"<VTKFile\b",
+        takes_any=True,
+    ),
+    Format("gmsh", "_gmsh", begins=rb"\$(?:MeshFormat|NOD|Comments)\b", takes_any=True),
     Format("Fluent", "_fluent", begins=rb"\(\s*\d+\s"),
     Format("Fluent HDF5", "_fluent_h5", begins=HDF),
     Format("CGNS", "cgns.file", begins=HDF + rb"|.{4}ADF Database"),
@@ -119,7 +130,7 @@ def _by_name(path: Path, found: Sequence[Format]) -> Format:
     if is_folder(path):  # it raises for unknown endings
         return next(candidate for candidate in FORMATS if candidate.is_folder)
     point = plugin(path)
-    return Format(point.name, _Plugin(point.name, point.load()))
+    return Format(point.name, _Plugin(point.name, point.load()), takes_any=True)
 
 
 class _Plugin(NamedTuple):
@@ -334,12 +345,13 @@ def as_written(path: PathLike, mesh: Mesh) -> Float[ndarray, "n d"]:
 
 
 @checked
-def check_output(path: PathLike, mesh: Mesh) -> bool:
+def check_output(path: PathLike, mesh: Mesh | PathLike) -> bool:
     """Checks a path as `write` does, before any work.
 
     **Arguments:**
 
-    - `path`, `mesh`: as `write` takes them.
+    - `path`, `mesh`: as `write` takes them. Of the file of a mesh that is not read yet, the format
+      is compared.
 
     **Returns:** True if the format holds arrays.
 
@@ -349,16 +361,29 @@ def check_output(path: PathLike, mesh: Mesh) -> bool:
     return _check_path(path, mesh).holds_arrays
 
 
-def _check_path(name: PathLike, mesh: Mesh) -> Format:
-    source = mesh.source
-    chosen = format_to_write(Path(name), mesh.source)
+def _source_unread(path: Path) -> Source:
+    return Source(path, format_of(path).name, None)
+
+
+def _check_path(name: PathLike, mesh: Mesh | PathLike) -> Format:
+    source = mesh.source if isinstance(mesh, Mesh) else _source_unread(Path(mesh))
+    chosen = format_to_write(Path(name), source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     codec = chosen.codec()
+    file = path.with_suffix("") if path.suffix.lower() == ".gz" else path
     with faults_of(path):
+        if hasattr(codec, "check_ending"):
+            codec.check_ending(file)
+        if not isinstance(mesh, Mesh):
+            # what is in a packed file is not known by its name
+            is_packed = Path(mesh).suffix.lower() == ".gz"
+            if not (chosen.takes_any or source.format == chosen.name or is_packed):
+                raise ValueError(only_of(chosen.name, ".su2"))
+            return chosen
         if hasattr(codec, "check"):
-            codec.check(path.with_suffix("") if path.suffix.lower() == ".gz" else path, mesh)
+            codec.check(file, mesh)
         else:
             own_source(mesh, chosen.name)
         check_all_finite(np.asarray(mesh.points))

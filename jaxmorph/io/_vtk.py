@@ -77,13 +77,17 @@ def read(path: Path) -> Parts:
     return mesh._replace(source=source)
 
 
-def check(path: Path, mesh: MeshLike) -> None:
+def check_ending(path: Path) -> None:
     suffix = path.suffix.lower()
-    content = content_of(mesh, NAME)
     if suffix in FILES_OF_FILES:
         raise ValueError(
             f"{suffix} files name other files, and are not written; write .vtu, which holds all."
         )
+
+
+def check(path: Path, mesh: MeshLike) -> None:
+    suffix = path.suffix.lower()
+    content = content_of(mesh, NAME)
     for kind in mesh.cells if content is None else ():
         vtk.number_of(kind)
     holds = GRIDS.get(suffix, "vtkDataSet")

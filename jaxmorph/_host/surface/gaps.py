@@ -133,6 +133,11 @@ PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and 
 TOGETHER = 1 << 17  # pairs of faces in a block
 SPLIT = 8  # parts of a straight way, in each of which a node changes sides once at most
 HALVES = 40  # bisections of a way to the place where a node passes a face
+PAIRS_OF_FACE = 64  # pairs of a face, on average, beyond which none is compared: time is bounded
+PAIRS_ALWAYS = 1 << 18  # pairs that are compared at any rate
+
+
+class TooManyPairs(Exception): ...
 
 
 def crossing_faces(points: ndarray, moved: ndarray, faces: ndarray, place: ndarray) -> Pair:
@@ -160,7 +165,7 @@ def overlapping_boxes(
 ) -> ndarray:
     """Pairs (p, 2) of faces (f, corners, d), one moving, with overlapping boxes, each pair once.
     With their places `after` a motion, those that no axis separates in one order before and after:
-    of others no two points come together on straight ways.
+    of others no two points come together on straight ways. Raises `TooManyPairs`.
     """
     # A box is a row: its least coordinates, then its largest ones, negative. The box of two boxes
     # is their minimum, and two boxes overlap if no least coordinate exceeds the other's largest.
@@ -168,6 +173,7 @@ def overlapping_boxes(
     # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
     states = [corners] if after is None else [corners, after]
     order = morton_order(corners.mean(axis=1))
+    most = PAIRS_ALWAYS + PAIRS_OF_FACE * len(corners)
     levels = [np.stack([_bound_faces(x, ~is_moving[:, None])[order].T for x in states])]
     while levels[-1].shape[2] > 1:
         levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[2], 2), axis=2))
@@ -180,6 +186,8 @@ def overlapping_boxes(
         for least, largest in zip(level.swapaxes(0, 1), opposite.swapaxes(0, 1), strict=True):
             apart = least[:, pairs[:, 0]] + largest[:, pairs[:, 1]] > 0
             pairs = pairs[~apart.all(axis=0)]
+        if len(pairs) > most:
+            raise TooManyPairs
     return order[pairs[pairs[:, 0] != pairs[:, 1]]]
 
 
@@ -200,6 +208,11 @@ class Passages:
     shares: ndarray
     places: ndarray
     senses: ndarray
+
+    @classmethod
+    def none(cls, d: int) -> "Passages":
+        pairs = np.zeros((0, 2), np.int64)
+        return cls(pairs, pairs[:, 0], np.zeros(0), np.zeros((0, d)), np.zeros(0))
 
     @classmethod
     def joined(cls, steps: "Sequence[Passages]") -> "Passages":
@@ -228,9 +241,12 @@ def passages(
         first, second = place[faces[both]].swapaxes(0, 1)
         both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
         both = np.concatenate([both, both[:, ::-1]])
-        node = faces[both[:, 0]]
-        row, corner = np.nonzero(is_solid[node] & is_solid[node].all(axis=1, keepdims=True))
-        found.append(_find_passed(before, after, faces, both[row], node[row, corner]))
+        both = both[is_solid[faces[both[:, 0]]].all(axis=1)]
+        node = faces[both[:, 0]].ravel()
+        both = np.repeat(both, faces.shape[1], axis=0)
+        # a node has several faces, and is compared with another face once
+        single = np.unique(node * len(faces) + both[:, 1], return_index=True)[1]
+        found.append(_find_passed(before, after, faces, both[single], node[single]))
     every = Passages.joined(found)
     keys = np.stack([every.nodes, every.pairs[:, 1], every.shares])
     return every.at(np.unique(keys, axis=1, return_index=True)[1])

@@ -6,3 +6,4 @@ from ._config import read_config as read_config
 from ._config import read_sensitivity as read_sensitivity
 from ._config import write_gradient as write_gradient
 from ._motion import DesignVariables as DesignVariables
+from ._options import read_options as read_options

@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import os
 import pathlib
 import re
 from collections.abc import Mapping
@@ -206,8 +207,12 @@ def split_values(text: str) -> Words:
     return [word for word in SEPARATORS.split(text) if word]
 
 
-def read_options(path: pathlib.Path) -> Options:
-    """Reads a config file. Raises `ValueError` for a line that is no option, and for duplicates."""
+def read_options(path: str | os.PathLike[str]) -> Options:
+    """Reads a config file alone, without the mesh that it names.
+
+    **Raises:** `ValueError` for a line that is no option, and for duplicates.
+    """
+    path = pathlib.Path(path)
     values: dict[str, str] = {}
     text = input_path(path).read_text(encoding="utf-8", errors="replace").removeprefix("\ufeff")
     lines = iter(enumerate(text.splitlines(), start=1))

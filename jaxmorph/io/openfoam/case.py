@@ -22,7 +22,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
-from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of
+from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of, own_source
 from .._text import replace_numbers
 from .file import PARENTHESES, Boundary, FoamFile, load_faces, load_file, read_patches
 from .plane import Front, check_cyclic, find_layer, find_sector, list_cyclic_pairs, make_front_cells
@@ -208,11 +208,7 @@ def _list_groups(own: Boundary) -> dict[str, tuple[str, ...]]:
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
-    content = content_of(mesh, NAME)
-    if content is None:
-        raise ValueError(
-            f"{path}: only a mesh that was read from an OpenFOAM case can be written to one."
-        )
+    content = own_source(mesh, NAME).content
     case = content.case
     if not _is_time(path):
         if case is None:

@@ -399,6 +399,8 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     io.export_case("case", mesh, jm.prepare(mesh, "wing", ["inlet", "outlet"]))
     ```
 
+    Nothing is known here of the motions to come: whether walls cross, `inspect` tells of each.
+
     **Arguments:**
 
     - `path`: the folder of the case; of a region `case/constant/REGION`.
