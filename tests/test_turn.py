@@ -10,7 +10,7 @@ import pytest
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._methods.turn import OF_GAP, OF_WIDTH, WallTurn, WallTurnIds
+from jaxmorph._methods.turn import OF_WIDTH, WallTurn, WallTurnIds
 
 INTERPOLATED = jm.SurfaceReconstruction(
     jm.RBF(reduction=jm.KDTree(64, extremes=True)), jm.NearWall()
@@ -128,7 +128,7 @@ def test_the_layer_ends_before_edges_and_other_walls():
         - np.asarray(plan.surface.points)[None, plan.n_moving :],
         axis=2,
     ).min(axis=1)
-    assert (np.asarray(factors.height)[: plan.n_moving] <= OF_GAP * gap * (1 + 1e-9)).all()
+    assert (np.asarray(factors.height)[: plan.n_moving] <= OF_WIDTH / 2 * gap * (1 + 1e-9)).all()
 
 
 @pytest.mark.parametrize(

@@ -237,8 +237,8 @@ def _layered(
 
     def add(tape: Tape, out: int, places: Places) -> None:
         place = places.placed
-        wall = _matrix(places.of(place.wall), count)
-        inner = places.of(place.correction, place.outside)
+        wall = _matrix(places.of(place.wall, place.share), count)
+        inner = places.of(place.correction, 1 - place.share)
         is_one = isinstance(correction, _Interpolated) and correction.values == rows.u
         if is_one:  # one product in place of two
             wall = wall + _matrix(inner, count)

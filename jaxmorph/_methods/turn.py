@@ -13,11 +13,11 @@ from .._kernels.values import Either, area_vectors, as_jax, namespace, norm
 from .base import Pairs, Rows, Scalar, or_one
 from .surface import Surface
 
-# the height up to which the layer turns as a whole, relative to its width, to the radius of the
-# largest ball inside the body or the mesh that touches the wall there, and to the next wall's gap
-OF_WIDTH = 0.08
+# the height up to which the layer turns as a whole, relative to its width or half of the gap to the
+# next wall, where it ends, and to the radius of the largest ball inside the body or the mesh that
+# touches the wall there
+OF_WIDTH = 0.05
 OF_BALL = 0.25
-OF_GAP = 0.12
 SLACK = 0.1  # sine of the angle to the wall below which a node does not bound a ball
 ROUND = 1 - np.cos(np.deg2rad(20))  # of faces that turn by so much about a node it is an edge
 PROBE = 4e-3  # distance from the wall at which the coarse field is probed, relative to the width
@@ -87,7 +87,7 @@ def _heights(
         OF_WIDTH * width,
         OF_BALL * _radius(x[inside] - x, -normal),
         OF_BALL * _radius(x[outside] - x, normal),
-        OF_GAP * xp.where(is_alone, xp.inf, norm(x[other] - x)),
+        OF_WIDTH * xp.where(is_alone, xp.inf, norm(x[other] - x) / 2),
     ]
     is_flat = xp.min(xp.stack(limits), axis=0) <= 0
     total = sum(xp.where(is_flat, 1, limit) ** -4.0 for limit in limits)
