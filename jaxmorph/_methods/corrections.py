@@ -100,10 +100,10 @@ class NearWall(AbstractPlacing):
     surface's nodes.
 
     Where walls have faces, the layer carries the wall's slope, too: first grid lines turn with the
-    wall. At the distance d along the normal n, u gets chi h tanh(d / h) g, with g = - sum_t t (n .
-    du/dt) - dc/dn + a n. The field c is the coarse one, and the wall as a whole grows by a. The
-    height h is small on thin bodies, at noses and in gaps, and zero at sharp edges. The
-    formula is this library's own.
+    wall. At the distance d along the normal n, r of the layer's end, u gets (1 - r^2)^2 h tanh(d /
+    h) g, with g = - sum_t t (n . du/dt) - dc/dn + a n. The field c is the coarse one, and the wall
+    as a whole grows by a. The height h is small on thin bodies, at noses and in gaps, and zero at
+    sharp edges. The formula is this library's own.
 
     **Arguments:**
 
