@@ -70,7 +70,7 @@ def rows(points: int = 39_666, methods: Sequence[str] = tuple(METHODS)[:6]) -> I
     yield ["method", "pitch to 180, 1 step", "in 9 steps", "flap to 120, 1 step", "in 9 steps"]
     for name in methods:
         method = METHODS[name]
-        whole = method is not None and (method.needs_cells or not method.linear)
+        whole = method is None or method.needs_cells or not method.linear
         plan = jm.prepare(
             mesh if whole else mesh.points,
             mesh.patch("airfoil"),

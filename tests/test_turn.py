@@ -10,7 +10,7 @@ import pytest
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._methods.turn import OF_GAP, OF_WIDTH, WallTurn, WallTurnIds
+from jaxmorph._methods.turn import OF_WIDTH, WallTurn, WallTurnIds
 
 INTERPOLATED = jm.SurfaceReconstruction(
     jm.RBF(reduction=jm.KDTree(64, extremes=True)), jm.NearWall()
@@ -129,7 +129,7 @@ def test_the_layer_ends_before_edges_and_other_walls():
         - np.asarray(plan.surface.points)[None, plan.n_moving :],
         axis=2,
     ).min(axis=1)
-    assert (np.asarray(factors.height)[: plan.n_moving] <= OF_GAP * gap * (1 + 1e-9)).all()
+    assert (np.asarray(factors.height)[: plan.n_moving] <= OF_WIDTH / 2 * gap * (1 + 1e-9)).all()
 
 
 @pytest.mark.parametrize(
@@ -159,6 +159,50 @@ def test_neighbouring_meshes_move_alike(changed):
             for p, u in zip(plans, (motion, motion @ turn), strict=True)
         )
         assert np.abs(first @ turn - second).max() < 1e-2 * np.abs(motion).max()
+
+
+def split(mesh, name, edge):
+    """The mesh of triangles with one more node, in the middle of an edge (two ids) of the wall."""
+    triangles = mesh.cells["triangle"]
+    (cell,) = np.flatnonzero(np.isin(triangles, edge).sum(axis=1) == 2)
+    new = len(mesh.points)
+    halves = [np.where(triangles[cell] == end, new, triangles[cell]) for end in edge]
+    points = np.concatenate([mesh.points, mesh.points[edge].mean(axis=0)[None]])
+    cells = np.concatenate([np.delete(triangles, cell, axis=0), halves])
+    return jm.Mesh(
+        points,
+        {"triangle": cells},
+        mesh.patches | {name: np.append(mesh.patches[name], new)},
+    )
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        (0.02, 0.02),
+        *(
+            pytest.param(place, marks=pytest.mark.slow)
+            for place in [(0.5, 0.06), (0.1, -0.04), (0.95, 0.01)]
+        ),
+    ],
+)
+def test_one_more_node_on_the_wall_changes_little(place):
+    quads = faults.sharp_o_grid(around=96, layers=16, first_cell=1e-3)
+    corners = quads.cells["quad"]
+    triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+    mesh = jm.Mesh(quads.points, {"triangle": triangles}, quads.patches)
+    wall = mesh.patch("airfoil")
+    edges = np.stack([wall, np.roll(wall, -1)], axis=1)
+    middle = mesh.points[edges].mean(axis=1)
+    edge = edges[np.linalg.norm(middle - place, axis=1).argmin()]
+    meshes = (mesh, split(mesh, "airfoil", edge))
+    plans = [jm.prepare(m, "airfoil", "farfield") for m in meshes]
+    for motion in (lambda x: camber(x, 0.2), bump):
+        first, second = (
+            np.asarray(jm.deform(plan, motion(np.asarray(plan.moving_points)))) - plan.points
+            for plan in plans
+        )
+        assert np.abs(second[: len(first)] - first).max() < 1e-2 * np.abs(first).max()
 
 
 @pytest.mark.slow

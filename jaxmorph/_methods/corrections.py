@@ -100,10 +100,10 @@ class NearWall(AbstractPlacing):
     surface's nodes.
 
     Where walls have faces, the layer carries the wall's slope, too: first grid lines turn with the
-    wall. At the distance d along the normal n, u gets chi h tanh(d / h) g, with g = - sum_t t (n .
-    du/dt) - dc/dn + a n. The field c is the coarse one, and the wall as a whole grows by a. The
-    height h is small on thin bodies, at noses and in gaps, and zero at sharp edges. The
-    formula is this library's own.
+    wall. At the distance d along the normal n, r of the layer's end, u gets (1 - r^2)^2 h tanh(d /
+    h) g, with g = - sum_t t (n . du/dt) - dc/dn + a n. The field c is the coarse one, and the wall
+    as a whole grows by a. The height h is small on thin bodies, at noses and in gaps, and zero at
+    sharp edges. The formula is this library's own.
 
     **Arguments:**
 
@@ -212,13 +212,13 @@ def turned_field(
 
 
 class WallPlace(eqx.Module):
-    """A point's place in the correction, the wall's part of its motion, the share outside, and the
-    height by which the wall's slope counts, where it does.
+    """A point's place in the correction, the wall nodes it follows, the wall's share in its motion,
+    and the height by which the wall's slope counts, where it does.
     """
 
     correction: PyTree
     wall: Interpolation
-    outside: Float[Array, "*n"]
+    share: Float[Array, "*n"]
     rise: Float[Array, "*n"] | None = None
 
 
@@ -229,14 +229,17 @@ def _turn(ids: Layered, surface: Rows, width: Float[Array, " b"]) -> WallTurn | 
 def _placed(
     x: Point, correction: PyTree, row: "WallRow", factors: Layered, surface: Rows
 ) -> WallPlace:
-    wall, outside = _blend(x, row, factors.wall, surface)
+    wall, ratio = _blend(x, row, factors.wall, surface)
+    share = WendlandC2(1.0)(ratio)
     turn = factors.turn
     if turn is None:
-        return WallPlace(correction, wall, outside)
-    share = wall.weights / or_one(1 - outside)  # the weights' sum is the wall's share
+        return WallPlace(correction, wall, share)
     above = jnp.sum((x[None] - surface[wall.nodes]) * turn.normal[wall.nodes], axis=1)
-    rise = risen(jnp.maximum(dot(share, above), 0), dot(share, turn.height[wall.nodes]))
-    return WallPlace(correction, wall, outside, rise)
+    rise = risen(
+        jnp.maximum(dot(wall.weights, above), 0), dot(wall.weights, turn.height[wall.nodes])
+    )
+    # the slope fades more evenly than the share: what turns near the wall turns back above
+    return WallPlace(correction, wall, share, rise * jnp.maximum(1 - ratio, 0) ** 2)
 
 
 class Extent(eqx.Module):
@@ -297,23 +300,26 @@ class NearWallField(AbstractWhole):
 
     def __call__(self, x, ids: WallPlace):
         wall = self.wall(x, ids.wall)
+        moved = ids.share * wall[: len(x)]
         if ids.rise is not None:
-            wall = wall[: len(x)] + ids.rise * wall[len(x) :]
-        return wall + ids.outside * self.correction(x, ids.correction)
+            moved = moved + ids.rise * wall[len(x) :]
+        return moved + (1 - ids.share) * self.correction(x, ids.correction)
 
     def evaluate(self, points, ids: WallPlace):
         correction = map_points(self.correction, points, ids.correction)
-        wall = self.wall.evaluate(points, ids.wall)
+        value, *slope = jnp.split(self.wall.evaluate(points, ids.wall), [points.shape[1]], axis=1)
+        moved = ids.share[:, None] * value
         if ids.rise is not None:
-            value, slope = jnp.split(wall, 2, axis=1)
-            wall = value + ids.rise[:, None] * slope
-        return wall + ids.outside[:, None] * correction
+            moved = moved + ids.rise[:, None] * slope[0]
+        return moved + (1 - ids.share)[:, None] * correction
 
 
 def _blend(
     x: Point, row: WallRow, width: Float[Array, " b"], surface: Rows
 ) -> tuple[Interpolation, Scalar]:
-    """Returns the wall's part at x, chi u_wall, and 1 - chi."""
+    """Returns the wall nodes that x follows, and its squared distance relative to the layer's end:
+    from 0 at the wall to 1 or more where the layer has ended.
+    """
     nearest = row.nodes[:-1]
     other = row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
@@ -334,8 +340,8 @@ def _blend(
     )  # 1 between two walls
     # the layer ends at its width or half way, whichever is nearer, without a kink
     fourth = (distance[0] / layer) ** 4 + halfway**4
-    chi = jnp.where(row.reached & (width[nearest[0]] > 0), WendlandC2(1.0)(root(fourth)), 0)
-    return Interpolation(nearest[:-1], chi * (weights / weights.sum()), row.reached), 1 - chi
+    ratio = jnp.where(row.reached & (width[nearest[0]] > 0), root(fourth), 1)
+    return Interpolation(nearest[:-1], weights / weights.sum(), row.reached), ratio
 
 
 # search distance in radii: beyond 1 another node may come nearer than the nearest node

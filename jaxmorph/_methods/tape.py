@@ -237,8 +237,8 @@ def _layered(
 
     def add(tape: Tape, out: int, places: Places) -> None:
         place = places.placed
-        wall = _matrix(places.of(place.wall), count)
-        inner = places.of(place.correction, place.outside)
+        wall = _matrix(places.of(place.wall, place.share), count)
+        inner = places.of(place.correction, 1 - place.share)
         is_one = isinstance(correction, _Interpolated) and correction.values == rows.u
         if is_one:  # one product in place of two
             wall = wall + _matrix(inner, count)
@@ -264,36 +264,22 @@ def _turned(
     if ids is None or turn is None:
         return -1
     count = rows.count
-    axes = np.eye(tape.dimension)
-    own = np.arange(count)
-    first, second = ids.pairs.T
     out = tape.register(count)
+    first, second = ids.pairs.T
+    places = (np.tile(first, 2), np.concatenate([second, first]))
+    for c, e in np.ndindex(tape.dimension, tape.dimension):
+        weight = -turn.strength[first] * turn.slopes[:, c] * turn.normal[first, e]
+        matrix = csr_array((np.concatenate([weight, -weight]), places), (count, count))
+        _mixed(tape, (out, c), (rows.u, e), matrix)
     growth = tape.register(int(ids.wall.max()) + 1)
-
-    def put(register: int, matrix: Any) -> int:
-        copy = tape.register(tape.rows[register])
-        tape.step("add", copy, register, number=1)
-        tape.rows_in_place("turn", copy, np.ones(tape.rows[copy], dtype=bool), matrix)
-        return copy
-
-    # A step treats all components alike. So each component is put where it counts, alone, and the
-    # steps are summed.
-    for e, axis in enumerate(axes):
-        tape.sparse(
-            growth,
-            put(rows.u, np.ones_like(axis)[:, None] * axis),
-            csr_array((turn.arms[:, e], (ids.wall, own)), (tape.rows[growth], count)),
-        )
-        for c, to in enumerate(axes):
-            weight = -turn.strength[first] * turn.slopes[:, c] * turn.normal[first, e]
-            entries = np.concatenate([weight, -weight])
-            places = (np.tile(first, 2), np.concatenate([second, first]))
-            matrix = csr_array((entries, places), (count, count))
-            tape.sparse(out, put(rows.u, to[:, None] * axis), matrix)
-    for c, axis in enumerate(axes):
-        normal = turn.strength * turn.normal[:, c]
-        matrix = csr_array((normal, (own, ids.wall)), (count, tape.rows[growth]))
-        tape.sparse(out, put(growth, axis[:, None] * axis), matrix)
+    entries = np.arange(count), ids.wall
+    shape = count, tape.rows[growth]
+    for e in range(tape.dimension):
+        arms = csr_array((turn.arms[:, e], entries), shape)
+        _mixed(tape, (growth, 0), (rows.u, e), arms.T)
+    for c in range(tape.dimension):
+        normal = csr_array((turn.strength * turn.normal[:, c], entries), shape)
+        _mixed(tape, (out, c), (growth, 0), normal)
     if coarse is not None:
         field, near = coarse
         far = tape.register(count)
@@ -302,6 +288,19 @@ def _turned(
         tape.sparse(out, far, diags_array(-slope))
         tape.sparse(out, near, diags_array(slope))
     return out
+
+
+def _mixed(tape: Tape, out: tuple[int, int], source: tuple[int, int], matrix: Any) -> None:
+    """Adds a matrix times one component of a register to one component of another; both are pairs
+    of register and component.
+    """
+    # a step treats all components alike: a copy has the one that counts in the other's place
+    copy = tape.register(tape.rows[source[0]])
+    tape.step("add", copy, source[0], number=1)
+    axes = np.eye(tape.dimension)
+    swap = axes[out[1]][:, None] * axes[source[1]]
+    tape.rows_in_place("turn", copy, np.ones(tape.rows[copy], dtype=bool), swap)
+    tape.sparse(out[0], copy, matrix)
 
 
 @dataclasses.dataclass(frozen=True)

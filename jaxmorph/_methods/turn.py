@@ -1,23 +1,25 @@
 """The slope of a near-wall layer: first grid lines turn with the wall, whatever moves the rest."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.linear.products import outward, unit_rows
+from .._host.linear.products import unit_rows
 from .._host.package.rounding import Tree
 from .._host.surface.skin import edges, nearest_held
 from .._kernels.values import Either, area_vectors, as_jax, namespace, norm
 from .base import Pairs, Rows, Scalar, or_one
 from .surface import Surface
 
-# the height up to which the layer turns as a whole, relative to its width, to the radius of the
-# largest ball inside the body or the mesh that touches the wall there, and to the next wall's gap
-OF_WIDTH = 0.08
+# the height up to which the layer turns as a whole, relative to its width or half of the gap to the
+# next wall, where it ends, and to the radius of the largest ball inside the body or the mesh that
+# touches the wall there
+OF_WIDTH = 0.05
 OF_BALL = 0.25
-OF_GAP = 0.12
 SLACK = 0.1  # sine of the angle to the wall below which a node does not bound a ball
 ROUND = 1 - np.cos(np.deg2rad(20))  # of faces that turn by so much about a node it is an edge
 PROBE = 4e-3  # distance from the wall at which the coarse field is probed, relative to the width
@@ -54,10 +56,7 @@ class WallTurnIds(eqx.Module):
         faces = [corners for corners in faces if len(corners)]
         if not faces:
             return None
-        normal = np.zeros_like(x)
-        for corners in faces:
-            np.add.at(normal, corners, -outward(x[corners])[:, None])
-        normal = unit_rows(normal)
+        normal = unit_rows(_areas(faces, x)[0])
         own = np.unique(np.concatenate([corners.ravel() for corners in faces]))
         tree = Tree(x[own])
         wall = surface.walls[0]
@@ -74,6 +73,22 @@ class WallTurnIds(eqx.Module):
         return cls(**dict(zip(cls.__dataclass_fields__, found, strict=True)))
 
 
+def _areas(
+    faces: Iterable[Int[Either, "_f _c"]], x: Float[Either, "b d"]
+) -> tuple[Float[Either, "b d"], Float[Either, " b"]]:
+    """Sums the area vectors of each row's faces, into the mesh, and their sizes."""
+    xp = namespace(x)
+    sums = xp.zeros((len(x), x.shape[1] + 1), x.dtype)
+    for corners in faces:
+        area = -area_vectors(x[corners])
+        both = xp.concatenate([area, norm(area)[:, None]], axis=1)[:, None]
+        if xp is np:
+            np.add.at(sums, corners, both)
+        else:
+            sums = sums.at[corners].add(both)
+    return sums[:, :-1], sums[:, -1]
+
+
 def _heights(
     bounds: list[Either], x: Float[Either, "b d"], normal: Float[Either, "b d"], width: Either
 ) -> Float[Either, " b"]:
@@ -87,7 +102,7 @@ def _heights(
         OF_WIDTH * width,
         OF_BALL * _radius(x[inside] - x, -normal),
         OF_BALL * _radius(x[outside] - x, normal),
-        OF_GAP * xp.where(is_alone, xp.inf, norm(x[other] - x)),
+        OF_WIDTH * xp.where(is_alone, xp.inf, norm(x[other] - x) / 2),
     ]
     is_flat = xp.min(xp.stack(limits), axis=0) <= 0
     total = sum(xp.where(is_flat, 1, limit) ** -4.0 for limit in limits)
@@ -149,7 +164,8 @@ class WallTurn(eqx.Module):
     - `slopes` (p, d): weights of differences of displacement, whose sum is a derivative along the
       wall.
     - `arms` (b, d): weights whose product with displacements is the scale of a wall's motion.
-    - `probes` (b, d): places near the wall at which the coarse field is evaluated.
+    - `probes` (b, d): places near the wall at which the coarse field is evaluated, and `step`
+      (b,): how far they are from it.
     """
 
     normal: Rows
@@ -162,32 +178,19 @@ class WallTurn(eqx.Module):
 
     @classmethod
     def made(cls, ids: WallTurnIds, x: Rows, width: Float[Array, " b"]) -> "WallTurn":
-        total = jnp.zeros_like(x)
-        size = jnp.zeros_like(x[:, 0])
-        for corners in ids.faces:
-            area = -area_vectors(x[corners])
-            total = total.at[corners].add(area[:, None])
-            size = size.at[corners].add(norm(area)[:, None])
+        total, size = _areas(ids.faces, x)
         length = norm(total)
         normal = total / or_one(length)[:, None]
         # the mean of unit normals is shorter than one where faces turn about a node
         strength = jnp.maximum(1 - (1 - length / or_one(size)) / ROUND, 0) ** 2
-        strength = jnp.where(size > 0, strength, 0)
         height = _heights([ids.inside, ids.outside, ids.other], x, normal, width)
         step = PROBE * or_one(width)
-        count = jnp.zeros_like(size).at[ids.wall].add(size)
-        centre = jnp.zeros_like(x).at[ids.wall].add(size[:, None] * x) / or_one(count)[:, None]
-        arms = size[:, None] * (x - centre[ids.wall])
-        inertia = (
-            jnp.zeros_like(size).at[ids.wall].add(jnp.sum(arms * (x - centre[ids.wall]), axis=1))
-        )
-        arms = arms / or_one(inertia)[ids.wall][:, None]
         return cls(
             normal=normal,
             height=height,
-            strength=strength,
+            strength=jnp.where(size > 0, strength, 0),
             slopes=_slopes(ids.pairs, x, normal, height),
-            arms=arms,
+            arms=_arms(ids.wall, x, size),
             probes=x + step[:, None] * normal,
             step=step,
         )
@@ -202,9 +205,22 @@ class WallTurn(eqx.Module):
         first, second = ids.pairs.T
         rise = jnp.sum(self.normal[first] * (u[second] - u[first]), axis=1)
         wanted = jnp.zeros_like(u).at[first].add(-self.slopes * rise[:, None])
-        growth = jnp.zeros_like(u[:, 0]).at[ids.wall].add(jnp.sum(self.arms * u, axis=1))
-        wanted = wanted + growth[ids.wall][:, None] * self.normal
+        growth = _over_wall(ids.wall, jnp.sum(self.arms * u, axis=1))
+        wanted = wanted + growth[:, None] * self.normal
         return self.strength[:, None] * (wanted - (far - near) / self.step[:, None])
+
+
+def _over_wall(wall: Int[Array, " b"], values: Float[Array, "b *k"]) -> Float[Array, "b *k"]:
+    """Sums values over each row's wall."""
+    return jnp.zeros_like(values).at[wall].add(values)[wall]
+
+
+def _arms(wall: Int[Array, " b"], x: Rows, size: Float[Array, " b"]) -> Rows:
+    """Weights of least squares for the scale of a wall's motion about its centre."""
+    weight = size[:, None]
+    arm = x - _over_wall(wall, weight * x) / or_one(_over_wall(wall, weight))
+    inertia = _over_wall(wall, jnp.sum(weight * arm**2, axis=1))
+    return weight * arm / or_one(inertia)[:, None]
 
 
 def _slopes(pairs: Pairs, x: Rows, normal: Rows, height: Float[Array, " b"]) -> Float[Array, "p d"]:

@@ -35,9 +35,9 @@ JOINT = 0.05
 # fewest leaves of the k-d tree if the field interpolates instead of being fitted
 SOURCES_ALONE = 64
 
-ELL = {2: 0.03, 3: 0.03}
+ELL = 0.03
 MU = {2: 0.1, 3: 0.4}
-"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall."""
+"""Defaults of `ell`, and of `mu` by dimension, relative to the mean chord of the wall."""
 
 BEHIND = 0.02
 BEYOND_TIP = 0.2
@@ -116,7 +116,7 @@ class WallIds(eqx.Module):
         held = skin.nearest_held(points, surface.moving, wall, pairs)
         far, reach = skin.drawn_in(points, moving, fixed, surface.images)
         rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        ell = ELL[dimension] * share[label]
+        ell = ELL * share[label]
         mu = MU[dimension] * share[label]
         near, largest = AT_TIP
         for tip in sharp:
