@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, Int, Integer
+from jaxtyping import ArrayLike, Integer
 
 from .._host.package.arguments import real_array, rows_of, shown
 from .._host.package.errors import MeshError, check_none, warn
@@ -88,7 +88,7 @@ class Named:
         )
 
 
-def _without(moving: Ids, fixed: Int[np.ndarray, " f"], named: Any) -> Int[np.ndarray, " l"]:
+def _without(moving: Ids, fixed: Ids, named: Any) -> Ids:
     """Lists fixed nodes that do not move, each where it comes first."""
     if names_in(named) and not len(fixed):
         raise ValueError(

@@ -12,7 +12,7 @@ from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
 
 Points = Float[np.ndarray, "n d"]
-Ids = Int[np.ndarray, " k"]
+Ids = Int[np.ndarray, " _k"]
 Faces = Mapping[str, Any]  # corners (k, c), or numbers (k,), by type
 
 
