@@ -80,7 +80,7 @@ def first_lines(cells: ByType, points: ndarray, wall: ndarray) -> Lines:
     beside = np.full(len(points), -1)
     for kind, side in sides.items():
         np.add.at(normal, side.ids, side.areas(points))
-        beside[side.ids.T] = side.ids.T[_neighbours(kind)]
+        beside[side.ids.T] = side.ids.T[_nodes_beside(kind)]
     start, end, cell_nodes, weights = _candidates(cells, on_wall & (beside >= 0), on_wall)
     along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
     size = np.linalg.norm(along, axis=1)
@@ -94,7 +94,7 @@ def first_lines(cells: ByType, points: ndarray, wall: ndarray) -> Lines:
     return Lines(nodes, end[chosen], cell_nodes[chosen], weights[chosen], beside[nodes], every)
 
 
-def _neighbours(kind: str) -> ndarray:
+def _nodes_beside(kind: str) -> ndarray:
     """A node beside each of a side's nodes: the corner before, or the nearest on the lattice."""
     cell = lagrange_types()[kind]
     if cell.order == 1:
