@@ -220,7 +220,7 @@ def test_results_come_in_order_and_few_are_ahead(monkeypatch, count):
 def test_blocks_hold_every_row_once(few_points, monkeypatch, count):
     monkeypatch.setenv(cores.SWITCH, "3")
     seen = np.zeros(count, dtype=int)
-    cores.by_blocks(lambda rows: np.add.at(seen, rows, 1), count)
+    cores.over_blocks(lambda rows: np.add.at(seen, rows, 1), count)
     np.testing.assert_array_equal(seen, 1)
 
 

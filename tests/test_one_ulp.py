@@ -11,7 +11,7 @@ from runs import over
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.package.rounding import distinct, first_largest, nearest_few, ranked
+from jaxmorph._host.package.rounding import distinct_places, first_largest, nearest_few, ranked
 from jaxmorph._host.surface.graph import graph_of, locate
 from jaxmorph._methods.corrections import Extent, layer_width
 
@@ -211,7 +211,7 @@ def test_numbers_within_the_slack_have_one_rank():
 
 def test_places_that_coincide_by_roundoff_are_one():
     points = np.array([[1.0, 0.0], [0.0, 1.0], [1.0 + 2e-16, 1e-17], [1.0, 1e-9]])
-    first, place = distinct(points)
+    first, place = distinct_places(points)
     assert sorted(first.tolist()) == [0, 1, 3]
     np.testing.assert_array_equal(first[place], [0, 1, 0, 3])
 

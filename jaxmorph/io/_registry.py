@@ -231,7 +231,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
     a file that cannot be opened; `ImportError` for a missing extra.
     """
     path = files.input_path(path)
-    with files.unpacked(path) as file:
+    with files.unpack(path) as file:
         try:
             with faults_of(file):
                 mesh = _read(file, tags)
@@ -309,7 +309,7 @@ def write(
     as_written(path, mesh)
     appear = contextlib.nullcontext if chosen.is_folder else complete
     codec = chosen.codec()
-    with appear(path) as target, files.packed(target, path.stem) as file:
+    with appear(path) as target, files.pack_into(target, path.stem) as file:
         if hasattr(codec, "write"):
             codec.write(file, mesh, *arrays[: 2 * chosen.holds_arrays])
         elif (source := source_of(mesh, chosen.name)) is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 from scipy.sparse import coo_array
 
-from ..package.cores import by_blocks, in_order
+from ..package.cores import in_order, over_blocks
 from .topology import FACES, ByType, Pair
 
 
@@ -120,7 +120,7 @@ def sorted_columns(nodes: Sequence[ndarray], width: int) -> list[ndarray]:
         for column, part in zip(columns, parts, strict=True):
             column[rows] = part
 
-    by_blocks(sort, len(columns[0]))
+    over_blocks(sort, len(columns[0]))
     return columns + [np.full_like(columns[0], -1)] * (width - len(columns))
 
 

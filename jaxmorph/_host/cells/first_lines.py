@@ -80,7 +80,7 @@ def first_lines(cells: ByType, sides: Mapping[str, Pair], points: ndarray, wall:
     beside = np.full(len(points), -1)
     for kind, side in walls.items():
         np.add.at(normal, side.ids, side.areas(points))
-        beside[side.ids.T] = side.ids.T[_neighbours(kind)]
+        beside[side.ids.T] = side.ids.T[_nodes_beside(kind)]
     largest = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
     start, end, cell_nodes, weights = _candidates(largest, on_wall & (beside >= 0), on_wall)
     along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
@@ -95,7 +95,7 @@ def first_lines(cells: ByType, sides: Mapping[str, Pair], points: ndarray, wall:
     return Lines(nodes, end[chosen], cell_nodes[chosen], weights[chosen], beside[nodes], every)
 
 
-def _neighbours(kind: str) -> ndarray:
+def _nodes_beside(kind: str) -> ndarray:
     """A node beside each of a side's nodes: the corner before, or the nearest on the lattice."""
     cell = lagrange_types()[kind]
     if cell.order == 1:

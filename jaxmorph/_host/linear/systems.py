@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from ..cells.adjacency import parts_of
-from ..package.rounding import distinct
+from ..package.rounding import distinct_places
 from .solves import Factors, Operator, conjugate_gradients, hierarchy, inner_product, is_factored
 
 # residual relative to the right side, and error relative to the solution, that end CG
@@ -221,7 +221,7 @@ def reached(pairs: ndarray, known: ndarray) -> ndarray:
 def coincident(points: ndarray, first: ndarray) -> ndarray:
     """The point that represents each point's place (n,); one of `first` if there is any."""
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
-    index, inverse = distinct(points[order])
+    index, inverse = distinct_places(points[order])
     stands = np.empty(len(points), dtype=np.int64)
     stands[order] = order[index[inverse]]
     stands[first] = first

@@ -68,7 +68,7 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
             yield ahead.popleft().result()
 
 
-def by_blocks(function: Callable[[slice], Any], count: int) -> None:
+def over_blocks(function: Callable[[slice], Any], count: int) -> None:
     """Calls `function` with slices of `count` rows, whatever the number of cores, on all cores."""
     for _ in in_order(
         function,

@@ -96,7 +96,7 @@ UNPACKED = (2 * 10**8, 100)
 
 
 @contextlib.contextmanager
-def unpacked(path: pathlib.Path) -> Iterator[pathlib.Path]:
+def unpack(path: pathlib.Path) -> Iterator[pathlib.Path]:
     """Yields a file, or the unpacked copy of one that ends in .gz, under its name without .gz."""
     if path.suffix.lower() != ".gz" or path.is_dir():
         yield path
@@ -119,7 +119,7 @@ def unpacked(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 @contextlib.contextmanager
-def packed(path: pathlib.Path, name: str) -> Iterator[pathlib.Path]:
+def pack_into(path: pathlib.Path, name: str) -> Iterator[pathlib.Path]:
     """Yields a file to write: `path`, or where it ends in .gz a file that is packed into it."""
     if path.suffix.lower() != ".gz":
         yield path

@@ -62,7 +62,7 @@ def ranked(values: ndarray, slack: float) -> ndarray:
     return rank
 
 
-def distinct(points: ndarray) -> Pair:
+def distinct_places(points: ndarray) -> Pair:
     """Each place's first point (k,), and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)

@@ -15,7 +15,7 @@ from scipy.spatial import Delaunay, QhullError
 
 from ..cells.topology import Pair
 from ..linear.products import cofactor_rows, normals, smallest_height, unit_rows
-from ..package.cores import by_blocks
+from ..package.cores import over_blocks
 from ..package.errors import MeshError, place_of, worst_first
 from ..package.rounding import BETWEEN, canonical_order, morton_order, roundoff, spacing
 from ..sources.reduction import drop_close
@@ -55,7 +55,7 @@ class Graph:
             sound = (simplex[part] >= 0) & (smallest_height(corners) > self.flat)
             smallest[part] = np.where(sound, least, -np.inf)
 
-        by_blocks(weigh, len(points))
+        over_blocks(weigh, len(points))
         return smallest
 
 
@@ -94,7 +94,7 @@ class _Graph(Delaunay):
         def invert(part: slice) -> None:
             transform[part] = _invert_edges(self.points[self.simplices[part]])
 
-        by_blocks(invert, len(transform))
+        over_blocks(invert, len(transform))
         return transform
 
 
@@ -159,7 +159,7 @@ def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
     ) -> None:  # parts do not follow the cores: a point on a face may have several answers
         simplex[order[part]] = graph.delaunay.find_simplex(targets[order[part]])
 
-    by_blocks(find, len(targets))
+    over_blocks(find, len(targets))
     smallest = graph.smallest_weight(simplex, targets)
     poor = np.flatnonzero(~(smallest >= -WEIGHT_TOLERANCE))
     if poor.size:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from ..cells.topology import Pair
-from ..package.cores import by_blocks
+from ..package.cores import over_blocks
 from ..package.rounding import (
     SAME,
     Tree,
@@ -72,7 +72,7 @@ def near_walls(
             candidates, np.sum([a * a for a in offsets], axis=0), count
         )
 
-    by_blocks(compare, len(near))
+    over_blocks(compare, len(near))
     rows[:, count] = rows[:, 0]
     is_nearest = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
@@ -167,7 +167,7 @@ def _search_nearest(
             if len(rows):
                 search(k, part.start + rows)
 
-    by_blocks(search_all, len(points) if bounded else 0)
+    over_blocks(search_all, len(points) if bounded else 0)
     return distance, nearest
 
 

@@ -12,7 +12,7 @@ from ..package.rounding import (
     SAME,
     Tree,
     canonical_order,
-    distinct,
+    distinct_places,
     first_largest,
     morton_order,
     nearest_few,
@@ -52,7 +52,7 @@ def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
 
 def _pair_nearest(points: ndarray) -> ndarray:
     """Pairs a node with its nearest and the nearest behind it (2-D), or its six nearest (3-D)."""
-    first = distinct(points)[0]
+    first = distinct_places(points)[0]
     unique = points[first]
     start = np.arange(len(first))
     if len(unique) < 2:
@@ -233,7 +233,7 @@ class Tips:
 
 def sharp_tips(points: ndarray, pairs: ndarray) -> Tips:
     """Finds the sharp tips of the walls with the edges `pairs` (e, 2)."""
-    first, same = distinct(points[pairs.ravel()])
+    first, same = distinct_places(points[pairs.ravel()])
     rows = pairs.ravel()[first]
     ends = same.reshape(-1, 2)  # the two nodes of a closed edge are one place
     place = points[rows]

@@ -6,7 +6,7 @@ from numpy import ndarray
 from ..cells.adjacency import parts_of
 from ..cells.topology import ByType
 from ..linear.products import outward, unit_rows
-from ..package.rounding import SAME, Tree, distinct, nearest_of, ranked, resolution
+from ..package.rounding import SAME, Tree, distinct_places, nearest_of, ranked, resolution
 from ..sources.farthest import farthest
 
 # cosine of a concave corner's angle from which on its faces are two walls
@@ -134,7 +134,7 @@ def _pair_neighbours(groups: list[ndarray]) -> tuple[ndarray, ndarray, ndarray]:
 
 def _label_by_chains(points: ndarray) -> ndarray:
     """The wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
-    first, inverse = distinct(points)
+    first, inverse = distinct_places(points)
     unique = points[first]
     count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
     if count < 1:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.package.files import unpacked
+from jaxmorph._host.package.files import unpack
 from jaxmorph._host.ragged import Ragged
 from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.faces import Faces, open_cells
@@ -171,7 +171,7 @@ def load_file(folder: pathlib.Path, name: str) -> FoamFile:
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
         path = path.with_name(f"{name}.gz")
-    with unpacked(path) as plain:
+    with unpack(path) as plain:
         raw = path.read_bytes()
         data = plain.read_bytes()
     match = _FOAM_HEADER.search(data, 0, 1 << 14)
