@@ -51,7 +51,8 @@ class Boundary(Conditions):
     - `loose`: ids of the nodes of no cell and in no list, which stay where they are.
 
     **Raises:** `ValueError` for ids out of range or twice in `moving`, coordinates that are not
-    finite, periodic patches that do not match, and sliding patches that leave their surface.
+    finite, periodic patches that do not match, and sliding patches that leave their surface. Also
+    for planes that hold no node or have nodes on both sides.
     """
 
     def __init__(

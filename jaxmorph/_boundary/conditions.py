@@ -48,8 +48,8 @@ class Conditions:
     on: Bool[np.ndarray, "n p"]
     pairings: tuple[Pairing, ...]
     tracks: tuple[Track, ...]
-    free: Ids = dataclasses.field(default_factory=nothing)
-    between: Ids = dataclasses.field(default_factory=nothing)
+    free: Int[np.ndarray, " e"] = dataclasses.field(default_factory=nothing)
+    between: Int[np.ndarray, " b"] = dataclasses.field(default_factory=nothing)
     mesh: Mesh | None = None
     faces: Faces | None = None
     left: FreeFaces | None = None

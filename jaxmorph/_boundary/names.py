@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, Integer
+from jaxtyping import ArrayLike, Int, Integer
 
 from .._host.package.arguments import real_array, rows_of, shown
 from .._host.package.errors import MeshError, check_none, warn
@@ -45,12 +45,12 @@ class Named:
     """
 
     points: np.ndarray
-    moving: Ids
-    fixed: Ids
-    free: Ids
+    moving: Int[np.ndarray, " m"]
+    fixed: Int[np.ndarray, " f"]
+    free: Int[np.ndarray, " g"]
     planes: tuple[Plane, ...]
-    pairs: list[tuple[Periodic, Ids, Ids]]
-    slides: list[tuple[Slide, Ids]]
+    pairs: list[tuple[Periodic, np.ndarray, np.ndarray]]
+    slides: list[tuple[Slide, np.ndarray]]
 
     @classmethod
     def of(cls, mesh: Any, moving: Any, fixed: Any, symmetry: Any, **others: Any) -> "Named":
@@ -88,7 +88,7 @@ class Named:
         )
 
 
-def _without(moving: Ids, fixed: Ids, named: Any) -> Ids:
+def _without(moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], named: Any) -> Ids:
     """Lists fixed nodes that do not move, each where it comes first."""
     if names_in(named) and not len(fixed):
         raise ValueError(

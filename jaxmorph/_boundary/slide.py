@@ -74,7 +74,7 @@ class Revolution:
         vars(self).update(axis=axis, origin=origin, profile=profile)
 
 
-@dataclasses.dataclass(frozen=True, eq=False, init=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Slide:
     """Lets the nodes of a patch move along its surface.
 
@@ -94,16 +94,15 @@ class Slide:
     """
 
     patch: str | Sequence[str] | np.ndarray
-    on: Plane | Revolution | None
+    on: Plane | Revolution | None = None
 
-    def __init__(self, patch, on: Plane | Revolution | None = None):
-        check_patch("patch", patch)
-        if not (on is None or isinstance(on, Plane | Revolution)):
+    def __post_init__(self) -> None:
+        check_patch("patch", self.patch)
+        if not (self.on is None or isinstance(self.on, Plane | Revolution)):
             raise ValueError(
                 "a patch slides on a jm.Plane, a jm.Revolution or its own faces (None), not "
-                f"{on!r}."
+                f"{self.on!r}."
             )
-        vars(self).update(patch=patch, on=on)
 
     @property
     def name(self) -> str:
@@ -115,7 +114,7 @@ class Slide:
 
 
 def walls_of(
-    slides: Sequence[tuple[Slide, Ids]], points: np.ndarray, mesh: Mesh | None, lists: Faces
+    slides: Sequence[tuple[Slide, np.ndarray]], points: np.ndarray, mesh: Mesh | None, lists: Faces
 ) -> Walls:
     """Makes the walls of all patches; `lists` are the `fixed` and `moving` nodes."""
     walls = []

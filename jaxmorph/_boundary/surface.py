@@ -32,54 +32,69 @@ def surface_of(
     it is known. Methods see this order, so that no result depends on how nodes are numbered.
     """
     nodes = boundary.nodes
-    n, d = boundary.points.shape
     points = boundary.points[nodes]
     on_plane = boundary.on[nodes]
     moving = len(boundary.moving)
     faces = boundary.surface_faces
     order = ordered_rows(points, moving, faces) if order is None else order
     place = np.argsort(order)
-    own = tuple(pairing.renumbered(row_of(nodes, n)) for pairing in pairings)
+    own = tuple(pairing.renumbered(row_of(nodes, len(boundary.points))) for pairing in pairings)
     ordered = tuple(pairing.renumbered(place) for pairing in own)
-    planes = boundary.planes
-    copies = _copies_of(on_plane[order], planes, ordered, points[order], moving)
+    copies = _copies_of(on_plane[order], boundary.planes, ordered, points[order], moving)
     rows = order[copies.rows]
-    normals = np.reshape([plane.normal for plane in planes], (-1, d))
-    images = Images(
-        **as_jax(
-            {
-                "normals": normals,
-                "origins": np.reshape([plane.origin for plane in planes], (-1, d)),
-                "on_plane": on_plane,
-                "rows": rows.astype(np.int32),
-                "kind": copies.kind,
-                "matrices": copies.transforms[:, :-1, :-1],
-                "shifts": copies.transforms[:, :-1, -1],
-                "powers": copies.powers,
-                "pairings": own,
-            }
-        ),
-        edges=edges_of(planes),
-    )
+    images = _images_of(boundary.planes, on_plane, copies, rows, own)
     if faces is not None:
         faces = {kind: copies.faces(place[corners]) for kind, corners in faces.items()}
-    cells = boundary.cells
     is_guided = rows >= moving + len(boundary.fixed)
+    places = points[order]
+    if len(copies.transforms) > 1:
+        places = np.asarray(images.points(jnp.asarray(points)))
     surface = Surface(
-        points=np.asarray(images.points(jnp.asarray(points)))
-        if len(copies.transforms) > 1
-        else points[order],
+        points=places,
         nodes=np.where(copies.kind == 0, nodes[rows], -1),
         moving=int((rows < moving).sum()),
         images=copies.first,
         faces=faces,
         is_open=boundary.is_open,
-        cells=None if cells is None else Cells(cells, normals, boundary.on),
+        cells=_cells_of(boundary),
         in_planes=is_guided & on_plane[rows].any(axis=1),
         listed=rows,
         hidden=np.isin(nodes[rows], boundary.hidden),
     )
     return surface, images
+
+
+def _normals(planes: Sequence[Plane], dimension: int) -> Float[np.ndarray, "p d"]:
+    return np.reshape([plane.normal for plane in planes], (-1, dimension))
+
+
+def _cells_of(boundary: Conditions) -> Cells | None:
+    if boundary.cells is None:
+        return None
+    normals = _normals(boundary.planes, boundary.points.shape[1])
+    return Cells(boundary.cells, normals, boundary.on)
+
+
+def _images_of(
+    planes: Sequence[Plane],
+    on_plane: Bool[np.ndarray, "o p"],
+    copies: "Copies",
+    rows: Int[np.ndarray, " b"],
+    pairings: tuple[Pairing, ...],
+) -> Images:
+    d = copies.transforms.shape[1] - 1
+    parts = {
+        "normals": _normals(planes, d),
+        "origins": np.reshape([plane.origin for plane in planes], (-1, d)),
+        "on_plane": on_plane,
+        "rows": rows.astype(np.int32),
+        "kind": copies.kind,
+        "matrices": copies.transforms[:, :-1, :-1],
+        "shifts": copies.transforms[:, :-1, -1],
+        "powers": copies.powers,
+        "pairings": pairings,
+    }
+    return Images(**as_jax(parts), edges=edges_of(planes))
 
 
 @dataclasses.dataclass(frozen=True)
