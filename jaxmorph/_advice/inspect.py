@@ -145,7 +145,7 @@ class _Motion:
         """The smallest share of a gap that is left, and the node there."""
         if self.faces is None or not len(self.faces):
             return None
-        before = np.asarray(self.mesh.points, dtype=float)[self.nodes]
+        before = self.points.astype(float)
         wall = walls(before, self.plan.n_moving, {"simplex": self.faces})
         scale = TOUCHING * np.ptp(before, axis=0).max()
         share = share_left(before, before + self.vectors.astype(float), wall, self.faces, scale)
@@ -284,14 +284,14 @@ def inspect(
     """
     plan.check_surface("inspect")
     ids = _ids(plan, mesh, nodes)
-    is_whole = mesh is not None and nodes is None
+    whole = mesh if nodes is None else None
     finite = np.isfinite(np.asarray(u)).all(axis=1)
     check_none(
         np.asarray(plan.moving)[~finite],
         f"{{count}} of {plan.n_moving} displacements are not finite, first that of node {{node}} "
         f"(row {int(np.argmin(finite))}).",
     )
-    if moved is not None or is_whole:
+    if moved is not None or whole is not None:
         moved = deform(plan, u) if moved is None else moved
         moved = finite_array("moved", moved, plan.points.shape)
     motion = _Motion(plan, u, ids, mesh, moved)
@@ -308,11 +308,11 @@ def inspect(
     said = "" if crossings is None else str(crossings)
     if said:
         warnings.insert(min(1, len(motion.torn)), said)
-    if is_whole:
-        verdict = judge(mesh, moved)
+    if whole is not None:
+        verdict = judge(whole, moved)
         folds = ""
         if verdict.spoilt and not hopeless:
-            folds = advice_on_folds(plan, mesh, motion.displacement, verdict)
+            folds = advice_on_folds(plan, whole, motion.displacement, verdict)
         advice = [*filter(None, (folds, verdict.note)), *advice]
     return Inspection(
         warnings=tuple(warnings),

@@ -158,7 +158,8 @@ def prepare(
     marks = owned(comm, ids)
     faces = faces_of_piece(comm, mesh, ids, marks[1])
     planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
-    surface = gather_surface(comm, own, ids, faces, planes)
+    known = [plane for plane in planes if isinstance(plane, jm.Plane)]  # others are refused below
+    surface = gather_surface(comm, own, ids, faces, known)
     shares = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
