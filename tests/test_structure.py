@@ -222,7 +222,7 @@ def test_the_driver_knows_no_method_but_the_abstract_one():
     known = {each.module for each in own_imports() if each.rooms == ("_plan", "_methods")}
     assert known <= {
         f"jaxmorph._methods.{name}"
-        for name in ("base", "blocks", "multiscale", "reconstruction", "shares", "surface", "tape")
+        for name in ("base", "blocks", "multiscale", "reconstruction", "surface", "tape")
     }
 
 

@@ -89,7 +89,6 @@ class _Motion:
     u: Any
     ids: np.ndarray
     mesh: Mesh | None
-    moved: np.ndarray | None
 
     @functools.cached_property
     def displacement(self) -> np.ndarray:
@@ -294,7 +293,7 @@ def inspect(
     if moved is not None or whole is not None:
         moved = deform(plan, u) if moved is None else moved
         moved = finite_array("moved", moved, plan.points.shape)
-    motion = _Motion(plan, u, ids, mesh, moved)
+    motion = _Motion(plan, u, ids, mesh)
     crossing = None
     if mesh is not None:
         part = None if np.array_equal(ids, np.arange(len(mesh.points))) else ids

@@ -35,7 +35,7 @@ class Control:
 
     - `sources` (s,): the field's control points, the centres of its functions.
     - `matched` (k,): rows whose displacement the field reproduces: nothing is left to a correction.
-    - `reach`: the field's distance from the surface.
+    - `reach`: how far from the surface the field extends.
     """
 
     sources: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
@@ -75,8 +75,8 @@ class AbstractMethod(Module):
 
     A method of your own needs `connect`, `fit` and `field`; all other functions have defaults. A
     method that computes something for each point once per base mesh is an `AbstractPlacing`. The
-    surface's b rows are the moving nodes, then the fixed ones, no node twice. The arguments of all
-    functions:
+    surface's b rows are the moving nodes, then those at rest or guided, then images; none twice. The
+    arguments of all functions:
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
     - `points`: all points (n, d) of the mesh, in `fit` its base coordinates. `x` is one point (d,).

@@ -96,8 +96,8 @@ class NearWall(AbstractPlacing):
     by inverse distance (Franke and Little's weights, which end continuously). A Delaunay graph lays
     chords over a concave or flat wall. Points above a chord then move differently from wall nodes
     under it, by more than the thickness of a boundary layer's first cell. Points that follow the
-    nearest wall keep their place in the layer. The map is one fixed sparse operator, exact at the
-    surface's nodes.
+    nearest wall keep their place in the layer. The map is linear in the displacement, and exact at
+    the surface's nodes.
 
     Where walls have faces, the layer carries the wall's slope, too: first grid lines turn with the
     wall. At the distance d along the normal n, r of the layer's end, u gets (1 - r^2)^2 h tanh(d /

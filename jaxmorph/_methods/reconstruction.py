@@ -26,7 +26,7 @@ class SurfaceReconstruction(AbstractPlacing):
     """Corrects a coarse field by its offset on the surface (eq. 5): the paper's method.
 
     u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The
-    surface is exact if the correction is exact on it. The correction is linear, so several steps
+    surface is exact if the correction is exact on it. With a linear correction several steps
     (section 3.2 of the paper) equal one step.
 
     **Arguments:**

@@ -28,9 +28,9 @@ class Cells:
 class Surface:
     """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host: b rows.
 
-    - `points` (b, d): coordinates. The first `moving` rows move, all further rows are fixed.
+    - `points` (b, d): coordinates. The first `moving` rows move; then come fixed and guided rows.
     - `nodes` (b,): each row's id among the points of `connect`, or -1.
-    - `images` (b,): the row of which each row is the mirror image, or itself.
+    - `images` (b,): the row of which each row is an image, by mirrors or periods, or itself.
     - `matched`: rows whose displacement vanishes: a coarse field's sources, as its correction sees
       them.
     - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None

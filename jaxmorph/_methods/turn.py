@@ -21,7 +21,7 @@ from .surface import Surface
 OF_WIDTH = 0.05
 OF_BALL = 0.25
 SLACK = 0.1  # sine of the angle to the wall below which a node does not bound a ball
-ROUND = 1 - np.cos(np.deg2rad(20))  # of faces that turn by so much about a node it is an edge
+ROUND = 1 - np.cos(np.deg2rad(20))  # it is an edge where faces turn so far from their mean normal
 PROBE = 4e-3  # distance from the wall at which the coarse field is probed, relative to the width
 BALLS = 8  # steps to the largest ball
 NEAREST = 8  # nodes nearest to a ball's centre that may bound it
@@ -158,7 +158,7 @@ def _beside(
 class WallTurn(eqx.Module):
     """What turns first grid lines, at each row of the surface.
 
-    - `normal` (b, d): into the mesh, zero where nothing turns.
+    - `normal` (b, d): into the mesh, zero for rows without moving faces.
     - `height` (b,): how far up the layer turns as a whole.
     - `strength` (b,): 1 on a smooth wall, 0 at edges and corners.
     - `slopes` (p, d): weights of differences of displacement, whose sum is a derivative along the

@@ -381,9 +381,11 @@ class Verdict:
             degenerate=sum(of["degenerate"]),
             rule=parts[0].rule,
             spoilt=sum(of["spoilt"]),
-            worst=_merge_limits(spoilt) if spoilt else None,
-            rows={row: _merge_limits([rows[row] for rows in of["rows"]]) for row in parts[0].rows},
-            gates=tuple(map(_join_words, zip(*of["gates"], strict=True))),
+            worst=_number_of_parts(spoilt) if spoilt else None,
+            rows={
+                row: _number_of_parts([rows[row] for rows in of["rows"]]) for row in parts[0].rows
+            },
+            gates=tuple(map(_gate_of_parts, zip(*of["gates"], strict=True))),
             before=cls.together(before) if before else None,
             parts=len(parts),
             between=sum(of["between"]) // 2,
@@ -563,19 +565,19 @@ def _verdict(judged: Judged, limits: Limits, before: Verdict | None) -> Verdict:
     )
 
 
-def _join_words(gates: Sequence[Gate]) -> Gate:
+def _gate_of_parts(gates: Sequence[Gate]) -> Gate:
     cells = sorted((cell for gate in gates for cell in gate.worst), key=lambda cell: -cell.badness)
     before = [gate.before for gate in gates if gate.before]
     return dataclasses.replace(
         gates[0],
-        extreme=_merge_limits([gate.extreme for gate in gates]),
+        extreme=_number_of_parts([gate.extreme for gate in gates]),
         beyond=sum(gate.beyond for gate in gates),
         worst=tuple(cells[:WORST]),
-        before=_join_words(before) if before else None,
+        before=_gate_of_parts(before) if before else None,
     )
 
 
-def _merge_limits(numbers: Sequence[Number]) -> Number:
+def _number_of_parts(numbers: Sequence[Number]) -> Number:
     if numbers[0].kind != "mean":
         return max(numbers, key=lambda number: number.badness)
     weight = sum(number.weight for number in numbers)

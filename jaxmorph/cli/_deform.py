@@ -47,7 +47,7 @@ PATIENCE = 120.0
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that an attempt needs but method and steps; `judging` runs in another thread.
+    """All that an attempt needs; `judging` runs in another thread.
 
     With `reached`, the steps of the request were found: they keep the cells for this share of it.
     """
