@@ -75,8 +75,8 @@ class AbstractMethod(Module):
 
     A method of your own needs `connect`, `fit` and `field`; all other functions have defaults. A
     method that computes something for each point once per base mesh is an `AbstractPlacing`. The
-    surface's b rows are the moving nodes, then those at rest or guided, then images; none twice. The
-    arguments of all functions:
+    surface's b rows are the moving nodes, then those at rest or guided, then images; none twice.
+    The arguments of all functions:
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
     - `points`: all points (n, d) of the mesh, in `fit` its base coordinates. `x` is one point (d,).
