@@ -441,7 +441,7 @@ def test_no_cures_are_tried_for_them(name, monkeypatch):
     monkeypatch.setattr("jaxmorph._advice.inspect.advice_on_folds", lambda *_: 1 / 0)
     found = jm.inspect(plan, u, mesh=mesh)
     assert found.is_hopeless
-    assert found.advice == ()
+    assert "one step folds" not in " ".join(found.advice)
     assert repr(patches[0]) in " ".join(found.warnings)
     listed = jm.cures(jm.Boundary(mesh, moving, fixed, **more), u)
     assert [cure for cure in listed if not cure.sliding] == []

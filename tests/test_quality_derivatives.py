@@ -142,6 +142,7 @@ def report_of(aspect_ratio, volume):
         flags,
         jnp.zeros((len(volume), 2)),
         flags,
+        flags,
         (("triangle", len(volume)),),
     )
 

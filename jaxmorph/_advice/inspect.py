@@ -284,16 +284,17 @@ def inspect(
     plan.check_surface("inspect")
     ids = _ids(plan, mesh, nodes)
     whole = mesh if nodes is None else None
-    finite = np.isfinite(np.asarray(u)).all(axis=1)
+    motion = _Motion(plan, u, ids, mesh)
+    offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
+    is_finite = np.isfinite(motion.displacement).all(axis=1)
     check_none(
-        np.asarray(plan.moving)[~finite],
+        np.asarray(plan.moving)[~is_finite],
         f"{{count}} of {plan.n_moving} displacements are not finite, first that of node {{node}} "
-        f"(row {int(np.argmin(finite))}).",
+        f"(row {int(np.argmin(is_finite))}).",
     )
     if moved is not None or whole is not None:
         moved = deform(plan, u) if moved is None else moved
         moved = finite_array("moved", moved, plan.points.shape)
-    motion = _Motion(plan, u, ids, mesh)
     crossing = None
     if mesh is not None:
         part = None if np.array_equal(ids, np.arange(len(mesh.points))) else ids
@@ -319,7 +320,7 @@ def inspect(
         contradictions=motion.nodes[motion.torn].reshape(-1, 2),
         crossings=crossings,
         is_hopeless=hopeless,
-        offset=float(np.linalg.norm(np.asarray(plan.offset(u)), axis=1).max()),
+        offset=float(offset.max()),
         overshoot=anywhere,
         overshoot_behind=behind,
         slope=motion.slope,
