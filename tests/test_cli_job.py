@@ -53,6 +53,7 @@ BOX = (
 )
 
 
+@pytest.mark.nightly
 def test_a_job_says_what_the_flags_say(here, capsys):
     (here / "job.toml").write_text(JOB)
     assert main(["deform", "--job", "job.toml"]) == 0

@@ -480,7 +480,8 @@ def commands(folder, case, motion):
 @pytest.mark.parametrize(
     ("command", "name"),
     runs(
-        [("deform", "inside out"), ("su2 def", "through a symmetry plane")],
+        [("deform", "inside out")],
+        slow=[("su2 def", "through a symmetry plane")],
         nightly=sorted(
             {*itertools.product(("deform", "su2 def"), MOTIONS)}
             - {("deform", "inside out"), ("su2 def", "through a symmetry plane")}
@@ -498,7 +499,7 @@ def test_commands_name_them_without_dry_runs(command, name, tmp_path, capsys, mo
         assert word in said
 
 
-@over("name", ["a cube out of its box"], nightly=["a cube half out of its box"])
+@over("name", slow=["a cube out of its box"], nightly=["a cube half out of its box"])
 def test_a_decomposed_case_names_them(name, tmp_path, capsys):
     (make, moving, fixed, _), motion, patches, _ = MOTIONS[name]
     mesh = make()
@@ -518,6 +519,7 @@ def test_a_decomposed_case_names_them(name, tmp_path, capsys):
         assert word in said
 
 
+@pytest.mark.slow
 def test_faces_that_all_come_near_each_other_are_told_and_not_compared(monkeypatch):
     """Work is bounded: of a bound of no pairs a motion that crosses a wall is not known."""
     monkeypatch.setattr("jaxmorph._host.surface.gaps.PAIRS_OF_FACE", 0)

@@ -16,6 +16,7 @@ from formats import ENDINGS, OTHERS, assert_same, rewritten, written
 from meshes import bricks, gmsh_session
 from plot3d import box
 from plot3d import write as write_plot3d
+from runs import over
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -176,7 +177,11 @@ def test_numbers_in_columns_stay_in_them(tmp_path):
 COPIED = (".h5", ".cgns", ".med", ".e")
 
 
-@pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending])
+@over(
+    "ending",
+    [".su2", ".vtu"],
+    nightly=[ending for ending in ENDINGS if ending not in ("", ".su2", ".vtu")],
+)
 def test_a_packed_file_is_what_is_in_it(tmp_path, ending):
     path = written(tmp_path, ending)
     packed = tmp_path / f"in{ending}.gz"

@@ -211,8 +211,9 @@ def with_loose_node() -> jm.Mesh:
 
 @over(
     "name",
-    fast=["one plane", "a sector", "periodic", "a node of no cell"],
-    slow=["sliding", "parallel planes"],
+    fast=["periodic"],
+    slow=["one plane", "a sector", "a node of no cell"],
+    nightly=["sliding", "parallel planes"],
 )
 def test_boundaries(library, tmp_path, name):
     plan = BOUNDARIES[name]()

@@ -249,6 +249,7 @@ def test_nothing_is_written_for_arrays_and_folders_that_are_none(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_what_a_mesh_and_its_boundary_know_is_found_once(monkeypatch):
     """Outer faces once a mesh, each plane on all nodes once, the surface once; moved meshes share the topology."""
     mesh, calls = unit_box(), []

@@ -98,6 +98,7 @@ def test_a_loaded_plan_is_the_same_to_the_last_bit(tmp_path, name):
     assert os.listdir(tmp_path) == ["a.plan"]
 
 
+@pytest.mark.nightly
 def test_fields_keep_their_types(tmp_path):
     """Also where other types are equal: NumPy's numbers, lists, what is infinite, and arrays that no leaf holds."""
     for name in ("own basis", "greedy", "gauss"):

@@ -176,6 +176,7 @@ def split(mesh, name, edge):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "place",
     [
