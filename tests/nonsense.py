@@ -580,7 +580,7 @@ SENSE = {
         "contents",
     ),
     "io.Decomposed.writing.path": "ending folder",
-    "io.check_output.mesh": "mesh folder",
+    "io.check_output.mesh": "mesh folder empty",
     "io.read_displacement.moving": "axis",
     "io.write_pvd.times": "list",
     "shapes.Function.rest": "none word number list object class nan array",
