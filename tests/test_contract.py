@@ -37,16 +37,14 @@ CHEAP = {
     ("elasticity", 2),
     ("inverse-distance", 2),
 }
-"""Cases of which the fast tests hold the cheap laws too; of all others `.ci/run` holds them."""
+"""Cases of which the fast tests hold the cheap laws too."""
 
 
 def over(names, is_cheap=False):
     """Parametrises a law over cases, each marked by the run that holds it."""
     fast = FAST | CHEAP if is_cheap else FAST
     marks = [
-        []
-        if pair in fast
-        else [pytest.mark.slow if is_cheap or pair in WHOLE else pytest.mark.nightly]
+        [] if pair in fast else [pytest.mark.slow if pair in WHOLE else pytest.mark.nightly]
         for pair in names
     ]
     cases = [

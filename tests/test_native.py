@@ -130,12 +130,20 @@ def check(library, plan, path, u, back):
 
 
 EXPORTED = [pair for pair in NAMES if pair[0] not in REFUSED]
-FAST = [
-    (name, 2) for name in ("default", "published", "near-wall", "multiscale", "inverse-distance")
-] + [("default with faces", 3)]
+FAST = [(name, 2) for name in ("default", "published", "multiscale", "inverse-distance")] + [
+    ("default with faces", 3)
+]
 
 
-@over("name dimension", fast=FAST, slow=[pair for pair in EXPORTED if pair not in FAST])
+SLOW = [("default", 3), ("fitted", 3), ("reduced", 3), ("multiscale", 3), ("gaussian-1", 2)]
+
+
+@over(
+    "name dimension",
+    fast=FAST,
+    slow=SLOW,
+    nightly=[pair for pair in EXPORTED if pair not in FAST + SLOW],
+)
 def test_the_header_moves_as_deform_does(library, tmp_path, name, dimension):
     mesh = body(dimension)
     plan = BY_NAME[name].prepared(mesh.points, mesh.moving, mesh.fixed)
@@ -145,7 +153,7 @@ def test_the_header_moves_as_deform_does(library, tmp_path, name, dimension):
 @over(
     "name",
     fast=["elasticity", "inverse-distance-turning", "notebook's basis"],
-    slow=sorted(REFUSED),
+    nightly=sorted(REFUSED),
 )
 def test_other_methods_are_refused_by_name(tmp_path, name):
     dimension = BY_NAME[name].dimensions[0]
@@ -175,7 +183,7 @@ COMPACT = (
 )
 
 
-@over("basis", slow=[*BASES, *(kind(1.5) for kind in COMPACT)])
+@over("basis", slow=BASES[:2], nightly=[*BASES[2:], *(kind(1.5) for kind in COMPACT)])
 def test_every_basis(library, tmp_path, basis):
     mesh = body(2)
     few = {"reduction": jm.KDTree(3), "fixed_reduction": jm.KDTree(3)}

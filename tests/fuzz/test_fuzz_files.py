@@ -18,6 +18,7 @@ import subprocess
 import sys
 
 import pytest
+from runs import over
 
 HERE = pathlib.Path(__file__).parent
 FUZZ, SEED = int(os.environ.get("JAXMORPH_FUZZ", "0")), os.environ.get("JAXMORPH_FUZZ_SEED", "0")
@@ -59,9 +60,8 @@ def can_reset_peak() -> bool:
     return True
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not can_reset_peak(), reason="memory is read as Linux tells it")
-@pytest.mark.parametrize("name", FORMATS)
+@over("name", slow=[name for name in FORMATS if name != "VTK"], nightly=["VTK"])
 def test_damaged_files_are_read_right_or_refused(tmp_path, name):
     at, faults, rounds = 0, [], 0
     while at < COUNT:
