@@ -337,7 +337,7 @@ MOTIONS = {
 }
 
 
-@over("name", ["sleeve turned by 60 degrees"], nightly=[*MOTIONS][1:])
+@over("name", slow=["sleeve turned by 60 degrees"], nightly=[*MOTIONS][1:])
 def test_advice_on_folded_cells_cures(name):
     make, motion, kind = MOTIONS[name]
     mesh = make()

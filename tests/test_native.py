@@ -219,8 +219,7 @@ def with_loose_node() -> jm.Mesh:
 
 @over(
     "name",
-    fast=["periodic"],
-    slow=["one plane", "a sector", "a node of no cell"],
+    slow=["periodic", "one plane", "a sector", "a node of no cell"],
     nightly=["sliding", "parallel planes"],
 )
 def test_boundaries(library, tmp_path, name):

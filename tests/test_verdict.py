@@ -181,7 +181,7 @@ JUDGED = {
 }
 
 
-@over("kind", ["sound", "folded quads"], slow=["folded triangles", "quads collapsed to lines"])
+@over("kind", ["folded quads"], slow=["sound", "folded triangles", "quads collapsed to lines"])
 @over("angle", [2.8], slow=[0.05])
 def test_all_that_judge_give_one_answer(kind, angle):
     """What a motion has spoilt is counted by `judge`; it has nothing else to say elsewhere."""
