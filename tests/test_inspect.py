@@ -372,7 +372,7 @@ def test_advice_on_folded_cells_cures(name):
     assert "folds" not in " ".join(jm.inspect(plan, 0.9 * share * u, mesh=mesh).advice)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_advice_where_nothing_cures_says_what_was_tried():
     mesh = sleeve()
     plan = jm.prepare(mesh, "body", "sleeve")
@@ -433,7 +433,7 @@ LARGE = {
 }
 
 
-@over("name", slow=[*LARGE])
+@over("name", slow=[*LARGE][:1], nightly=[*LARGE][1:])
 def test_a_large_motion_passes_in_one_call_and_is_differentiated(name):
     make, motion = LARGE[name]
     mesh = make()
@@ -459,7 +459,7 @@ def test_a_large_motion_passes_in_one_call_and_is_differentiated(name):
     np.testing.assert_allclose(np.vdot(jax.grad(objective)(u), way), difference, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sleeve_slides_where_no_number_of_steps_follows():
     """135 degrees: straight edges cannot follow; the round outer patch turns with the body."""
     mesh = sleeve()
