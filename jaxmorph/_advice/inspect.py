@@ -165,8 +165,8 @@ class _Motion:
         n = self.plan.n_moving
         return _slope(self.points[:n], self.vectors[:n])
 
-    def warnings(self) -> Iterator[str]:
-        """What no method moves well, apart from crossings."""
+    def warnings(self, crossings: str) -> Iterator[str]:
+        """What no method moves well; `crossings` is what is said of walls that cross, or empty."""
         if len(self.torn):
             first, second = self.torn[0]
             place = ", ".join(f"{x:.4g}" for x in self.points[first])
@@ -179,6 +179,8 @@ class _Motion:
                 f"their distance, the worst nodes {self.nodes[first]} and {self.nodes[second]}{of} "
                 f"near ({place}). {remedies(self.rests, self.touches)}"
             )
+        if crossings:
+            yield crossings
         changed = np.linalg.norm(self.vectors[: self.plan.n_moving] - self.displacement, axis=1)
         count = int(np.sum(changed > PUT_BACK * self.size.max()))
         if count:
@@ -303,20 +305,16 @@ def inspect(
     gap_left = None if motion.gap is None else motion.gap[0]
     crossings = None if crossing is None else crossing.result()
     hopeless = bool(crossings) and not motion.touches.any()
-    warnings = list(motion.warnings())
-    advice = list(motion.advice())
-    said = "" if crossings is None else str(crossings)
-    if said:
-        warnings.insert(min(1, len(motion.torn)), said)
+    of_cells: tuple[str, ...] = ()
     if whole is not None:
         verdict = judge(whole, moved)
         folds = ""
         if verdict.spoilt and not hopeless:
             folds = advice_on_folds(plan, whole, motion.displacement, verdict)
-        advice = [*filter(None, (folds, verdict.note)), *advice]
+        of_cells = tuple(filter(None, (folds, verdict.note)))
     return Inspection(
-        warnings=tuple(warnings),
-        advice=tuple(advice),
+        warnings=tuple(motion.warnings("" if crossings is None else str(crossings))),
+        advice=(*of_cells, *motion.advice()),
         contradictions=motion.nodes[motion.torn].reshape(-1, 2),
         crossings=crossings,
         is_hopeless=hopeless,
