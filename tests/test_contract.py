@@ -229,6 +229,21 @@ def test_pullback_is_the_transpose(name, dimension):
     assert abs(np.vdot(pushed, w) - np.vdot(u, pulled)) <= round_off
 
 
+@every_method_cheaply
+def test_what_a_field_does_not_name_does_not_depend_on_u(name, dimension):
+    """`pullback` takes no derivative by other leaves of a field than `varying`."""
+    plan, (u, _) = planned(name, dimension), given(dimension)
+    surface, others = plan.surface, []
+    for factor in (1, 2):
+        own = jnp.zeros_like(surface.points).at[: plan.n_moving].set(factor * u)
+        field = plan.method.field(surface.ids, surface.factors, surface.points, own)
+        named = [id(leaf) for leaf in jax.tree.leaves(field.varying)]
+        assert {*named} <= {id(leaf) for leaf in jax.tree.leaves(field)}
+        others.append([leaf for leaf in jax.tree.leaves(field) if id(leaf) not in named])
+    for one, other in zip(*others, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @over([pair for pair in NAMES if pair[1] == 2 or pair[0] in ("delaunay", "reduced")])
 def test_derivatives_with_respect_to_the_base_points(name, dimension):
     """The ids stay, everything else moves: the gradient is that of the plan's own arithmetic. Also jvp, and grad of grad."""

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, motion
+from cases import BY_NAME, body, motion
 from meshes import grid, lattice
 from runs import runs
 
@@ -79,6 +79,18 @@ def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, nam
     np.testing.assert_allclose(found[0][-1], in_jit, rtol=0, atol=1e-11)
     (expected,) = transpose(jnp.asarray(w))
     np.testing.assert_allclose(found[0][-2], expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_shares_of_a_method_whose_field_names_nothing(fine, few_points):
+    """Every leaf of such a field may depend on `u`: the pullback through shares is the same."""
+    x = np.asarray(fine.points)[fine.patch("bottom")]
+    u = 0.05 * np.sin(np.pi * x)
+    w = np.random.default_rng(0).normal(size=fine.points.shape)
+    method = BY_NAME["notebook's method"].make(1.0)
+    plan = jm.prepare(fine, "bottom", ("left", "rest"), method=method)
+    assert slabs.shares(plan, u) == 4
+    expected = jax.vjp(jax.jit(lambda u: jm.deform(plan, u)), jnp.asarray(u))[1](jnp.asarray(w))[0]
+    np.testing.assert_allclose(jm.pullback(plan, u, w), expected, rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("count", [2048, 5041, 6144, 6145, 100_000, 216_000, 1_000_003])

@@ -57,6 +57,18 @@ class AbstractField(Module):
         return jax.vmap(self)(points, ids)
 
     @property
+    def varying(self) -> PyTree:
+        """The arrays that depend on `u`: in `pullback` no others have a derivative. By default all,
+        of inner fields those that they name. An override leaves some out, for speed alone.
+        """
+
+        def is_inner(part: Any) -> bool:
+            return isinstance(part, AbstractField) and part is not self
+
+        parts = jax.tree.leaves(self, is_leaf=is_inner)
+        return [part.varying if is_inner(part) else part for part in parts]
+
+    @property
     def block_size(self) -> int | None:
         """Points in a block; None if the memory needs no blocks."""
         return BLOCK

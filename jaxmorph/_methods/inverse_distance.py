@@ -101,6 +101,10 @@ class InverseDistanceField(AbstractField):
     turns: Float[Array, "b d d"] | None
 
     @property
+    def varying(self):
+        return self.u, self.turns
+
+    @property
     def block_size(self) -> int:
         return block_size(len(self.surface))
 

@@ -2,14 +2,13 @@
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Literal
 from jaxtyping import Array, ArrayLike, Float, PyTree, Real
 
 from .._host.package.arguments import checked
@@ -59,11 +58,11 @@ def _shared(plan: Plan, u: Any) -> Shared:
 
 @compiled
 def _slab(shared: Shared, volume: VolumePart, start: Any, size: Constant) -> Float[Array, "s d"]:
-    rows = _rows_of(volume, start, size.value)
+    rows = _slice_rows(volume, start, size.value)
     return move(shared, rows, rows_from(start, shared.nodes, size.value))
 
 
-def _rows_of(rows: PyTree, start: Any, size: int) -> PyTree:
+def _slice_rows(rows: PyTree, start: Any, size: int) -> PyTree:
     return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, size), rows)
 
 
@@ -88,13 +87,13 @@ def pullback(
     number = shares(plan, u, cotangent) if isinstance(plan, Plan) and plan.layout is None else 1
     if number == 1:
         return _pullback(with_transposes(plan), u, cotangent)
-    plan, cotangent = with_transposes(plan, number), _of_points(plan, cotangent)
-    shared, varying = _with_mask(plan, u)
+    cotangent = _of_points(plan, cotangent)
+    plan = with_transposes(plan, number)
+    shared = _shared(plan, u)
     volume = plan.volume
-    constant = Constant((varying.value, number))
     places = [np.asarray(k, np.int32) for k in range(number)]
-    parts = on_all_cores(lambda k: _share(shared, volume, cotangent, k, constant), places)
-    return _put_together(plan, u, varying, parts)
+    parts = on_all_cores(lambda k: _share(shared, volume, cotangent, k, Constant(number)), places)
+    return _put_together(plan, u, parts)
 
 
 @compiled
@@ -212,68 +211,39 @@ def on_all_cores(program: Callable[[Any], T], pieces: list[Any]) -> tuple[T, ...
 
 
 @compiled
-def _with_mask(plan: Plan, u: Any) -> tuple[Shared, Constant]:
-    """Computes the data common to all points, and a mask of its leaves that depend on `u`."""
-    # A leaf depends on u if an operation between the two does, of all that JAX traces. Sources and
-    # scales of a field do not: derivatives in them cost more than all else, and nobody asks for
-    # them.
-    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_shared(plan, u)))(
-        jnp.asarray(u, plan.points.dtype)
-    ).jaxpr
-    varies = set(traced.invars)
-
-    def depends(value: Any) -> bool:
-        return not isinstance(value, Literal) and value in varies
-
-    for step in traced.eqns:
-        if any(map(depends, step.invars)):
-            varies.update(step.outvars)
-    return _shared(plan, u), Constant(tuple(map(depends, traced.outvars)))
-
-
-def _varying(shared: Shared, mask: tuple[bool, ...]) -> list[Array]:
-    return list(itertools.compress(jax.tree.leaves(shared), mask))
-
-
-@compiled
 def _share(
-    shared: Shared, volume: VolumePart, cotangent: Array, k: Any, constant: Constant
-) -> list[Array]:
-    """Pulls cotangents of one share of the points back to the varying part of the common data."""
-    mask, number = constant.value
+    shared: Shared, volume: VolumePart, cotangent: Array, k: Any, number: Constant
+) -> Shared:
+    """Pulls cotangents of share k of the points back to the leaves that depend on `u`."""
     count = len(cotangent)
-    size = -(-len(cotangent) // number)
+    size = -(-count // number.value)
     start = jnp.minimum(k * size, count - size)  # the last share overlaps the one before it
 
-    def cut(leaf: Any) -> Any:
+    def of_share(leaf: Any) -> Any:
         if not is_rows(leaf):
-            return _rows_of(leaf, start, size)
-        length = len(leaf.table.owner) // number
-        table = _rows_of(leaf.table, k * length, length)
-        return dataclasses.replace(_rows_of(leaf.without_table(), start, size), table=table)
+            return _slice_rows(leaf, start, size)
+        length = len(leaf.table.owner) // number.value
+        table = _slice_rows(leaf.table, k * length, length)
+        return dataclasses.replace(_slice_rows(leaf.without_table(), start, size), table=table)
 
-    rows = jax.tree.map(cut, volume, is_leaf=is_rows)
+    rows = jax.tree.map(of_share, volume, is_leaf=is_rows)
     at = rows_from(start, shared.nodes, size)
     is_counted = start + jnp.arange(size) >= k * size
-    cotangent = jnp.where(is_counted[:, None], _rows_of(cotangent, start, size), 0)
-    leaves, structure = jax.tree.flatten(shared)
+    cotangent = jnp.where(is_counted[:, None], _slice_rows(cotangent, start, size), 0)
+    varying, constant = shared.split()
 
-    def moved(values: list[Array]) -> Float[Array, "s d"]:
-        replaced = iter(values)
-        mixed = [
-            next(replaced) if varies else leaf for leaf, varies in zip(leaves, mask, strict=True)
-        ]
-        return move(jax.tree.unflatten(structure, mixed), rows, at)
+    def moved(varying: Shared) -> Float[Array, "s d"]:
+        return move(eqx.combine(varying, constant), rows, at)
 
-    return jax.vjp(moved, _varying(shared, mask))[1](cotangent)[0]
+    return jax.vjp(moved, varying)[1](cotangent)[0]
 
 
 @compiled
-def _put_together(plan: Plan, u: Any, mask: Constant, parts: PyTree) -> Float[Array, "m d"]:
+def _put_together(plan: Plan, u: Any, parts: tuple[Shared, ...]) -> Float[Array, "m d"]:
     """Sums the shares, always in one order, and pulls the sum back to `u`."""
     total = jax.tree.map(lambda *leaves: functools.reduce(jnp.add, leaves), *parts)
     u = jnp.asarray(u, plan.points.dtype)
-    return jax.vjp(lambda u: _varying(_shared(plan, u), mask.value), u)[1](total)[0]
+    return jax.vjp(lambda u: _shared(plan, u).split()[0], u)[1](total)[0]
 
 
 @checked

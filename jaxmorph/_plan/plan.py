@@ -294,11 +294,24 @@ def extended(plan: Plan, u: Any) -> Own:
 
 
 class Shared(eqx.Module):
+    """What the motions of all points have in common: the field, and rows that do not follow it.
+    `assigned` are displacements, or places, of `nodes`.
+    """
+
     field: AbstractField
     assigned: Float[Array, "a d"]
     nodes: Int[Array, " a"]
     images: Images
     are_places: bool = eqx.field(static=True)
+
+    def split(self) -> tuple["Shared", "Shared"]:
+        """Splits off the leaves that depend on `u` from all others; `eqx.combine` joins them."""
+        varies = eqx.tree_at(
+            lambda shared: jax.tree.leaves((shared.field.varying, shared.assigned)),
+            jax.tree.map(lambda _: False, self),
+            replace_fn=lambda _: eqx.is_inexact_array,
+        )
+        return eqx.partition(self, varies)
 
 
 def deform_surface(plan: Plan, vectors: Own) -> Float[Array, "n d"]:

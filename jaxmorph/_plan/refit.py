@@ -23,18 +23,18 @@ from .devices import over_points, pad_rows
 from .judge import deviations
 from .plan import Own, Plan, VolumePart
 
-STEP = Constant(True)
+CARRIED = Constant(True)
 
 
 @compiled
 def refitted(
-    plan: Plan, points: Any, surface: Own | None = None, step: Constant | None = None
+    plan: Plan, points: Any, surface: Own | None = None, how: Constant | None = None
 ) -> Plan:
-    """Computes a plan anew on other points. With `STEP` they are those after one of its own steps:
-    the solve and layers over walls are made anew, and every point keeps its place in the graph. A
-    piece then needs the whole moved surface.
+    """Computes a plan anew on other points. `CARRIED` are those after one of its own steps: the
+    solve and layers over walls are made anew, and every point keeps its place in the graph. A piece
+    then needs the whole moved surface.
     """
-    carried = step is not None
+    carried = how is not None
     method = plan.method
     old = plan.surface
     whole = base_points(plan, points)
@@ -42,7 +42,7 @@ def refitted(
     rows = old.images.points(own)
     guide = old.guide
     if guide is not None:
-        guide = dataclasses.replace(guide, plan=refitted(guide.plan, own, None, step))
+        guide = dataclasses.replace(guide, plan=refitted(guide.plan, own, None, how))
     ids = old.ids
     before = old.factors
     factors = method.carry(ids, before, rows, whole) if carried else method.fit(ids, rows, whole)

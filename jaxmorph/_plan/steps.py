@@ -13,7 +13,7 @@ from .._mesh.mesh import Mesh
 from .deform import transposable
 from .plan import Own, Plan, deform_surface, kept
 from .prepare import plan_of
-from .refit import STEP, refitted, with_boundary
+from .refit import CARRIED, refitted, with_boundary
 
 
 @checked
@@ -52,7 +52,7 @@ def march(
             if j == 0
             else _anew(plan, points, mesh)
             if rebuild
-            else refitted(plan, points, surface, STEP)
+            else refitted(plan, points, surface, CARRIED)
         )
         points, surface = _advance(step, target)
         plans.append(step)
@@ -85,7 +85,7 @@ def replay(
     surface = None
     for plan, target in zip(plans, targets, strict=True):
         if plan.carried:
-            current = refitted(current, points, surface, STEP)
+            current = refitted(current, points, surface, CARRIED)
         elif current is not plan:
             current = refitted(
                 with_boundary(plan, current.surface.tracks, current.surface.pairings), points

@@ -60,6 +60,10 @@ class RBFField(AbstractField):
         return self.evaluate(x[None], ids)[0]
 
     @property
+    def varying(self):
+        return self.beta, self.alpha
+
+    @property
     def block_size(self) -> int | None:
         return (
             None
