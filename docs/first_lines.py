@@ -35,8 +35,8 @@ def camber(mesh):
 
 def plain(plan):
     """The plan whose layer carries values alone."""
-    strength = plan.surface.factors[2].turn.strength
-    return eqx.tree_at(lambda p: p.surface.factors[2].turn.strength, plan, 0 * strength)
+    strength = plan.surface.factors.correction.turn.strength
+    return eqx.tree_at(lambda p: p.surface.factors.correction.turn.strength, plan, 0 * strength)
 
 
 def plans(mesh):

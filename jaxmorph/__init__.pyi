@@ -42,8 +42,13 @@ from ._methods.base import (
     AbstractPlacing as AbstractPlacing,
     Control as Control,
 )
-from ._methods.cells import (
-    AbstractCellMethod as AbstractCellMethod,
+from ._methods.cells import AbstractCellMethod as AbstractCellMethod
+from ._methods.corrections import (
+    DelaunayGraph as DelaunayGraph,
+    LocalCorrection as LocalCorrection,
+    NearWall as NearWall,
+)
+from ._methods.elements import (
     AbstractStiffness as AbstractStiffness,
     Biharmonic as Biharmonic,
     ByDistance as ByDistance,
@@ -52,11 +57,6 @@ from ._methods.cells import (
     LinearElasticity as LinearElasticity,
     SpringAnalogy as SpringAnalogy,
     TorsionalSprings as TorsionalSprings,
-)
-from ._methods.corrections import (
-    DelaunayGraph as DelaunayGraph,
-    LocalCorrection as LocalCorrection,
-    NearWall as NearWall,
 )
 from ._methods.inverse_distance import InverseDistance as InverseDistance
 from ._methods.multiscale import Multiscale as Multiscale

@@ -14,7 +14,7 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.linear import solves
 from jaxmorph._host.linear import systems as linear
-from jaxmorph._methods.cells import gradients, quadrature
+from jaxmorph._methods.elements import gradients, quadrature
 
 UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
 

@@ -127,12 +127,12 @@ def test_a_step_lays_the_layer_anew():
     plan = jm.prepare(points, moving, fixed, method=resting)
     u = np.tile([0, 0.5], (len(moving), 1))
     (_, after), moved = jm.march(plan, np.stack([u, u]))
-    chi = np.asarray(after.volume.placed[1].share)
+    chi = np.asarray(after.volume.placed.correction.share)
     height = (np.asarray(moved)[:, 1] - 0.5) / 0.5
     np.testing.assert_allclose(chi[height == 0], 1)
     assert (chi[np.isclose(height, 0.5, atol=0.02)] < 1e-3).all()
-    expected = jm.refit(plan, moved).volume.placed[1].share
-    np.testing.assert_allclose(after.volume.placed[1].share, expected, rtol=0, atol=1e-12)
+    expected = jm.refit(plan, moved).volume.placed.correction.share
+    np.testing.assert_allclose(after.volume.placed.correction.share, expected, rtol=0, atol=1e-12)
 
 
 def test_bodies_are_cut_from_a_box():

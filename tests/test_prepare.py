@@ -179,8 +179,8 @@ def test_the_default_and_its_two_neighbours():
     mesh = rings()
     plan = jm.prepare(mesh, "body", "far")
     assert plan.method == jm.SurfaceReconstruction(jm.FittedRBF(), jm.NearWall())
-    assert len(plan.surface.ids[0].edges) == 24  # the fit follows them
-    assert plan.surface.ids[2].turn is not None  # and first grid lines turn with the wall
+    assert len(plan.surface.ids.coarse.edges) == 24  # the fit follows them
+    assert plan.surface.ids.correction.turn is not None  # and first grid lines turn with the wall
     published = jm.SurfaceReconstruction.published(3, 2)
     assert isinstance(published.correction, jm.DelaunayGraph)
     assert published.coarse.reduction == jm.KDTree(3)

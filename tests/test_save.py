@@ -16,6 +16,7 @@ from cases import body, extension, few, motion
 from runs import over
 
 import jaxmorph as jm
+from jaxmorph import cases
 
 
 class Law(enum.Enum):
@@ -188,7 +189,7 @@ def altered(path, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda h: h.update(version=1), "of version 1, but this jaxmorph reads 2: prepare the plan anew and save it"),
+        (lambda h: h.update(version=1), "of version 1, but this jaxmorph reads 3: prepare the plan anew and save it"),
         (lambda h: h.update(format="other"), "not a saved plan; its format is 'other'"),
         (lambda h: h.pop("tree"), "a damaged plan"),
         (lambda h: h["tree"].update({"class": "Popen"}), r"the class 'Popen' is unknown; pass your own class as load\(path, cl"),
@@ -261,6 +262,16 @@ def test_classes_are_checked(tmp_path, classes, words):
     jm.save(tmp_path / "a", planned(jm.RBF(power(), jm.AllPoints(), jm.AllPoints())))
     with pytest.raises(ValueError, match=words):
         jm.load(tmp_path / "a", classes)
+
+
+def test_a_new_process_knows_every_class(tmp_path):
+    """The package imports a name at its first use; a file may hold one that nobody has used."""
+    mesh = cases.naca0015(points=300)
+    jm.save(tmp_path / "a", jm.prepare(mesh, "airfoil", "farfield", method=jm.SpringAnalogy()))
+    code = "import jax, jaxmorph as jm, sys; jax.config.update('jax_enable_x64', True); print(jm.load(sys.argv[1]))"
+    words = [sys.executable, "-c", code, str(tmp_path / "a")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert "SpringAnalogy" in done.stdout, done.stderr
 
 
 @pytest.mark.slow

@@ -114,7 +114,7 @@ def test_the_layer_ends_before_edges_and_other_walls():
     """Its height falls to nothing at a sharp trailing edge, below a quarter of the half thickness, and below the gap's share."""
     mesh = faults.sharp_o_grid(around=96, layers=24, first_cell=1e-4)
     plan = jm.prepare(mesh, "airfoil", "farfield")
-    turn = plan.surface.factors[2].turn
+    turn = plan.surface.factors.correction.turn
     x = np.asarray(plan.surface.points)[: plan.n_moving]
     height = np.asarray(turn.height)[: plan.n_moving]
     tail = x[:, 0].argmax()
@@ -123,7 +123,7 @@ def test_the_layer_ends_before_edges_and_other_walls():
     assert (height <= 0.5 * np.abs(x[:, 1]).max()).all()
     held = faults.channel(columns=24, rows=12)
     plan = jm.prepare(held, "inner", ("outer", "inlet", "outlet"))
-    factors = plan.surface.factors[2].turn
+    factors = plan.surface.factors.correction.turn
     gap = np.linalg.norm(
         np.asarray(plan.surface.points)[: plan.n_moving, None]
         - np.asarray(plan.surface.points)[None, plan.n_moving :],
@@ -231,5 +231,5 @@ def test_points_alone_carry_values_alone():
     """Without faces there is no normal to trust: the layer then carries displacements as before."""
     mesh = section()
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
-    assert plan.surface.ids[2].turn is None
-    assert plan.volume.placed[1].rise is None
+    assert plan.surface.ids.correction.turn is None
+    assert plan.volume.placed.correction.rise is None

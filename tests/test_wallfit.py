@@ -191,7 +191,7 @@ def test_a_bump_leaves_the_far_field_alone():
     assert ratio > 0.3
     surface = np.asarray(plan.surface.points)
     affine = np.array([[0.1, 0.3], [-0.2, 0.05]])
-    ids, factors = plan.surface.ids[0], plan.surface.factors[0]
+    ids, factors = plan.surface.ids.coarse, plan.surface.factors.coarse
     field = plan.method.coarse.field(
         ids, factors, plan.surface.points, jnp.asarray(surface @ affine)
     )
@@ -213,8 +213,8 @@ def test_a_free_side_is_seen_however_it_is_turned():
                     jm.prepare(given, each.patch("inner"), each.patch(*sides))
                     for given in (each, each.points)
                 )
-            assert (len(plan.surface.ids[0].edges) == 0) == is_free
-            assert not len(alone.surface.ids[0].edges)
+            assert (len(plan.surface.ids.coarse.edges) == 0) == is_free
+            assert not len(alone.surface.ids.coarse.edges)
 
 
 def wedge(angle, count=9):
@@ -297,7 +297,7 @@ def test_a_sharp_blade_turns_in_its_passage():
     sides = mesh.patch("blade", "inlet", "outlet", "lower", "upper")
     matrix = np.array([[1.2, 0.3], [-0.1, 0.9]])
     whole = jm.prepare(mesh, sides)
-    assert len(whole.surface.ids[0].tips) == 1
+    assert len(whole.surface.ids.coarse.tips) == 1
     np.testing.assert_allclose(
         jm.deform(whole, mesh.points[sides] @ matrix),
         mesh.points @ (matrix + np.eye(2)),

@@ -1,9 +1,9 @@
 """JAX operations with hand-written transposes: linear ones, and the product of a few rows."""
 
+import dataclasses
 import functools
 import operator
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -17,28 +17,6 @@ from jaxtyping import Array, Float
 # public, but change between versions of JAX.
 
 
-def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    """The derivative of `compute` by all arguments that vary, but the first."""
-    moving = [i for i, tangent in enumerate(tangents) if i and not isinstance(tangent, ad.Zero)]
-
-    def of_moving(*values):
-        return compute(
-            *(dict(enumerate(primals)) | dict(zip(moving, values, strict=True))).values()
-        )
-
-    return jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1]
-
-
-def _program(primitive: Primitive, compute: Callable) -> Callable:
-    program = eqx.filter_jit(primitive.bind)  # platforms have lowerings of the primitive
-
-    def evaluated(*arguments, **options):
-        # Without `jit`, the program would call itself.
-        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
-
-    return evaluated
-
-
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
     """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c). Its
     transpose is the primitive with other arguments, `turned(*others, **options)`. Derivatives by
@@ -47,48 +25,74 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
     `rows(*others, **options)` rows. A lowering for one platform may be added.
     """
     primitive = Primitive(name)
+    rules = _Rules(primitive, compute, rows, turned)
+    primitive.def_impl(rules.evaluate)
+    primitive.def_abstract_eval(rules.shape)
+    ad.primitive_jvps[primitive] = rules.push
+    ad.primitive_transposes[primitive] = rules.transpose
+    batching.primitive_batchers[primitive] = rules.batch
+    mlir.register_lowering(primitive, mlir.lower_fun(compute, multiple_results=False))
+    return primitive
 
-    def jvp(primals, tangents, **options):
+
+@dataclasses.dataclass(eq=False)
+class _Rules:
+    """How JAX evaluates, differentiates and maps a primitive of `linear_primitive`."""
+
+    primitive: Primitive
+    compute: Callable
+    rows: Callable
+    turned: Callable
+
+    @functools.cached_property
+    def _program(self) -> Callable:
+        return eqx.filter_jit(self.primitive.bind)  # platforms have lowerings of the primitive
+
+    def evaluate(self, *arguments, **options):
+        # Without `jit`, the program would call itself.
+        without_jit = jax.config.values["jax_disable_jit"]
+        return (self.compute if without_jit else self._program)(*arguments, **options)
+
+    def shape(self, values, *others, **options):
+        # JAX may keep account of arrays that vary between devices.
+        varies = {}
+        if hasattr(values, "vma"):
+            varies["vma"] = values.vma.union(*(other.vma for other in others))
+        shape = (self.rows(*others, **options), values.shape[1])
+        return values.update(shape=shape, weak_type=False, **varies)
+
+    def push(self, primals, tangents, **options):
+        """The value, and the derivative by all arguments that vary."""
+        varies = [not isinstance(tangent, ad.Zero) for tangent in tangents]
         changes = []
-        if not isinstance(tangents[0], ad.Zero):
-            changes.append(primitive.bind(tangents[0], *primals[1:], **options))
-        if any(not isinstance(tangent, ad.Zero) for tangent in tangents[1:]):
-            changes.append(_changed(functools.partial(compute, **options), primals, tangents))
-        return primitive.bind(*primals, **options), sum(changes[1:], start=changes[0])
+        if varies[0]:
+            changes.append(self.primitive.bind(tangents[0], *primals[1:], **options))
+        if any(varies[1:]):
+            moving = [i for i, moves in enumerate(varies) if i and moves]
 
-    def transposed(cotangent, values, *others, **options):
+            def of_moving(*values):
+                known = dict(enumerate(primals)) | dict(zip(moving, values, strict=True))
+                return self.compute(*known.values(), **options)
+
+            chosen = ([primals[i] for i in moving], [tangents[i] for i in moving])
+            changes.append(jax.jvp(of_moving, *chosen)[1])
+        return self.primitive.bind(*primals, **options), sum(changes[1:], start=changes[0])
+
+    def transpose(self, cotangent, values, *others, **options):
         nothing = [None] * len(others)
         if isinstance(cotangent, ad.Zero):
             return [ad.Zero(values.aval), *nothing]
-        others, options = turned(*others, **options)
-        return [primitive.bind(cotangent, *others, **options), *nothing]
+        others, options = self.turned(*others, **options)
+        return [self.primitive.bind(cotangent, *others, **options), *nothing]
 
-    def batched(arguments, axes, **options):
+    def batch(self, arguments, axes, **options):
         values, *others = arguments
         if any(axis is not None for axis in axes[1:]):
-            return jax.vmap(functools.partial(compute, **options), tuple(axes))(*arguments), 0
+            compute = functools.partial(self.compute, **options)
+            return jax.vmap(compute, tuple(axes))(*arguments), 0
         values = jnp.moveaxis(values, axes[0], 1)
-        result = primitive.bind(values.reshape(len(values), -1), *others, **options)
+        result = self.primitive.bind(values.reshape(len(values), -1), *others, **options)
         return result.reshape(len(result), *values.shape[1:]), 1
-
-    def abstract(values, *others, **options):
-        # JAX may keep account of arrays that vary between devices.
-        varies = (
-            {"vma": values.vma.union(*(other.vma for other in others))}
-            if hasattr(values, "vma")
-            else {}
-        )
-        return values.update(
-            shape=(rows(*others, **options), values.shape[1]), weak_type=False, **varies
-        )
-
-    primitive.def_impl(_program(primitive, compute))
-    primitive.def_abstract_eval(abstract)
-    ad.primitive_jvps[primitive] = jvp
-    ad.primitive_transposes[primitive] = transposed
-    batching.primitive_batchers[primitive] = batched
-    mlir.register_lowering(primitive, mlir.lower_fun(compute, multiple_results=False))
-    return primitive
 
 
 MOST_ROWS = 4  # most rows that one loop sums on a GPU; a displacement has two or three

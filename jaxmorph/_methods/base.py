@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -82,6 +83,19 @@ class AbstractWhole(AbstractField):
         return None
 
 
+class Remainder(eqx.Module):
+    """What a coarse field leaves to a correction at the surface's rows.
+
+    - `u` (b, d): displacements.
+    - `offset` (b, d): `u` less the coarse field there (eq. 5).
+    - `coarse`: the coarse field, or None if it is known at the mesh's points alone.
+    """
+
+    u: Rows
+    offset: Rows
+    coarse: AbstractField | None
+
+
 class AbstractMethod(Module):
     """Turns displacements of the surface into a displacement field.
 
@@ -108,6 +122,12 @@ class AbstractMethod(Module):
     @abc.abstractmethod
     def field(self, ids: PyTree, factors: PyTree, surface: Rows, u: Rows) -> AbstractField:
         """Makes the displacement field. Traced, and linear in `u` for a method that is `linear`."""
+
+    def correct(
+        self, ids: PyTree, factors: PyTree, surface: Rows, left: Remainder
+    ) -> AbstractField:
+        """Makes the field of what a coarse field leaves, by default that of the offset. Traced."""
+        return self.field(ids, factors, surface, left.offset)
 
     def place(self, x: Point, ids: PyTree, factors: PyTree, surface: Rows) -> PyTree:
         """Returns the ids of a point; an `AbstractPlacing` computes its place. Traced."""

@@ -1,6 +1,5 @@
 """Corrections of a coarse field: a graph of the surface, a layer over walls, the nearest node."""
 
-from collections.abc import Callable
 from concurrent.futures import Future
 
 import equinox as eqx
@@ -31,7 +30,7 @@ from .base import (
 )
 from .blocks import map_points
 from .rbf.basis import WendlandC2
-from .sparse import InterpolatedField, Interpolation, Reach, Searched, lost_unless, squared_distance
+from .sparse import InterpolatedField, Interpolation, NodeSearch, Reach, is_lost, squared_distance
 from .surface import Surface
 from .turn import WallTurn, WallTurnIds, risen
 
@@ -174,8 +173,24 @@ class NearWall(AbstractPlacing):
         return _placed(x, correction, ids.wall, factors, surface)
 
     def field(self, ids, factors, surface, u):
-        rest = jnp.zeros_like(u)
-        return turned_field(self, ids, factors, surface, (u, u), lambda places: rest)
+        turn = None
+        if ids.turn is not None:
+            rest = jnp.zeros_like(u)
+            turn = factors.turn.turned(ids.turn, u, rest, rest)
+        return self._layer(ids, factors, surface, u, turn)
+
+    def correct(self, ids, factors, surface, left):
+        if left.coarse is None or ids.turn is None:
+            return self.field(ids, factors, surface, left.offset)
+        near = left.u - left.offset
+        far = map_points(left.coarse, factors.turn.probes, None)
+        turn = factors.turn.turned(ids.turn, left.u, near, far)
+        return self._layer(ids, factors, surface, left.offset, turn)
+
+    def _layer(self, ids, factors, surface, offset: Rows, turn: Rows | None) -> "NearWallField":
+        correction = self.correction.field(ids.correction, factors.correction, surface, offset)
+        values = offset if turn is None else jnp.concatenate([offset, turn], axis=1)
+        return NearWallField(correction, InterpolatedField(values))
 
     def check(self, ids, factors, u):
         self.correction.check(ids.correction, factors.correction, u)
@@ -189,26 +204,6 @@ class Layered(eqx.Module):
     correction: PyTree
     wall: PyTree
     turn: PyTree = None
-
-
-def turned_field(
-    method: NearWall,
-    ids: Layered,
-    factors: Layered,
-    surface: Rows,
-    u: tuple[Rows, Rows],
-    coarse: Callable[[Rows], Rows],
-) -> AbstractField:
-    """Makes the field of what a `coarse` field leaves: `u` is the displacement and its offset. The
-    field turns what the coarse field leaves of the slope across the wall, too.
-    """
-    whole, offset = u
-    correction = method.correction.field(ids.correction, factors.correction, surface, offset)
-    values = offset
-    if ids.turn is not None:
-        turn = factors.turn.turned(ids.turn, whole, whole - offset, coarse(factors.turn.probes))
-        values = jnp.concatenate([offset, turn], axis=1)
-    return NearWallField(correction, InterpolatedField(values))
 
 
 class WallPlace(eqx.Module):
@@ -351,7 +346,7 @@ HALF = 0.5  # the radius at a wall without matched sources, relative to its mean
 
 class LocalIds(eqx.Module):
     extent: Extent
-    searched: Searched
+    search: NodeSearch
 
 
 class LocalFactors(eqx.Module):
@@ -396,8 +391,8 @@ class LocalCorrection(AbstractPlacing):
         rows = surface.rows(len(points))
         on_surface = rows < len(surface.points)
         nodes[on_surface] = rows[on_surface]
-        searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
-        return LocalIds(extent, searched), Reach(
+        search = NodeSearch(*as_jax((points, surface.points, np.asarray(distance))))
+        return LocalIds(extent, search), Reach(
             *as_jax((nodes[:, None], (reached | on_surface)[:, None]))
         )
 
@@ -406,7 +401,7 @@ class LocalCorrection(AbstractPlacing):
 
     def fit(self, ids: LocalIds, surface, points):
         radius = self._radius(ids.extent, surface)
-        return LocalFactors(radius, ids.searched.certain(radius.max(), surface, points))
+        return LocalFactors(radius, ids.search.is_certain(radius.max(), surface, points))
 
     def carry(self, ids, factors, surface, points):
         return factors
@@ -415,7 +410,7 @@ class LocalCorrection(AbstractPlacing):
         radius = factors.radius[ids.nodes]
         fades = radius > 0
 
-        def is_lost():
+        def look():
             squared = squared_distance(x[None], surface)
             reaches = jax.lax.stop_gradient(factors.radius)
             nearest = jnp.where(
@@ -424,7 +419,7 @@ class LocalCorrection(AbstractPlacing):
             listed = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
             return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
 
-        lost = lost_unless(factors.is_certain, is_lost)
+        lost = is_lost(factors.is_certain, look)
         squared = jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1)
         weights = WendlandC2(1.0)(squared / jnp.where(fades, radius, 1) ** 2)
         return ids.weighted(jnp.where(fades, weights, 0), lost)

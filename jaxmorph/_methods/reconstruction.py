@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from .._host.sources.reduction import KDTree
 from .base import (
@@ -11,15 +12,26 @@ from .base import (
     AbstractPlacing,
     AbstractWhole,
     Control,
+    Remainder,
     Rows,
     check_kind,
     has_part,
 )
 from .blocks import map_points, place_points
-from .corrections import DelaunayGraph, NearWall, begun_graph, turned_field
+from .corrections import DelaunayGraph, NearWall, begun_graph
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 from .surface import Surface
+
+
+class OfBoth(eqx.Module):
+    """Ids, factors or places of the coarse field and of the correction, where the surface has them
+    also ids or places of the coarse field at its rows.
+    """
+
+    coarse: PyTree
+    correction: PyTree
+    at_surface: PyTree = None
 
 
 class SurfaceReconstruction(AbstractPlacing):
@@ -83,73 +95,67 @@ class SurfaceReconstruction(AbstractPlacing):
             nodes=surface.nodes, matched=self.coarse.control(coarse).matched
         )
         correction, correction_at_points = self.correction.connect(surface, points)
-        return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
+        ids = OfBoth(coarse, correction, at_surface=coarse_at_surface)
+        return ids, OfBoth(coarse_at_points, correction_at_points)
 
     def fit(self, ids, surface, points):
-        coarse, at_surface, correction = ids
-        factors = self.coarse.fit(coarse, surface, points)
-        placed = place_points(self.coarse, surface, at_surface, factors, surface)
-        return factors, placed, self.correction.fit(correction, surface, points)
+        coarse = self.coarse.fit(ids.coarse, surface, points)
+        at_surface = place_points(self.coarse, surface, ids.at_surface, coarse, surface)
+        correction = self.correction.fit(ids.correction, surface, points)
+        return OfBoth(coarse, correction, at_surface)
 
     def carry(self, ids, factors, surface, points):
-        coarse, _, correction = ids
-        coarse_factors, placed, correction_factors = factors
-        carried = self.coarse.carry(coarse, coarse_factors, surface, points)
-        return (
-            carried,
-            placed,
-            self.correction.carry(correction, correction_factors, surface, points),
-        )
+        coarse = self.coarse.carry(ids.coarse, factors.coarse, surface, points)
+        correction = self.correction.carry(ids.correction, factors.correction, surface, points)
+        return OfBoth(coarse, correction, factors.at_surface)
 
     def place(self, x, ids, factors, surface):
-        coarse = self.coarse.place(x, ids[0], factors[0], surface)
-        return coarse, self.correction.place(x, ids[1], factors[2], surface)
+        coarse = self.coarse.place(x, ids.coarse, factors.coarse, surface)
+        return OfBoth(coarse, self.correction.place(x, ids.correction, factors.correction, surface))
 
     def carry_place(self, x, ids, factors, surface, placed):
-        coarse = self.coarse.carry_place(x, ids[0], factors[0], surface, placed[0])
-        return coarse, self.correction.carry_place(x, ids[1], factors[2], surface, placed[1])
+        coarse = self.coarse.carry_place(x, ids.coarse, factors.coarse, surface, placed.coarse)
+        correction = self.correction.carry_place(
+            x, ids.correction, factors.correction, surface, placed.correction
+        )
+        return OfBoth(coarse, correction)
 
     def control(self, ids):
-        coarse = self.coarse.control(ids[0])
-        correction = self.correction.control(ids[2])
+        coarse = self.coarse.control(ids.coarse)
+        correction = self.correction.control(ids.correction)
         return Control(np.concatenate([coarse.sources, correction.sources]), correction.matched)
 
     def check(self, ids, factors, u):
-        self.coarse.check(ids[0], factors[0], u)
-        self.correction.check(ids[2], factors[2], u)
+        self.coarse.check(ids.coarse, factors.coarse, u)
+        self.correction.check(ids.correction, factors.correction, u)
 
     def field(self, ids, factors, surface, u):
-        coarse, offset = self._split(ids, factors, surface, u)
-        correction = self.correction
-        if isinstance(correction, NearWall) and ids[1] is None:
-            # the coarse field is known everywhere
-
-            def at(places: Rows) -> Rows:
-                return map_points(coarse, places, None)
-
-            field = turned_field(correction, ids[2], factors[2], surface, (u, offset), at)
-        else:
-            field = correction.field(ids[2], factors[2], surface, offset)
-        return SumField(coarse, field)
+        coarse = self.coarse.field(ids.coarse, factors.coarse, surface, u)
+        left = self._remainder(coarse, factors, surface, u)
+        return SumField(
+            coarse, self.correction.correct(ids.correction, factors.correction, surface, left)
+        )
 
     def offset(self, ids, factors, surface, u):
         """Computes the surface displacement that is left to the correction (eq. 5). Traced."""
-        return self._split(ids, factors, surface, u)[1]
+        coarse = self.coarse.field(ids.coarse, factors.coarse, surface, u)
+        return self._remainder(coarse, factors, surface, u).offset
 
-    def _split(self, ids, factors, surface, u):
-        coarse = self.coarse.field(ids[0], factors[0], surface, u)
-        return coarse, u - map_points(coarse, surface, factors[1])  # eq. (5)
+    def _remainder(self, coarse: AbstractField, factors: OfBoth, surface: Rows, u: Rows):
+        offset = u - map_points(coarse, surface, factors.at_surface)  # eq. (5)
+        return Remainder(u, offset, coarse if factors.at_surface is None else None)
 
 
 class SumField(AbstractWhole):
-    first: AbstractField
-    second: AbstractField
+    coarse: AbstractField
+    correction: AbstractField
 
-    def __call__(self, x, ids):
-        return self.first(x, ids[0]) + self.second(x, ids[1])
+    def __call__(self, x, ids: OfBoth):
+        return self.coarse(x, ids.coarse) + self.correction(x, ids.correction)
 
-    def evaluate(self, points, ids):
-        return map_points(self.first, points, ids[0]) + map_points(self.second, points, ids[1])
+    def evaluate(self, points, ids: OfBoth):
+        coarse = map_points(self.coarse, points, ids.coarse)
+        return coarse + map_points(self.correction, points, ids.correction)
 
 
 def sees_free_sides(method: AbstractMethod) -> bool:

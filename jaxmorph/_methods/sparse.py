@@ -216,28 +216,29 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 SLACK = 0.05
 
 
-def lost_unless(is_certain: Flag, is_lost: Callable[[], Any]) -> Flag:
-    """Checks whether a node was lost, where it is not certain that none was."""
-    return jax.lax.cond(is_certain, lambda: jnp.array(False), is_lost)
+class NodeSearch(eqx.Module):
+    """A search for all surface nodes within a `distance` of each point: the coordinates then."""
 
-
-class Searched(eqx.Module):
     points: Points
     surface: Rows
     distance: Scalar
 
-    def certain(self, radius: Scalar, surface: Rows, points: Points) -> Flag:
-        """True if all nodes within a radius were surely found: nodes may have come nearer since."""
-        shifts = (
-            surface - self.surface,
-            points - self.points[: len(points)],
-        )  # images, which follow, are of the surface
-        mean = shifts[0].mean(axis=0)
-        shifts = [
-            jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts
+    def is_certain(self, radius: Scalar, surface: Rows, points: Points) -> Flag:
+        """True if it surely found all nodes within a radius: nodes may have come nearer since."""
+        of_surface = surface - self.surface
+        of_points = points - self.points[: len(points)]  # images, which follow, are of the surface
+        mean = of_surface.mean(axis=0)
+        farthest = [
+            jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0))
+            for shift in (of_surface, of_points)
         ]
-        nearer = shifts[0] + jnp.maximum(*shifts)
+        nearer = farthest[0] + jnp.maximum(*farthest)
         return jax.lax.stop_gradient(radius + nearer <= self.distance)
+
+
+def is_lost(is_certain: Flag, look: Callable[[], Any]) -> Flag:
+    """Checks whether a search lost a node: `look` tells, and runs where it is not certain."""
+    return jax.lax.cond(is_certain, lambda: jnp.array(False), look)
 
 
 def squared_distance(a: Float[Array, "*k d"], b: Float[Array, "*m d"]) -> Float[Array, "*n"]:

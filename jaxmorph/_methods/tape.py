@@ -2,71 +2,50 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from scipy.sparse import csr_array, diags_array, vstack
+from scipy.sparse import csr_array, diags_array, eye_array
 
+from .._host.rows import Rows
+from .._kernels.values import as_jax
 from .base import AbstractMethod
-from .corrections import DelaunayGraph, Layered, LocalCorrection, NearWall
+from .corrections import DelaunayGraph, LocalCorrection, NearWall
 from .inverse_distance import SMALLEST, InverseDistance, InverseDistanceFactors, nearest_bound
 from .multiscale import Hierarchy, Multiscale
 from .rbf import basis as bases
 from .rbf.expansion import Expansion, RBFFactors
-from .rbf.fitted import Cholesky, FitFactors, FittedRBF, WallIds, deflection
+from .rbf.fitted import Cholesky, FitFactors, FittedRBF, WallIds
 from .rbf.rbf import RBF
 from .rbf.system import polynomial
-from .reconstruction import SurfaceReconstruction
+from .reconstruction import OfBoth, SurfaceReconstruction
 from .turn import WallTurn, WallTurnIds
 
 CODES = (
-    "add",
-    "shift",
-    "take",
-    "put",
-    "sparse",
-    "dense",
-    "cholesky",
-    "ldl",
-    "kernel",
-    "mean",
-    "plane",
-    "turn",
-    "pair",
-    "copy",
-    "forward",
+    *("add", "shift", "take", "put", "sparse", "dense", "cholesky", "ldl", "kernel", "mean"),
+    *("plane", "turn", "pair", "copy", "forward"),
 )
 """Names of steps: the first has the code 1 in the file."""
 
 FUNCTIONS = (
-    bases.ThinPlateSpline,
-    bases.LinearSpline,
-    bases.CubicSpline,
-    bases.Gaussian,
-    bases.Multiquadric,
-    bases.InverseMultiquadric,
-    bases.InverseQuadratic,
-    bases.WendlandC0,
-    bases.WendlandC2,
-    bases.WendlandC4,
-    bases.WendlandC6,
-    bases.CompactC0,
-    bases.CompactC1,
-    bases.CompactC2a,
-    bases.CompactC2b,
+    *(bases.ThinPlateSpline, bases.LinearSpline, bases.CubicSpline, bases.Gaussian),
+    *(bases.Multiquadric, bases.InverseMultiquadric, bases.InverseQuadratic),
+    *(bases.WendlandC0, bases.WendlandC2, bases.WendlandC4, bases.WendlandC6),
+    *(bases.CompactC0, bases.CompactC1, bases.CompactC2a, bases.CompactC2b),
 )
 """Bases, in the order of their numbers in the file."""
 
+# registers of the displacement and of the points
 U = 0
-POINTS = 1  # registers of the displacement and of the points
-FLAT, TURNED, MINUS = (
-    1,
-    2,
-    4,
-)  # flags: the components of all rows are one vector; by the transpose; subtracted
+POINTS = 1
+# flags: the components of all rows are one vector; by the transpose; subtracted
+FLAT = 1
+TURNED = 2
+MINUS = 4
 
 
 @dataclasses.dataclass
@@ -74,7 +53,8 @@ class Tape:
     """Linear steps between registers, arrays of rows in `dimension` components.
 
     A step is (code, register that changes, register that is read or -1, five arrays or -1, number).
-    `array` and `register` return numbers for steps.
+    What is computed from a register is added to the register `out`, by default to a new one; its
+    number is returned.
     """
 
     dimension: int
@@ -96,75 +76,128 @@ class Tape:
             self.arrays.append(np.ascontiguousarray(np.asarray(values), f"<{kind}").ravel())
         return self.known[key][0]
 
-    def step(self, name: str, out: int, source: int = -1, *arrays: int, number: int = 0) -> None:
-        padded = (*arrays, *[-1] * (5 - len(arrays)))
+    def step(self, name: str, out: int, source: int = -1, *arrays: Any, number: int = 0) -> None:
+        """Adds a step; `arrays` may be numbers of arrays, or matrices, which are three arrays."""
+        numbers = []
+        for array in arrays:
+            if isinstance(array, csr_array):
+                numbers += [
+                    self.array(array.indptr, "i8"),
+                    *map(self.array, (array.indices, array.data)),
+                ]
+            else:
+                numbers.append(array if isinstance(array, int) else self.array(array))
+        padded = (*numbers, *[-1] * (5 - len(numbers)))
         self.steps.append((CODES.index(name) + 1, out, source, *padded, number))
 
-    def sparse(self, out: int, source: int, matrix: Any) -> None:
+    def copy(self, source: int) -> int:
+        out = self.register(self.rows[source])
+        self.step("add", out, source, number=1)
+        return out
+
+    def take(self, source: int, rows: np.ndarray) -> int:
+        out = self.register(len(rows))
+        self.step("take", out, source, rows)
+        return out
+
+    def sparse(self, source: int, matrix: Any, out: int | None = None) -> int:
+        out = self.register(matrix.shape[0]) if out is None else out
         matrix = csr_array(matrix)
         matrix.eliminate_zeros()
-        arrays = (
-            self.array(matrix.indptr, "i8"),
-            self.array(matrix.indices),
-            self.array(matrix.data),
-        )
-        self.step("sparse", out, source, *arrays)
+        self.step("sparse", out, source, matrix)
+        return out
 
-    def dense(self, out: int, source: int, matrix: Any, flags: int = 0) -> None:
-        """Adds a matrix times a register; `flags` are `FLAT`, `TURNED` and `MINUS`."""
-        self.step("dense", out, source, self.array(matrix), number=flags)
+    def dense(self, source: int, matrix: Any, flags: int = 0, out: int | None = None) -> int:
+        out = self.register(matrix.shape[1 if flags & TURNED else 0]) if out is None else out
+        self.step("dense", out, source, matrix, number=flags)
+        return out
 
-    def cholesky(self, out: int, factor: Cholesky, flags: int = 0) -> None:
+    def mix(self, source: int, out: int, entries: tuple[Any, Any], left: Any, right: Any) -> None:
+        """Adds left[k] (right[k] . row j of the source) to row i, for each entry k at (i, j)."""
+        # A step treats all components alike. So for each pair of components a copy of the source
+        # has the one that is read in the place of the one that changes, and zeros elsewhere.
+        axes = np.eye(self.dimension)
+        shape = self.rows[out], self.rows[source]
+        for c, e in np.ndindex(self.dimension, self.dimension):
+            weights = left[:, c] * right[:, e]
+            if weights.any():
+                copy = self.copy(source)
+                every = np.ones(shape[1], dtype=bool)
+                self.rows_in_place("turn", copy, every, axes[c][:, None] * axes[e])
+                self.sparse(copy, csr_array((weights, entries), shape), out)
+
+    def cholesky(self, out: int, factor: Cholesky, flags: int = 0) -> int:
         """Solves in place."""
         packed = factor.lower[np.tril_indices(len(factor.lower))]
-        self.step("cholesky", out, -1, self.array(packed), self.array(factor.size), number=flags)
+        self.step("cholesky", out, -1, packed, factor.size, number=flags)
+        return out
 
     def ldl(self, out: int, matrix: np.ndarray) -> None:
         """Solves by Bunch and Kaufman's factors of a symmetric matrix, in place."""
         lower, blocks, order = scipy.linalg.ldl(matrix)
         packed = lower[order][np.tril_indices(len(lower))]
-        diagonals = np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0)
-        self.step(
-            "ldl", out, -1, self.array(packed), *map(self.array, diagonals), self.array(order)
-        )
+        diagonals = (np.diagonal(blocks), np.append(np.diagonal(blocks, -1), 0.0))
+        self.step("ldl", out, -1, packed, *diagonals, order)
 
     def rows_in_place(self, name: str, out: int, is_chosen: Any, matrix: Any) -> None:
         """A step "plane" with its normal, or "turn" with its matrix, for the chosen rows."""
         if is_chosen.any():
-            self.step(name, out, -1, self.array(np.flatnonzero(is_chosen)), self.array(matrix))
+            self.step(name, out, -1, np.flatnonzero(is_chosen), matrix)
 
 
 @dataclasses.dataclass(frozen=True)
 class Places:
-    """Points at which a field is added to a register: the array, and each point's place."""
+    """Points at which a field is added to a register, and each point's place."""
 
-    points: int
+    points: Any
     placed: Any
     share: Any = 1.0  # of each point in the field, or of all
 
     def of(self, placed: Any, share: Any = 1.0) -> "Places":
         return Places(self.points, placed, self.share * share)
 
-    def recorded(self, tape: Tape) -> int:
-        return tape.array(self.share) if np.ndim(self.share) else -1
+    @property
+    def shares(self) -> Any:
+        return self.share if np.ndim(self.share) else -1
+
+    def matrix(self, columns: int) -> csr_array:
+        """The weights of an `Interpolation`, times the shares."""
+        weights = self.placed.matrix(columns)
+        share = np.broadcast_to(self.share, weights.shape[:1])
+        matrix = csr_array(diags_array(share) @ weights)
+        matrix.sum_duplicates()
+        return matrix
 
 
-Field = Callable[[Tape, int, Places], None]  # adds a displacement field at places to a register
+Field = Callable[[int, Places], None]  # adds a displacement field at places to a register
 
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceRows:
-    """The surface's rows: register of their displacement, array of their points."""
+    """The surface's rows: the register of their displacement, and their points. A correction has
+    the coarse field, too, if it is known at any place: as `Remainder` has it.
+    """
 
     u: int
-    points: int
-    count: int
+    points: Any
+    coarse: "Coarse | None" = None
+
+    @property
+    def count(self) -> int:
+        return len(self.points)
+
+
+@dataclasses.dataclass(frozen=True)
+class Coarse:
+    """A coarse field, and registers of what it was given, and of its values, at the rows."""
+
+    field: Field
+    u: int
+    at_surface: int
 
 
 @functools.singledispatch
-def recorded(
-    method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: SurfaceRows
-) -> Field:
+def record(method: AbstractMethod, tape: Tape, ids: Any, factors: Any, rows: SurfaceRows) -> Field:
     """Records the solve of a method as steps, as its `field` does it."""
     raise ValueError(
         f"{type(method).__name__} cannot be exported. A plan in a file is a linear map without a "
@@ -174,183 +207,122 @@ def recorded(
     )
 
 
-@recorded.register
-def _(method: SurfaceReconstruction, tape, ids, factors, rows) -> Field:
-    coarse = recorded(method.coarse, tape, ids[0], factors[0], rows)
-    at_surface, offset = (tape.register(rows.count) for _ in range(2))
-    coarse(tape, at_surface, Places(rows.points, factors[1]))
-    tape.step("add", offset, rows.u, number=1)
+@record.register
+def _(method: SurfaceReconstruction, tape, ids: OfBoth, factors: OfBoth, rows) -> Field:
+    coarse = record(method.coarse, tape, ids.coarse, factors.coarse, rows)
+    at_surface = tape.register(rows.count)
+    coarse(at_surface, Places(rows.points, factors.at_surface))
+    offset = tape.copy(rows.u)
     tape.step("add", offset, at_surface, number=-1)  # eq. (5)
-    left = SurfaceRows(offset, rows.points, rows.count)
-    if isinstance(method.correction, NearWall) and ids[1] is None:
-        turn = _turned(tape, ids[2].turn, factors[2].turn, rows, (coarse, at_surface))
-        correction = _layered(method.correction, tape, ids[2], factors[2], left, turn)
-    else:
-        correction = recorded(method.correction, tape, ids[2], factors[2], left)
+    known = Coarse(coarse, rows.u, at_surface) if factors.at_surface is None else None
+    left = SurfaceRows(offset, rows.points, known)
+    correction = record(method.correction, tape, ids.correction, factors.correction, left)
 
-    def add(tape: Tape, out: int, places: Places) -> None:
-        coarse(tape, out, places.of(places.placed[0]))
-        correction(tape, out, places.of(places.placed[1]))
+    def add(out: int, places: Places) -> None:
+        coarse(out, places.of(places.placed.coarse))
+        correction(out, places.of(places.placed.correction))
 
     return add
 
 
-@recorded.register(DelaunayGraph)
-@recorded.register(LocalCorrection)
+@record.register(DelaunayGraph)
+@record.register(LocalCorrection)
 def _(method, tape, ids, factors, rows) -> Field:
-    return _Interpolated(rows.u)
+    return _Interpolated(tape, rows.u)
 
 
-@recorded.register
+@record.register
 def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
-    count = rows.count
-    values = tape.register(count)
-    own = np.arange(count)
-    row = ids.row
-    column = ids.column
-    has_function = ids.nearest != own
-    tape.sparse(values, rows.u, csr_array((has_function.astype(float), (own, own)), (count, count)))
-    below = csr_array((factors.entries, (row, column)), (count, count))
-    level = np.full(count, -1)
-    higher = np.zeros(count, np.int64)
-    while (level != higher).any():  # until each row is above all columns of its entries
-        level = higher
-        higher = higher.copy()
-        np.maximum.at(higher, row, level[column] + 1)
-    arrays = tape.array(below.indptr, "i8"), tape.array(below.indices), tape.array(below.data)
-    tape.step("forward", values, -1, *arrays, tape.array(np.argsort(level, kind="stable")))
-    return _Interpolated(values)
+    own = np.arange(rows.count)
+    has_function = (ids.nearest != own).astype(float)
+    values = tape.sparse(rows.u, diags_array(has_function))
+    below = csr_array((factors.entries, (ids.row, ids.column)), (rows.count, rows.count))
+    # rows in the order of the sweep, in which each comes after all columns of its entries
+    swept = ids.forward.owner[(ids.forward.entries >= 0).any(axis=2)]
+    order = np.array(list(dict.fromkeys([*np.setdiff1d(own, swept), *swept])))
+    tape.step("forward", values, -1, below, order)
+    return _Interpolated(tape, values)
 
 
-@recorded.register
+@record.register
 def _(method: NearWall, tape, ids, factors, rows) -> Field:
-    turn = _turned(tape, ids.turn, factors.turn, rows, None)
-    return _layered(method, tape, ids, factors, rows, turn)
+    alone = dataclasses.replace(rows, coarse=None)
+    correction = record(method.correction, tape, ids.correction, factors.correction, alone)
+    slope = None if ids.turn is None else _turned(tape, ids.turn, factors.turn, rows)
+    is_one = isinstance(correction, _Interpolated) and correction.values == rows.u
 
-
-def _layered(
-    method: NearWall, tape: Tape, ids: Layered, factors: Layered, rows: SurfaceRows, turn: int
-) -> Field:
-    """Records `turned_field`, whose slopes are in the register `turn`, or -1 for none."""
-    correction = recorded(method.correction, tape, ids.correction, factors.correction, rows)
-    count = rows.count
-
-    def add(tape: Tape, out: int, places: Places) -> None:
+    def add(out: int, places: Places) -> None:
         place = places.placed
-        wall = _matrix(places.of(place.wall, place.share), count)
         inner = places.of(place.correction, 1 - place.share)
-        is_one = isinstance(correction, _Interpolated) and correction.values == rows.u
+        wall = places.of(place.wall, place.share).matrix(rows.count)
         if is_one:  # one product in place of two
-            wall = wall + _matrix(inner, count)
-        tape.sparse(out, rows.u, wall)
-        if not is_one:
-            correction(tape, out, inner)
-        if turn >= 0:
-            tape.sparse(out, turn, _matrix(places.of(place.wall, place.rise), count))
+            wall = wall + inner.matrix(rows.count)
+        else:
+            correction(out, inner)
+        tape.sparse(rows.u, wall, out)
+        if slope is not None:
+            tape.sparse(slope, places.of(place.wall, place.rise).matrix(rows.count), out)
 
     return add
 
 
-def _turned(
-    tape: Tape,
-    ids: WallTurnIds | None,
-    turn: WallTurn | None,
-    rows: SurfaceRows,
-    coarse: tuple[Field, int] | None,
-) -> int:
-    """Records `WallTurn.turned`; returns its register, or -1 for a wall that turns nothing.
-    `coarse` is a field, and the register of its displacements at the rows.
-    """
-    if ids is None or turn is None:
-        return -1
-    count = rows.count
-    out = tape.register(count)
+def _turned(tape: Tape, ids: WallTurnIds, turn: WallTurn, rows: SurfaceRows) -> int:
+    """Records `WallTurn.turned`; returns its register."""
+    out = tape.register(rows.count)
+    u = rows.u if rows.coarse is None else rows.coarse.u
+    own = np.arange(rows.count)
+    axis = np.eye(tape.dimension)[:1]
     first, second = ids.pairs.T
-    places = (np.tile(first, 2), np.concatenate([second, first]))
-    for c, e in np.ndindex(tape.dimension, tape.dimension):
-        weight = -turn.strength[first] * turn.slopes[:, c] * turn.normal[first, e]
-        matrix = csr_array((np.concatenate([weight, -weight]), places), (count, count))
-        _mixed(tape, (out, c), (rows.u, e), matrix)
+    along = -turn.strength[first][:, None] * turn.slopes
+    entries = (np.tile(first, 2), np.concatenate([second, first]))
+    tape.mix(u, out, entries, np.concatenate([along, -along]), turn.normal[entries[0]])
     growth = tape.register(int(ids.wall.max()) + 1)
-    entries = np.arange(count), ids.wall
-    shape = count, tape.rows[growth]
-    for e in range(tape.dimension):
-        arms = csr_array((turn.arms[:, e], entries), shape)
-        _mixed(tape, (growth, 0), (rows.u, e), arms.T)
-    for c in range(tape.dimension):
-        normal = csr_array((turn.strength * turn.normal[:, c], entries), shape)
-        _mixed(tape, (out, c), (growth, 0), normal)
-    if coarse is not None:
-        field, near = coarse
-        far = tape.register(count)
-        field(tape, far, Places(tape.array(turn.probes), None))
+    tape.mix(u, growth, (ids.wall, own), axis, turn.arms)
+    tape.mix(growth, out, (own, ids.wall), turn.strength[:, None] * turn.normal, axis)
+    if rows.coarse is not None:
+        far = tape.register(rows.count)
+        rows.coarse.field(far, Places(turn.probes, None))
         slope = turn.strength / turn.step
-        tape.sparse(out, far, diags_array(-slope))
-        tape.sparse(out, near, diags_array(slope))
+        tape.sparse(far, diags_array(-slope), out)
+        tape.sparse(rows.coarse.at_surface, diags_array(slope), out)
     return out
-
-
-def _mixed(tape: Tape, out: tuple[int, int], source: tuple[int, int], matrix: Any) -> None:
-    """Adds a matrix times one component of a register to one component of another; both are pairs
-    of register and component.
-    """
-    # a step treats all components alike: a copy has the one that counts in the other's place
-    copy = tape.register(tape.rows[source[0]])
-    tape.step("add", copy, source[0], number=1)
-    axes = np.eye(tape.dimension)
-    swap = axes[out[1]][:, None] * axes[source[1]]
-    tape.rows_in_place("turn", copy, np.ones(tape.rows[copy], dtype=bool), swap)
-    tape.sparse(out[0], copy, matrix)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Interpolated:
     """A field of weighted sums of the rows of a register."""
 
+    tape: Tape
     values: int
 
-    def __call__(self, tape: Tape, out: int, places: Places) -> None:
-        tape.sparse(out, self.values, _matrix(places, tape.rows[self.values]))
+    def __call__(self, out: int, places: Places) -> None:
+        self.tape.sparse(self.values, places.matrix(self.tape.rows[self.values]), out)
 
 
-def _matrix(places: Places, columns: int) -> csr_array:
-    matrix = places.placed.matrix(columns)
-    matrix = csr_array(diags_array(np.broadcast_to(places.share, matrix.shape[:1])) @ matrix)
-    matrix.sum_duplicates()
-    return matrix
-
-
-@recorded.register
+@record.register
 def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows) -> Field:
     alpha = float(method.alpha)
     extent = float(factors.extent)
     bound = nearest_bound(method, np.float64)
-    numbers = tape.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
+    numbers = np.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
 
-    def add(tape: Tape, out: int, places: Places) -> None:
-        arrays = (
-            places.points,
-            rows.points,
-            numbers,
-            places.recorded(tape),
-            tape.array(factors.area),
-        )
+    def add(out: int, places: Places) -> None:
+        arrays = (places.points, rows.points, numbers, places.shares, factors.area)
         tape.step("mean", out, rows.u, *arrays)
 
     return add
 
 
-@recorded.register
+@record.register
 def _(method: RBF, tape, ids, factors: RBFFactors, rows) -> Field:
-    coefficients = tape.register(len(factors.lu))
-    sources = method.control(ids).sources
-    tape.sparse(coefficients, rows.u, _stacked([_chosen(sources, rows.count)], len(factors.lu)))
-    return _expansion(method.expansion, tape, factors, coefficients)
+    chosen = _chosen(method.control(ids).sources, rows.count, len(factors.lu))
+    return _expansion(method.expansion, tape, factors, tape.sparse(rows.u, chosen))
 
 
 def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: int) -> Field:
     """Solves for coefficients in the register of values, and returns the field of eq. (1)."""
-    kind = type(expansion.basis)
+    basis = expansion.basis
+    kind = type(basis)
     if factors.cardinals is not None:
         raise ValueError(
             "RBF with Iterative() cannot be exported: take fewer sources, or "
@@ -366,75 +338,54 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
     matrix[factors.order] = (np.tril(factors.lu, -1) + np.eye(len(matrix))) @ np.triu(factors.lu)
     tape.ldl(values, (matrix + matrix.T) / 2)
     scale = float(factors.scale)
-    basis = expansion.basis
     radius = float(getattr(basis, "radius", getattr(basis, "support_radius", 1.0)))
     factor = 1.0 if basis.scale_free else 1 / (scale * radius) ** 2
-    numbers = tape.array([*factors.centre, scale, factor])
-    sources = tape.array(factors.sources.T)
+    numbers = np.array([*factors.centre, scale, factor])
+    sources = factors.sources.T
     tail = len(factors.lu) - len(factors.sources)
 
-    def add(tape: Tape, out: int, places: Places) -> None:
-        arrays = places.points, sources, numbers, places.recorded(tape)
+    def add(out: int, places: Places) -> None:
+        arrays = (places.points, sources, numbers, places.shares)
         tape.step("kernel", out, values, *arrays, number=FUNCTIONS.index(kind) + 256 * tail)
 
     return add
 
 
-@recorded.register
+@record.register
 def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field:
-    u = rows.u
     expansion = method.rbf.expansion
     count = rows.count
-    terms = np.asarray(polynomial(jnp.asarray(factors.rbf.sources), method.rbf.degree))
-    moving = len(ids.moving)
-    tail = len(factors.rbf.lu)
-    values = tape.register(tail)
+    height = len(factors.rbf.lu)
     if not len(ids.edges):
-        tape.sparse(values, u, _stacked([_chosen(np.append(ids.moving, ids.fixed), count)], tail))
-        return _expansion(expansion, tape, factors.rbf, values)
-    affine, rest, outer = map(
-        tape.register, (factors.polynomial.shape[1], count, factors.outer.shape[3])
-    )
-    tape.dense(affine, u, factors.polynomial, TURNED)
-    tape.cholesky(affine, factors.affine)
-    tape.step("add", rest, u, number=1)
-    tape.dense(rest, affine, factors.polynomial, MINUS)
-    outside = [_chosen(ids.fixed, count), _rings(ids, count), _behind_tips(ids, count)]
-    tape.sparse(outer, rest, vstack(outside))
-    at_nodes, along = map(tape.register, (len(ids.nodes), len(ids.edges)))
-    tape.step("take", at_nodes, rest, tape.array(ids.nodes))
-    tape.sparse(along, rest, _chosen(ids.edges[:, 1], count) - _chosen(ids.edges[:, 0], count))
-    solved = tape.register(moving)
-    tape.dense(solved, at_nodes, factors.nodes, TURNED)
-    tape.dense(solved, along, factors.edges, TURNED)
-    tape.dense(solved, outer, factors.outer, FLAT | MINUS)
-    tape.cholesky(solved, factors.fit, FLAT)
-    tape.sparse(values, solved, _stacked([_chosen(np.arange(moving), moving)], tail))
-    tape.sparse(values, rest, _stacked([csr_array((moving, count)), *outside], tail))
-    tape.dense(values, affine, np.pad(terms, ((0, tail - len(terms)), (0, 0))))
+        chosen = _chosen(np.append(ids.moving, ids.fixed), count, height)
+        return _expansion(expansion, tape, factors.rbf, tape.sparse(rows.u, chosen))
+    affine = tape.cholesky(tape.dense(rows.u, factors.polynomial, TURNED), factors.affine)
+    rest = tape.dense(affine, factors.polynomial, MINUS, tape.copy(rows.u))
+    outer = tape.sparse(rest, _outside(ids, count))
+    start, end = (_chosen(ends, count) for ends in ids.edges.T)
+    fitted = tape.dense(tape.take(rest, ids.nodes), factors.nodes, TURNED)
+    tape.dense(tape.sparse(rest, end - start), factors.edges, TURNED, fitted)
+    tape.dense(outer, factors.outer, FLAT | MINUS, fitted)
+    tape.cholesky(fitted, factors.fit, FLAT)
+    # values of the sources: moving ones, those outside of the fit, and zeros for the polynomial
+    moving = tape.rows[fitted]
+    values = tape.sparse(fitted, eye_array(height, moving))
+    tape.sparse(outer, eye_array(height, tape.rows[outer], k=-moving), values)
+    terms = np.asarray(polynomial(as_jax(factors.rbf.sources), method.rbf.degree))
+    tape.dense(affine, np.pad(terms, ((0, height - len(terms)), (0, 0))), out=values)
     return _expansion(expansion, tape, factors.rbf, values)
 
 
-def _chosen(rows: Any, columns: int) -> csr_array:
-    return csr_array((np.ones(len(rows)), rows, np.arange(len(rows) + 1)), (len(rows), columns))
+def _chosen(rows: np.ndarray, columns: int, height: int | None = None) -> csr_array:
+    """The matrix that takes rows, over empty ones up to a `height`."""
+    height = len(rows) if height is None else height
+    starts = np.minimum(np.arange(height + 1), len(rows))
+    return csr_array((np.ones(len(rows)), rows, starts), (height, columns))
 
 
-def _stacked(blocks: Sequence[csr_array], rows: int) -> csr_array:
-    """Stacks sparse rows, and fills up with empty ones."""
-    matrix = csr_array(vstack(blocks))
-    matrix.resize((rows, blocks[0].shape[1]))  # pyright: ignore[reportOptionalSubscript]
-    return matrix
-
-
-def _rings(ids: WallIds, count: int) -> csr_array:
-    """`WallIds.at_rings` as a matrix."""
-    fade = np.asarray(deflection(jnp.asarray(ids.reach))) / max(1, len(ids.moving))
-    rows, columns = map(np.ravel, np.meshgrid(np.arange(len(fade)), ids.moving, indexing="ij"))
-    return csr_array((fade[rows], (rows, columns)), (len(fade), count))
-
-
-def _behind_tips(ids: WallIds, count: int) -> csr_array:
-    """`WallIds.behind_tips` as a matrix."""
-    rows = np.repeat(np.arange(len(ids.tips)), 3)
-    entries = np.tile([2.0, -0.5, -0.5], len(ids.tips)), (rows, ids.tips.ravel())
-    return csr_array(entries, (len(ids.tips), count))
+def _outside(ids: WallIds, count: int) -> csr_array:
+    """`WallIds.outside` as a matrix: by its values for unit rows, of the few rows that it reads."""
+    read = Rows(np.unique(np.concatenate([ids.moving, ids.fixed, ids.far, ids.tips.ravel()])))
+    few = jax.tree.map(lambda leaf: read.of(leaf) if leaf.dtype.kind == "i" else leaf, ids)
+    matrix = as_jax(few).outside(jnp.eye(len(read.ids)))
+    return csr_array(np.asarray(matrix)) @ _chosen(read.ids, count)

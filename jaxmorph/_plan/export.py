@@ -7,28 +7,24 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int, Integer
-from scipy.sparse import eye
+from scipy.sparse import eye_array
 
 from .._boundary.images import Images
 from .._boundary.periodic import Pairing
-from .._boundary.tracks import Track
 from .._host.package.arguments import checked, rows_of, shown
 from .._host.package.files import complete, output_path
 from .._methods.blocks import without_tables
-from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, recorded
+from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, record
 from .plan import Guide, Plan, VolumePart
 
-MAGIC, VERSION, HEAD, WORDS = (
-    b"JMPLAN\r\n",
-    1,
-    18,
-    9,
-)  # begin and version of a file; words of its header, and of a step
-KINDS = {"<f8": 1, "<i8": 2, "<i4": 3}  # of arrays in a file
-PLANES = [["0", "1"], ["0", "2"], ["1", "2"]]
+MAGIC = b"JMPLAN\r\n"
+VERSION = 1
+HEADER_WORDS = 18
+STEP_WORDS = 9
+ARRAY_KINDS = {"<f8": 1, "<i8": 2, "<i4": 3}
+AXES = [["0", "1"], ["0", "2"], ["1", "2"]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +40,7 @@ class Layer:
 
     def __post_init__(self):
         rows_of("points", self.points, 2**31)
-        if not isinstance(self.axes, tuple | list) or sorted(map(repr, self.axes)) not in PLANES:
+        if not isinstance(self.axes, tuple | list) or sorted(map(repr, self.axes)) not in AXES:
             raise ValueError(f"`axes` must be two of 0, 1, 2, not {shown(self.axes)}.")
 
 
@@ -76,41 +72,38 @@ def export(
     for one in single precision or laid over devices. Also for ids that are no points.
     """
     path = output_path(path)
-    _check(plan)
-    count = len(plan.points)
-    chosen = np.arange(count) if nodes is None else rows_of("nodes", nodes, count)
-    if not len(chosen):
-        raise ValueError("`nodes` is empty: a process without points needs no plan.")
-    if len(np.unique(chosen)) < len(chosen):
-        raise ValueError(
-            f"`nodes` names {len(chosen) - len(np.unique(chosen))} points more than once."
-        )
-    place = np.full(int(np.asarray(plan.surface.nodes).max(initial=0)) + count + 1, -1)
+    _refuse(plan)
+    chosen = _chosen_points(nodes, len(plan.points))
+    place = np.full(int(np.asarray(plan.surface.nodes).max(initial=0)) + len(plan.points) + 1, -1)
     place[chosen] = np.arange(len(chosen))
     tape = Tape(plan.points.shape[1])
     for rows in (plan.n_moving, len(chosen)):  # of the registers U and POINTS
         tape.register(rows)
     volume = jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], without_tables(plan.volume))
-    first = _recorded(tape, plan, volume, place)
-    moving = tape.array(place[np.asarray(plan.moving)], "i8")
-    rest = tape.array(volume.points)
+    first = _record(tape, plan, volume, place)
+    arrays = [first, tape.array(volume.points), tape.array(place[np.asarray(plan.moving)], "i8")]
     own = [-1, 0, 1]
     if layer is not None:
         if tape.dimension != 2:
             raise ValueError("`layer` is for the plan of a plane; this plan is in 3-D.")
         own = [tape.array(rows_of("layer.points", layer.points, len(chosen))), *layer.axes]
-    sizes = (
-        tape.dimension,
-        len(chosen),
-        plan.n_moving,
-        len(tape.arrays),
-        len(tape.rows),
-        len(tape.steps),
+    sizes = [tape.dimension, len(chosen), plan.n_moving]
+    _write_tape(
+        path, tape, [*sizes, *map(len, (tape.arrays, tape.rows, tape.steps)), *arrays, *own]
     )
-    _write(path, tape, [*sizes, first, rest, moving, *own])
 
 
-def _check(plan: Plan) -> None:
+def _chosen_points(nodes: Any, count: int) -> np.ndarray:
+    chosen = np.arange(count) if nodes is None else rows_of("nodes", nodes, count)
+    if not len(chosen):
+        raise ValueError("`nodes` is empty: a process without points needs no plan.")
+    twice = len(chosen) - len(np.unique(chosen))
+    if twice:
+        raise ValueError(f"`nodes` names {twice} points more than once.")
+    return chosen
+
+
+def _refuse(plan: Plan) -> None:
     if plan.layout is not None:
         raise ValueError("this plan is laid over devices: export the plan that `prepare` returned.")
     if not plan.is_linear:
@@ -130,135 +123,126 @@ def _check(plan: Plan) -> None:
         )
 
 
-def _recorded(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> int:
+def _record(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> int:
     """Records the plan; returns the number of the first step on the points."""
-    own, guide = (
-        tape.register(len(plan.surface.nodes)),
-        plan.surface.guide,
-    )  # as `kept(plan, extended(plan, u))`
-    tape.sparse(own, U, eye(tape.rows[own], tape.rows[U]))
+    surface = plan.surface
+    guide = surface.guide
+    count = len(surface.nodes)
+    own = tape.sparse(U, eye_array(count, plan.n_moving))  # as `kept(plan, extended(plan, u))`
     if guide is not None:
-        own = _guided(tape, guide, own)
-    _kept(tape, own, plan.images)
+        own = _guide(tape, guide, own)
+    _keep(tape, own, plan.images)
     field = _field(tape, plan, own)
-    assigned = _assigned(tape, plan, own)
+    assigned = _assign(tape, plan, own)
     first = len(tape.steps)
-    field(tape, POINTS, Places(tape.array(volume.points), volume.placed))
-    _keep(tape, POINTS, plan.images, volume.on_plane)
+    field(POINTS, Places(volume.points, volume.placed))
+    _keep_on_planes(tape, POINTS, plan.images, volume.on_plane)
     if volume.rests is not None:
         tape.rows_in_place("turn", POINTS, volume.rests, np.zeros((tape.dimension,) * 2))
-    tape.step("shift", POINTS, -1, tape.array(volume.points))
-    rows = (
-        np.arange(tape.rows[own])
-        if plan.method.exact
-        else np.asarray([] if guide is None else guide.rows, int)
-    )
-    at = place[np.asarray(plan.surface.nodes)[rows]]
-    rows = rows[at >= 0]
-    at = at[at >= 0]
+    tape.step("shift", POINTS, -1, volume.points)
+    rows = np.arange(count)
+    if not plan.method.exact:
+        rows = rows[:0] if guide is None else np.asarray(guide.rows)
+    at = place[np.asarray(surface.nodes)[rows]]
     order = np.argsort(at)
-    if len(rows):
-        tape.step("put", POINTS, assigned, tape.array(at[order]), tape.array(rows[order]))
+    order = order[at[order] >= 0]
+    if len(order):
+        tape.step("put", POINTS, assigned, at[order], rows[order])
     return first
 
 
-def _kept(tape: Tape, own: int, images: Images) -> None:
-    _keep(tape, own, images, images.on_plane)
-    _alike(tape, own, images.pairings)
+def _keep(tape: Tape, own: int, images: Images) -> None:
+    _keep_on_planes(tape, own, images, images.on_plane)
+    _keep_alike(tape, own, images.pairings)
 
 
-def _keep(tape: Tape, rows: int, images: Images, on_plane: Any) -> None:
+def _keep_on_planes(tape: Tape, rows: int, images: Images, on_plane: Any) -> None:
     for is_on, normal in images.normals_of(on_plane):
         tape.rows_in_place("plane", rows, np.asarray(is_on), np.asarray(normal))
 
 
-def _alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:
+def _keep_alike(tape: Tape, rows: int, pairings: Sequence[Pairing]) -> None:
     for pairing in pairings:
-        first = tape.array(pairing.first)
-        second = tape.array(pairing.second)
-        tape.step("pair", rows, -1, first, second, tape.array(pairing.matrix))
+        tape.step("pair", rows, -1, pairing.first, pairing.second, pairing.matrix)
         is_alone = np.isin(np.arange(tape.rows[rows]), np.asarray(pairing.alone))
         tape.rows_in_place("turn", rows, is_alone, pairing.keeps)
 
 
-def _on_walls(tape: Tape, rows: int, tracks: Sequence[Track], points: np.ndarray) -> None:
-    for track in tracks:
-        off = np.asarray(track.off(jnp.asarray(points)))[0]
+def _keep_on_walls(tape: Tape, rows: int, guide: Guide) -> None:
+    for track in guide.tracks:
+        off = np.asarray(track.off(guide.plan.points))[0]
         is_on = np.isin(np.arange(tape.rows[rows]), np.asarray(track.rows))
         tape.rows_in_place("turn", rows, is_on, np.eye(tape.dimension) - off)
 
 
-def _guided(tape: Tape, guide: Guide, vectors: int) -> int:
+def _guide(tape: Tape, guide: Guide, vectors: int) -> int:
     """Displacements of the own rows by the guide, as `Guide.__call__`."""
     plan = guide.plan
-    points = np.asarray(guide.plan.points)
-    known = len(plan.surface.nodes)
     every = tape.rows[vectors]
-    first = eye(known, every)
-    u, led, moved = (tape.register(rows) for rows in (every, known, every))
-    tape.sparse(u, vectors, first.T @ first)
-    _kept(tape, u, plan.images)
-    _on_walls(tape, u, guide.tracks, points)
-    tape.sparse(led, u, first)
-    _kept(tape, led, plan.images)
+    first = eye_array(len(plan.surface.nodes), every)
+    u = tape.sparse(vectors, first.T @ first)
+    _keep(tape, u, plan.images)
+    _keep_on_walls(tape, u, guide)
+    known = tape.sparse(u, first)
+    _keep(tape, known, plan.images)
     volume = jax.tree.map(np.asarray, without_tables(plan.volume))
-    _field(tape, plan, led)(tape, moved, Places(tape.array(points), volume.placed))
-    _keep(tape, moved, plan.images, volume.on_plane)
-    tape.rows_in_place("turn", moved, np.arange(every) < known, np.zeros((tape.dimension,) * 2))
-    tape.step("add", u, moved, number=1)  # the known rows move by `u`, all others by the field
-    _alike(tape, u, guide.pairings)
+    moved = tape.register(every)
+    _field(tape, plan, known)(moved, Places(volume.points, volume.placed))
+    _keep_on_planes(tape, moved, plan.images, volume.on_plane)
+    # the known rows move by `u`, all others by the field
+    is_known = np.arange(every) < tape.rows[known]
+    tape.rows_in_place("turn", moved, is_known, np.zeros((tape.dimension,) * 2))
+    tape.step("add", u, moved, number=1)
+    _keep_alike(tape, u, guide.pairings)
     if guide.tracks:
-        _on_walls(tape, u, guide.tracks, points)
-        _alike(tape, u, guide.pairings)
+        _keep_on_walls(tape, u, guide)
+        _keep_alike(tape, u, guide.pairings)
     return u
 
 
 def _field(tape: Tape, plan: Plan, own: int) -> Field:
-    images = plan.images
-    surface = plan.surface
-    u = tape.register(len(images.rows))
-    tape.step("take", u, own, tape.array(images.rows))
-    for kind, matrix in enumerate(np.asarray(images.matrices)[1:], start=1):
-        tape.rows_in_place("turn", u, np.asarray(images.kind) == kind, matrix)
-    rows = SurfaceRows(u, tape.array(surface.points), tape.rows[u])
-    return recorded(
-        plan.method, tape, *jax.tree.map(np.asarray, (surface.ids, surface.factors)), rows
+    images = jax.tree.map(np.asarray, plan.images)
+    u = tape.take(own, images.rows)
+    for kind, matrix in enumerate(images.matrices[1:], start=1):
+        tape.rows_in_place("turn", u, images.kind == kind, matrix)
+    points, ids, factors = jax.tree.map(
+        np.asarray, (plan.surface.points, plan.surface.ids, plan.surface.factors)
     )
+    return record(plan.method, tape, ids, factors, SurfaceRows(u, points))
 
 
-def _assigned(tape: Tape, plan: Plan, own: int) -> int:
+def _assign(tape: Tape, plan: Plan, own: int) -> int:
     """Places of the own rows; periodic pairs that match bit for bit still do afterwards."""
-    places = tape.register(tape.rows[own])
     base = np.asarray(plan.surface_points)
-    tape.step("add", places, own, number=1)
-    tape.step("shift", places, -1, tape.array(base))
+    places = tape.copy(own)
+    tape.step("shift", places, -1, base)
     for pairing in plan.surface.pairings:
         first, second, shift = map(np.asarray, (pairing.first, pairing.second, pairing.shift))
         matched = (base[first] + shift == base[second]).all(axis=1) & (not pairing.is_rotation)
-        rows = tape.array(first[matched]), tape.array(second[matched])
-        tape.step("copy", places, -1, *rows, tape.array(shift))
+        tape.step("copy", places, -1, first[matched], second[matched], shift)
     return places
 
 
-def _write(path: Path, tape: Tape, counts: Sequence[int]) -> None:
+def _write_tape(path: Path, tape: Tape, counts: Sequence[int]) -> None:
     # Words of 64 bits: header, a row (kind, count, offset) for each array, rows of registers,
     # steps. Arrays follow, each filled up to whole words. The sums are over all words after them.
-    tables = HEAD + 3 * len(tape.arrays) + len(tape.rows) + WORDS * len(tape.steps)
-    sizes = [-(-array.nbytes // 8) for array in tape.arrays]
-    offsets = 8 * (tables + np.cumsum([0, *sizes[:-1]]))
+    tables = HEADER_WORDS + 3 * len(tape.arrays) + len(tape.rows) + STEP_WORDS * len(tape.steps)
+    ends = 8 * (tables + np.cumsum([0, *(-(-array.nbytes // 8) for array in tape.arrays)]))
+    words = np.zeros(ends[-1] // 8, "<u8")
     table = [
-        (KINDS[array.dtype.str], array.size, offset)
-        for array, offset in zip(tape.arrays, offsets, strict=True)
+        (ARRAY_KINDS[array.dtype.str], array.size, offset)
+        for array, offset in zip(tape.arrays, ends[:-1], strict=True)
     ]
-    words = np.zeros(tables + sum(sizes), "<u8")
     integers = np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)])
-    words[HEAD:tables] = integers.astype("<i8").view("<u8")
+    words[HEADER_WORDS:tables] = integers.astype("<i8").view("<u8")
     words[5 : 5 + len(counts)] = np.asarray(counts, "<i8").view("<u8")
-    for array, offset in zip(tape.arrays, offsets, strict=True):
+    for array, (_, _, offset) in zip(tape.arrays, table, strict=True):
         words.view(np.uint8)[offset : offset + array.nbytes] = array.view(np.uint8)
-    words[1], words[2] = VERSION, words.nbytes
     rest = words[5:]
-    words[3], words[4] = rest.sum(), (rest * np.arange(1, len(rest) + 1, dtype=np.uint64)).sum()
+    words[1:5] = (
+        *(VERSION, words.nbytes, rest.sum()),
+        (rest * np.arange(1, len(rest) + 1, dtype=np.uint64)).sum(),
+    )
     with complete(path) as partial, partial.open("wb") as file:
         file.write(MAGIC)
         words[1:].tofile(file)

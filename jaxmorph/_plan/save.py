@@ -7,10 +7,13 @@ the fields, and runs no code.
 
 import dataclasses
 import enum
+import functools
 import hashlib
+import importlib
 import json
 import math
 import os
+import pkgutil
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -31,6 +34,7 @@ ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
     """The classes that a file may name: subclasses of `ROOTS` of the package, and `added`."""
+    _import_methods()
     package = __name__.partition(".")[0]
     classes: dict[str, type] = {}
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
@@ -51,6 +55,16 @@ def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
     return classes
 
 
+@functools.cache
+def _import_methods() -> None:
+    """Imports all methods and reductions: a name of the package is imported at its first use."""
+    package = __name__.partition(".")[0]
+    for folder in (f"{package}._methods", f"{package}._host.sources"):
+        paths = importlib.import_module(folder).__path__
+        for module in pkgutil.walk_packages(paths, f"{folder}."):
+            importlib.import_module(module.name)
+
+
 def _is_data(kind: Any) -> bool:
     return isinstance(kind, type) and (
         dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)
@@ -62,7 +76,7 @@ def _is_of(kind: Any, module: str) -> bool:
 
 
 FORMAT = "jaxmorph plan"
-VERSION = 2
+VERSION = 3
 _HEADER = "description"
 _DAMAGED = (
     ValueError,

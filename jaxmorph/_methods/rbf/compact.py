@@ -14,7 +14,7 @@ from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
 from ..base import AbstractPlacing, Control, Flag, Pairs, Point, Rows, Scalar, number_or_none
 from ..cells import NodeFactors
-from ..sparse import SLACK, InterpolatedField, Reach, Searched, lost_unless, squared_distance
+from ..sparse import SLACK, InterpolatedField, NodeSearch, Reach, is_lost, squared_distance
 from ..surface import Surface
 from .basis import WendlandC2
 from .expansion import is_sound, warn_of_close
@@ -34,7 +34,7 @@ class CompactIds(eqx.Module):
     ]  # whether a row's displacement counts; a fixed row at a moving row's place does not
     pairs: Pairs  # rows with functions, within the search's distance of each other
     radius: Scalar  # the functions' radius
-    searched: Searched  # the coordinates of the search
+    search: NodeSearch  # the coordinates of the search
 
     @property
     def has_function(self) -> Bool[Array, " b"]:
@@ -110,9 +110,9 @@ class CompactRBF(AbstractPlacing):
         ).reshape(-1, 2)
         near = overlaps(nodes, owners, np.full(len(nodes), distance), points.astype(float))
         reach = Reach(*as_jax(padded(*near, len(points))))
-        searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
+        search = NodeSearch(*as_jax((points, surface.points, np.asarray(distance))))
         ids = as_jax((stands.astype(np.int32), speaks, owners[pairs].astype(np.int32), radius))
-        return CompactIds(*ids, searched=searched), reach
+        return CompactIds(*ids, search=search), reach
 
     def control(self, ids: CompactIds):
         return Control(reach=float(ids.radius))
@@ -123,15 +123,15 @@ class CompactRBF(AbstractPlacing):
         values = WendlandC2(radius)(jnp.sum((surface[i] - surface[j]) ** 2, axis=1))
         none = jnp.zeros((len(surface), 0), values.dtype)
         matrix = NodeFactors(values, jnp.ones_like(surface[:, 0]), none[0], none)
-        is_certain = ids.searched.certain(radius, surface, points)
+        is_certain = ids.search.is_certain(radius, surface, points)
         factors = CompactFactors(radius, matrix, ids.has_function, is_certain)
 
-        def is_lost():
+        def look():
             count = jax.lax.map(lambda x: factors.count(x, surface), surface)
             listed = factors.reaches(surface[i], surface[j]).sum()
             return jnp.sum(count * ids.has_function) > 2 * listed + ids.has_function.sum()
 
-        lost = lost_unless(is_certain, is_lost)
+        lost = is_lost(is_certain, look)
         return eqx.tree_at(
             lambda factors: factors.matrix.values, factors, jnp.where(lost, jnp.nan, values)
         )
@@ -140,11 +140,11 @@ class CompactRBF(AbstractPlacing):
         return factors
 
     def place(self, x, ids: Reach, factors: CompactFactors, surface):
-        def is_lost():
+        def look():
             listed = factors.reaches(x[None], surface[ids.nodes])
             return factors.count(x, surface) > (listed & ids.reached).sum()
 
-        lost = lost_unless(factors.is_certain, is_lost)
+        lost = is_lost(factors.is_certain, look)
         weights = WendlandC2(factors.radius)(jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1))
         return ids.weighted(weights, lost)
 
@@ -155,7 +155,7 @@ class CompactRBF(AbstractPlacing):
     def check(self, ids: CompactIds, factors: CompactFactors, u):
         error = float(_missed(self, ids, factors, u))
         dtype = factors.matrix.values.dtype
-        nodes = np.asarray(ids.searched.surface, dtype=float)[np.asarray(ids.has_function)]
+        nodes = np.asarray(ids.search.surface, dtype=float)[np.asarray(ids.has_function)]
         matrix = (
             f"the matrix of CompactRBF, of {len(nodes)} nodes and radius "
             f"{float(factors.radius):.3g}"

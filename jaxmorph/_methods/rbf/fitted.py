@@ -132,6 +132,12 @@ class WallIds(eqx.Module):
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
         return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
 
+    def outside(self, values: Rows) -> Float[Array, "o d"]:
+        """Computes the displacement of sources outside of the fit: fixed, on rings, behind tips."""
+        return jnp.concatenate(
+            [values[self.fixed], self.at_rings(values), self.behind_tips(values)]
+        )
+
     def behind_tips(self, values: Rows) -> Float[Array, "g d"]:
         """Continues places or displacements of the walls behind their tips: a place behind is the
         mirror image in the tip, which is right for affine motions.
@@ -270,11 +276,9 @@ class FittedRBF(AbstractMethod):
             is_open = skin.has_free_sides(
                 surface.points, surface.rows(len(points)) == len(surface.points), points
             )
-        # The ids depend on the surface alone, so all pieces of a mesh share them. A method with
-        # array leaves has no hash: its id is the key, and the entry holds the method itself, so
-        # that no other object can get that id.
-        key = ("fitted", id(self), bool(is_open))
-        return surface.once(key, lambda: (self, self._ids(surface, is_open)))[1], None
+        # they depend on the surface alone, so all pieces of a mesh share them
+        key = (self, bool(is_open))
+        return surface.once(key, lambda: self._ids(surface, is_open)), None
 
     def _ids(self, surface: Surface, is_open: bool) -> WallIds:
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
@@ -367,7 +371,7 @@ class FittedRBF(AbstractMethod):
         affine = factors.affine.solve(matmul(factors.polynomial.T, values))
         rest = values - matmul(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
-        outer = jnp.concatenate([rest[ids.fixed], ids.at_rings(rest), ids.behind_tips(rest)])
+        outer = ids.outside(rest)
         at_nodes = matmul(factors.nodes.T, rest[ids.nodes])
         wanted = (at_nodes + matmul(factors.edges.T, difference)).T
         wanted = wanted - einsum("aicj,jc->ai", factors.outer, outer)
