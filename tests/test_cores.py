@@ -48,7 +48,7 @@ def fine():
 @pytest.fixture
 def few_points(monkeypatch):
     """Slabs, searches by threads and blocks of few points, faces and cells."""
-    monkeypatch.setattr(slabs, "LEAST", 1024)
+    monkeypatch.setattr(slabs, "LEAST_SLAB", 1024)
     monkeypatch.setattr(rounding, "FEW_POINTS", 64)
     monkeypatch.setattr(cores, "ROWS_OF_A_CORE", 512)
     monkeypatch.setattr(face_quality, "FACES_AT_ONCE", 512)
@@ -96,18 +96,18 @@ def test_shares_of_a_method_whose_field_names_nothing(fine, few_points):
 @pytest.mark.parametrize("count", [2048, 5041, 6144, 6145, 100_000, 216_000, 1_000_003])
 @pytest.mark.parametrize("number", [2, 6, 64])
 def test_slabs_hold_every_point_and_are_of_one_size(count, number, few_points, monkeypatch):
-    monkeypatch.setattr(slabs, "MOST", number)
+    monkeypatch.setattr(slabs, "MOST_PARTS", number)
     parts = slabs.slabs(count)
     rows = jnp.arange(float(count))[:, None]
     assert len(parts) <= number
     assert len({size for _, size in parts}) == 1
-    assert all(start % slabs.STEP == 0 for start, _ in parts)
-    joined = slabs.joined(tuple(rows[start : start + size] for start, size in parts), count)
+    assert all(start % slabs.SLAB_STEP == 0 for start, _ in parts)
+    joined = slabs.join_slabs(tuple(rows[start : start + size] for start, size in parts), count)
     np.testing.assert_array_equal(joined, rows)
 
 
 def test_slabs_are_for_many_points_and_direct_calls_alone():
-    assert slabs.slabs(2 * slabs.LEAST - 1) == []
+    assert slabs.slabs(2 * slabs.LEAST_SLAB - 1) == []
     jax.jit(lambda x: np.testing.assert_equal(slabs.slabs(10**6, x), []))(1.0)
 
 

@@ -12,7 +12,7 @@ from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
 from jaxmorph._kernels.linear import few_rows_times
-from jaxmorph._methods.base import BLOCK
+from jaxmorph._methods.base import POINT_BLOCK
 from jaxmorph._methods.blocks import map_points
 
 BASES = {
@@ -24,7 +24,7 @@ BASES = {
 
 
 @functools.cache
-def case(name, dimension=3, n=2 * BLOCK + 137, s=70):
+def case(name, dimension=3, n=2 * POINT_BLOCK + 137, s=70):
     """A plan whose sources are all its moving nodes: more than two blocks of points, and a rest."""
     rng = np.random.default_rng(dimension)
     points = rng.uniform(-1, 1, (n, dimension)) + 3.0
@@ -64,12 +64,12 @@ def test_scipy_agrees(name, dimension):
     )
 
 
-SIZES = [("thin-plate", n, 25) for n in (26, BLOCK, BLOCK + 1)]
+SIZES = [("thin-plate", n, 25) for n in (26, POINT_BLOCK, POINT_BLOCK + 1)]
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("name", "n", "s"), [*((name, 2 * BLOCK + 137, 70) for name in BASES), *SIZES]
+    ("name", "n", "s"), [*((name, 2 * POINT_BLOCK + 137, 70) for name in BASES), *SIZES]
 )
 def test_blocks_are_the_one_point_form(name, n, s):
     plan, u, w = case(name, n=n, s=s)
@@ -91,7 +91,7 @@ def test_blocks_are_the_one_point_form(name, n, s):
 @over("name", nightly=["thin-plate", "wendland"])
 def test_derivatives_at_a_source_are_finite(name):
     """First and second derivatives with respect to the points, some of which are sources."""
-    plan, u, w = case(name, n=BLOCK + 3, s=25)
+    plan, u, w = case(name, n=POINT_BLOCK + 3, s=25)
 
     @jax.jit
     def gradient(points):
@@ -127,7 +127,9 @@ def test_memory_does_not_grow_with_points_times_sources(what):
         .compile()
     )
     n, d = plan.points.shape
-    assert compiled.memory_analysis().temp_size_in_bytes < 8 * 10 * n * d + 8 * 12 * BLOCK * 200
+    assert (
+        compiled.memory_analysis().temp_size_in_bytes < 8 * 10 * n * d + 8 * 12 * POINT_BLOCK * 200
+    )
     assert dense_kernels(compiled.as_text(), n, 200) == 0
 
 
@@ -143,8 +145,8 @@ def test_many_fields_share_one_kernel():
     eight = jnp.stack([jnp.asarray(u)] * 8)
     assert shifts(jax.vmap(lambda u: in_blocks(plan, u)), eight) == one
     text = jax.jit(jax.vmap(lambda u: in_blocks(plan, u))).lower(eight).compile().as_text()
-    assert f"f64[{len(u)},{BLOCK}]" in text
-    assert f"f64[8,{len(u)},{BLOCK}]" not in text
+    assert f"f64[{len(u)},{POINT_BLOCK}]" in text
+    assert f"f64[8,{len(u)},{POINT_BLOCK}]" not in text
 
 
 def test_product_of_few_rows():

@@ -43,7 +43,7 @@ _call_p.def_impl(lambda *arguments, **params: jnp.asarray(_call_each(*arguments,
 
 
 @_call_p.def_abstract_eval
-def _(*arguments, function, shape, dtype, batch):
+def _result_of(*arguments, function, shape, dtype, batch):
     return ShapedArray((*batch, *shape), dtype)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from .values import is_known
 
-OPTIONS = {
+XLA_OPTIONS = {
     # XLA's default is 256 bits: a kernel sum takes up to 50 % longer. No effect on smaller
     # processors.
     "xla_cpu_prefer_vector_width": 512,
@@ -39,9 +39,10 @@ class Constant(eqx.Module):
 
 
 def compiled(function: Function) -> Function:
-    """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
-    Within another transformation it is an ordinary jitted function: JAX takes options only for the
-    outermost program. Lists and tuples of numbers become arrays, not static arguments.
+    """Compiles a function as `equinox.filter_jit` does, for direct calls on a CPU with
+    `XLA_OPTIONS`. Within another transformation it is an ordinary jitted function: JAX takes
+    options only for the outermost program. Lists and tuples of numbers become arrays, not static
+    arguments.
     """
     plain = eqx.filter_jit(function)
 
@@ -51,7 +52,7 @@ def compiled(function: Function) -> Function:
     ) -> Callable:  # tracing depends on `for_cpu`
         # `jax.jit` is quicker to call, `filter_jit` knows static arguments
         compile: Any = jax.jit if only_arrays else eqx.filter_jit
-        options = OPTIONS | (UNTUNED if is_quick else {})
+        options = XLA_OPTIONS | (UNTUNED if is_quick else {})
         known = {name: value for name, value in options.items() if _knows(name, value)}
         return compile(
             function, compiler_options=known
@@ -59,8 +60,8 @@ def compiled(function: Function) -> Function:
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
-        arguments = tuple(map(_as_array, arguments))
-        keywords = {name: _as_array(value) for name, value in keywords.items()}
+        arguments = tuple(map(_numbers_as_array, arguments))
+        keywords = {name: _numbers_as_array(value) for name, value in keywords.items()}
         if _is_for_cpu.get():
             return function(*arguments, **keywords)  # traced into the program of a direct call
         if not is_direct(arguments, keywords):
@@ -121,7 +122,7 @@ def _knows(option: str, value: Any) -> bool:
     return True
 
 
-def _as_array(argument: Any) -> Any:
+def _numbers_as_array(argument: Any) -> Any:
     leaves = jax.tree.leaves(argument) if isinstance(argument, tuple) else ()
     is_numbers = len(leaves) > 0 and all(isinstance(leaf, int | float) for leaf in leaves)
     return jnp.asarray(argument) if isinstance(argument, list) or is_numbers else argument

@@ -85,15 +85,15 @@ def _half_log(x):
     m = _float((bits & jnp.uint64(_MANTISSA)) + jnp.uint64(_ROOT_HALF - _EXPONENT_1))  # half of it
     f = m - 0.5
     d = m + 0.5
-    y = _polynomial(_RECIPROCAL, d)
+    y = _horner(_RECIPROCAL, d)
     e = 1 - d * y
     y = y + y * (e + e * e)
     s = f * y
     s = s + y * (f - d * s)
-    return k * _HALF_LOG_2 + s * _polynomial((1.0, *_ARTANH), s * s)
+    return k * _HALF_LOG_2 + s * _horner((1.0, *_ARTANH), s * s)
 
 
-def _polynomial(coefficients, x):
+def _horner(coefficients, x):
     result = coefficients[-1]
     for coefficient in coefficients[-2::-1]:
         result = coefficient + x * result

@@ -14,7 +14,7 @@ class Module(eqx.Module):
 
     def __hash__(self) -> int:
         try:
-            return hash((type(self), *_values(self)))
+            return hash((type(self), *_field_values(self)))
         except TypeError:
             return object.__hash__(self)
 
@@ -22,16 +22,16 @@ class Module(eqx.Module):
         return self is other or (
             type(self) is type(other)
             and _has_value(self, other)
-            and _values(self) == _values(other)
+            and _field_values(self) == _field_values(other)
         )
 
 
-def _values(module: Any) -> tuple[Any, ...]:
+def _field_values(module: Any) -> tuple[Any, ...]:
     return tuple(getattr(module, field.name) for field in dataclasses.fields(module))
 
 
 def _has_value(*modules: Any) -> bool:
     try:
-        return isinstance(hash(tuple(map(_values, modules))), int)
+        return isinstance(hash(tuple(map(_field_values, modules))), int)
     except TypeError:
         return False

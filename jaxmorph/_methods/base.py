@@ -27,7 +27,7 @@ Points = Float[Array, "n d"]  # coordinates or displacements of a mesh's points
 Rows = Float[Array, "b d"]  # coordinates or displacements of the rows of a surface
 Pairs = Int[Array, "e 2"]  # of nodes
 
-BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
+POINT_BLOCK = 512  # points in a block: memory, also of derivatives, is that of one block
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +72,7 @@ class AbstractField(Module):
     @property
     def block_size(self) -> int | None:
         """Points in a block; None if the memory needs no blocks."""
-        return BLOCK
+        return POINT_BLOCK
 
 
 class AbstractWhole(AbstractField):

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from .._kernels.compile import is_for_cpu
-from .base import BLOCK, AbstractField, AbstractMethod, AbstractPlacing, Points, Rows
+from .base import POINT_BLOCK, AbstractField, AbstractMethod, AbstractPlacing, Points, Rows
 from .sparse import Interpolation
 
 # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 WIDER = 256
-FEW = 64  # most blocks of a single program on any platform; two programs are traced for more
+FEW_BLOCKS = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
 def map_points(field: AbstractField, points: Points, ids: PyTree) -> Points:
@@ -42,14 +42,14 @@ def place_points(
 
     every = jax.checkpoint(jax.vmap(place))
     rows = (points, ids) if placed is None else (points, ids, without_tables(placed))
-    return map_rows(lambda rows: every(*rows), rows, BLOCK)
+    return map_rows(lambda rows: every(*rows), rows, POINT_BLOCK)
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
     """Maps blocks of rows to as many rows; the last block may be shorter, GPUs get larger ones."""
 
     def mapped(rows, block):
-        blocks, rest = _cut(rows, block)
+        blocks, rest = _split_rows(rows, block)
         last = function(rest)
         if blocks is None:
             return last
@@ -58,7 +58,7 @@ def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> 
             lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b]), whole, last
         )
 
-    return by_platform(mapped, rows, block)
+    return sized_by_platform(mapped, rows, block)
 
 
 def fold_rows(
@@ -67,16 +67,16 @@ def fold_rows(
     """Folds blocks of rows into one result: `function(result so far, rows)`, from `start` on."""
 
     def folded(rows, block):
-        blocks, rest = _cut(rows, block)
+        blocks, rest = _split_rows(rows, block)
         result = function(start, rest)
         if blocks is None:
             return result
         return jax.lax.scan(lambda so_far, part: (function(so_far, part), None), result, blocks)[0]
 
-    return by_platform(folded, rows, block)
+    return sized_by_platform(folded, rows, block)
 
 
-def _cut(rows: PyTree, block: int) -> tuple[PyTree | None, PyTree]:
+def _split_rows(rows: PyTree, block: int) -> tuple[PyTree | None, PyTree]:
     """Cuts rows into whole blocks, stacked along a first axis, and a rest that is not empty."""
     full = (len(jax.tree.leaves(rows)[0]) - 1) // block * block
     rest = jax.tree.map(lambda leaf: leaf[full:], rows)
@@ -85,8 +85,10 @@ def _cut(rows: PyTree, block: int) -> tuple[PyTree | None, PyTree]:
     return jax.tree.map(lambda leaf: leaf[:full].reshape(-1, block, *leaf.shape[1:]), rows), rest
 
 
-def by_platform(function: Callable[[PyTree, int], PyTree], rows: PyTree, block: int) -> PyTree:
-    if len(jax.tree.leaves(rows)[0]) <= FEW * block or is_for_cpu():
+def sized_by_platform(
+    function: Callable[[PyTree, int], PyTree], rows: PyTree, block: int
+) -> PyTree:
+    if len(jax.tree.leaves(rows)[0]) <= FEW_BLOCKS * block or is_for_cpu():
         return function(rows, block)
     return jax.lax.platform_dependent(
         rows,

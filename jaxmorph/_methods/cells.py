@@ -63,7 +63,7 @@ class NodeFactors(eqx.Module):
 
         def once(x):
             below = jax.ops.segment_sum(scaled(self.values, x[j]), i, len(x))
-            above = jax.ops.segment_sum(scaled(_turned(self.values), x[i]), j, len(x))
+            above = jax.ops.segment_sum(scaled(_transposed(self.values), x[i]), j, len(x))
             return scaled(self.diagonal, x) + (below + above)
 
         return once(once(x) / self.masses[:, None]) if len(self.masses) else once(x)
@@ -84,7 +84,7 @@ class NodeFactors(eqx.Module):
         return jax.lax.custom_linear_solve(times, jnp.where(free, right, 0), solve, symmetric=True)
 
 
-def _turned(blocks: Float[Array, "e ..."]) -> Float[Array, "e ..."]:
+def _transposed(blocks: Float[Array, "e ..."]) -> Float[Array, "e ..."]:
     return blocks if blocks.ndim == 1 else jnp.swapaxes(blocks, 1, 2)
 
 
@@ -180,7 +180,9 @@ class AbstractCellMethod(AbstractMethod):
         first, *others = [self._of_cells(kind, ids, places, distance) for kind in ids.cells]
         values = sum(others, start=first)
         i, j = ids.pairs.T
-        diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(_turned(values), j, n)
+        diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(
+            _transposed(values), j, n
+        )
         return NodeFactors(values, diagonal, self.masses(ids, places), places)
 
     def _of_cells(self, kind: str, ids: NodeIds, places, distance):
@@ -191,7 +193,7 @@ class AbstractCellMethod(AbstractMethod):
         def entries(corners, flipped):
             values = self.entries(kind, places[corners], distance[corners])
             flipped = flipped.reshape(-1, *(1,) * (values.ndim - 1))
-            return jnp.where(flipped, _turned(values), values)
+            return jnp.where(flipped, _transposed(values), values)
 
         def add(total, rows):
             corners, entry, flipped = rows
@@ -207,7 +209,7 @@ class AbstractCellMethod(AbstractMethod):
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
         is_sound(
-            float(_rounding(ids, factors, u)),
+            float(_refinement(ids, factors, u)),
             u.dtype,
             lambda fault: (
                 f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are {fault}. Its "
@@ -220,7 +222,7 @@ class AbstractCellMethod(AbstractMethod):
 
 
 @compiled
-def _rounding(ids: NodeIds, factors: NodeFactors, u: Rows) -> Scalar:
+def _refinement(ids: NodeIds, factors: NodeFactors, u: Rows) -> Scalar:
     """The change by one step of iterative refinement; NaN for a system that is not solved."""
     moved = _in_frame(ids, factors, u)
     if jnp.finfo(u.dtype).bits < 64:  # the residual is coarser than the solution

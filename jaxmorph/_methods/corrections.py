@@ -156,11 +156,11 @@ class NearWall(AbstractPlacing):
     def fit(self, ids, surface, points):
         width = layer_width(self.width, ids.wall, surface)
         correction = self.correction.fit(ids.correction, surface, points)
-        return Layered(correction, width, _turn(ids, surface, width))
+        return Layered(correction, width, _wall_turn(ids, surface, width))
 
     def carry(self, ids, factors, surface, points):
         correction = self.correction.carry(ids.correction, factors.correction, surface, points)
-        return Layered(correction, factors.wall, _turn(ids, surface, factors.wall))
+        return Layered(correction, factors.wall, _wall_turn(ids, surface, factors.wall))
 
     def place(self, x, ids, factors, surface):
         correction = self.correction.place(x, ids.correction, factors.correction, surface)
@@ -217,7 +217,7 @@ class WallPlace(eqx.Module):
     rise: Float[Array, "*n"] | None = None
 
 
-def _turn(ids: Layered, surface: Rows, width: Float[Array, " b"]) -> WallTurn | None:
+def _wall_turn(ids: Layered, surface: Rows, width: Float[Array, " b"]) -> WallTurn | None:
     return None if ids.turn is None else WallTurn.made(ids.turn, surface, width)
 
 

@@ -15,7 +15,7 @@ from .base import AbstractField, AbstractMethod, Rows, Scalar, einsum, matmul, n
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
 
-SMALLEST = 1e-12  # distance, relative to the surface's extent, below which a point is at a node
+AT_NODE = 1e-12  # distance, relative to the surface's extent, below which a point is at a node
 
 Faces = Mapping[str, Int[Array, "k c"]]
 
@@ -83,7 +83,9 @@ class InverseDistance(AbstractMethod):
         moves = jnp.arange(len(surface)) < ids.moving
         middle = jnp.sum(jnp.where(moves[:, None], surface, 0), axis=0) / ids.moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
-        area = _areas(ids.faces, surface) if ids.faces else jnp.ones(len(surface), surface.dtype)
+        area = (
+            _nodal_areas(ids.faces, surface) if ids.faces else jnp.ones(len(surface), surface.dtype)
+        )
         return InverseDistanceFactors(
             area, or_one(extent)
         )  # all nodes at one place: any length serves
@@ -125,7 +127,7 @@ class InverseDistanceField(AbstractField):
         near = self.method.near
         alpha = self.method.alpha.astype(points.dtype)
         extent = self.factors.extent
-        squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * extent) ** 2)
+        squared = jnp.maximum(squared_distances(points, self.surface), (AT_NODE * extent) ** 2)
         least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))
         ratio = least / squared
         bound = nearest_bound(self.method, points.dtype)
@@ -150,14 +152,14 @@ def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]
     return whole * jnp.sqrt(squared) if exponent % 2 else whole
 
 
-def _normals(faces: Faces, surface: Rows) -> Rows:
+def _nodal_normals(faces: Faces, surface: Rows) -> Rows:
     total = jnp.zeros_like(surface)
     for ids in faces.values():
         total = total.at[ids].add(area_vectors(surface[ids])[:, None])
     return total
 
 
-def _areas(faces: Faces, surface: Rows) -> Float[Array, " b"]:
+def _nodal_areas(faces: Faces, surface: Rows) -> Float[Array, " b"]:
     """Each node's share of its faces; a node without any has the mean share."""
     total = jnp.zeros(len(surface), surface.dtype)
     for ids in faces.values():
@@ -168,9 +170,9 @@ def _areas(faces: Faces, surface: Rows) -> Float[Array, " b"]:
 def _turns(faces: Faces, surface: Rows, u: Rows) -> Float[Array, "b d d"]:
     # Normals are linear in 2-D, and quadratic in 3-D: N(x + u) = N(x) + N'(x) u + N(u). So their
     # change is zero, bit for bit, where u is.
-    before, change = jax.jvp(lambda places: _normals(faces, places), (surface,), (u,))
+    before, change = jax.jvp(lambda places: _nodal_normals(faces, places), (surface,), (u,))
     if surface.shape[1] == 3:
-        change = change + _normals(faces, u)
+        change = change + _nodal_normals(faces, u)
     after = before + change
     squared = jnp.sum(before**2, axis=1) * jnp.sum(after**2, axis=1)
     is_known = squared > 0

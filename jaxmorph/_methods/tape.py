@@ -15,7 +15,7 @@ from .._host.rows import Rows
 from .._kernels.values import as_jax
 from .base import AbstractMethod
 from .corrections import DelaunayGraph, LocalCorrection, NearWall
-from .inverse_distance import SMALLEST, InverseDistance, InverseDistanceFactors, nearest_bound
+from .inverse_distance import AT_NODE, InverseDistance, InverseDistanceFactors, nearest_bound
 from .multiscale import Hierarchy, Multiscale
 from .rbf import basis as bases
 from .rbf.expansion import Expansion, RBFFactors
@@ -43,7 +43,7 @@ FUNCTIONS = (
 U = 0
 POINTS = 1
 # flags: the components of all rows are one vector; by the transpose; subtracted
-FLAT = 1
+ONE_VECTOR = 1
 TURNED = 2
 MINUS = 4
 
@@ -248,7 +248,7 @@ def _(method: Multiscale, tape, ids: Hierarchy, factors, rows) -> Field:
 def _(method: NearWall, tape, ids, factors, rows) -> Field:
     alone = dataclasses.replace(rows, coarse=None)
     correction = record(method.correction, tape, ids.correction, factors.correction, alone)
-    slope = None if ids.turn is None else _turned(tape, ids.turn, factors.turn, rows)
+    slope = None if ids.turn is None else _record_turn(tape, ids.turn, factors.turn, rows)
     is_one = isinstance(correction, _Interpolated) and correction.values == rows.u
 
     def add(out: int, places: Places) -> None:
@@ -266,7 +266,7 @@ def _(method: NearWall, tape, ids, factors, rows) -> Field:
     return add
 
 
-def _turned(tape: Tape, ids: WallTurnIds, turn: WallTurn, rows: SurfaceRows) -> int:
+def _record_turn(tape: Tape, ids: WallTurnIds, turn: WallTurn, rows: SurfaceRows) -> int:
     """Records `WallTurn.turned`; returns its register."""
     out = tape.register(rows.count)
     u = rows.u if rows.coarse is None else rows.coarse.u
@@ -304,7 +304,7 @@ def _(method: InverseDistance, tape, ids, factors: InverseDistanceFactors, rows)
     alpha = float(method.alpha)
     extent = float(factors.extent)
     bound = nearest_bound(method, np.float64)
-    numbers = np.array([method.far, method.near, alpha, extent, bound, (SMALLEST * extent) ** 2])
+    numbers = np.array([method.far, method.near, alpha, extent, bound, (AT_NODE * extent) ** 2])
 
     def add(out: int, places: Places) -> None:
         arrays = (places.points, rows.points, numbers, places.shares, factors.area)
@@ -352,21 +352,20 @@ def _expansion(expansion: Expansion, tape: Tape, factors: RBFFactors, values: in
 
 
 @record.register
-def _(method: FittedRBF, tape, ids: WallIds, factors: FitFactors, rows) -> Field:
+def _(method: FittedRBF, tape, ids, factors: FitFactors | RBFFactors, rows) -> Field:
+    if isinstance(factors, RBFFactors):
+        return record(method.rbf, tape, ids, factors, rows)
     expansion = method.rbf.expansion
     count = rows.count
     height = len(factors.rbf.lu)
-    if not len(ids.edges):
-        chosen = _chosen(np.append(ids.moving, ids.fixed), count, height)
-        return _expansion(expansion, tape, factors.rbf, tape.sparse(rows.u, chosen))
     affine = tape.cholesky(tape.dense(rows.u, factors.polynomial, TURNED), factors.affine)
     rest = tape.dense(affine, factors.polynomial, MINUS, tape.copy(rows.u))
-    outer = tape.sparse(rest, _outside(ids, count))
+    outer = tape.sparse(rest, _outside_matrix(ids, count))
     start, end = (_chosen(ends, count) for ends in ids.edges.T)
     fitted = tape.dense(tape.take(rest, ids.nodes), factors.nodes, TURNED)
     tape.dense(tape.sparse(rest, end - start), factors.edges, TURNED, fitted)
-    tape.dense(outer, factors.outer, FLAT | MINUS, fitted)
-    tape.cholesky(fitted, factors.fit, FLAT)
+    tape.dense(outer, factors.outer, ONE_VECTOR | MINUS, fitted)
+    tape.cholesky(fitted, factors.fit, ONE_VECTOR)
     # values of the sources: moving ones, those outside of the fit, and zeros for the polynomial
     moving = tape.rows[fitted]
     values = tape.sparse(fitted, eye_array(height, moving))
@@ -383,7 +382,7 @@ def _chosen(rows: np.ndarray, columns: int, height: int | None = None) -> csr_ar
     return csr_array((np.ones(len(rows)), rows, starts), (height, columns))
 
 
-def _outside(ids: WallIds, count: int) -> csr_array:
+def _outside_matrix(ids: WallIds, count: int) -> csr_array:
     """`WallIds.outside` as a matrix: by its values for unit rows, of the few rows that it reads."""
     read = Rows(np.unique(np.concatenate([ids.moving, ids.fixed, ids.far, ids.tips.ravel()])))
     few = jax.tree.map(lambda leaf: read.of(leaf) if leaf.dtype.kind == "i" else leaf, ids)

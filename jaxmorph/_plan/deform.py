@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,14 +12,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PyTree, Real
 
 from .._host.package.arguments import checked
-from .._host.package.cores import in_order
+from .._host.package.cores import T, in_order
 from .._kernels.compile import Constant, compiled, float64_mode, is_direct
 from .._kernels.values import is_known, is_readable
 from .._methods.blocks import is_rows, with_tables, without_tables
 from .devices import AXIS, Layout, pad_rows, rows_from
 from .plan import Plan, Shared, VolumePart, deform_surface, extended, move, shared_by
-
-T = TypeVar("T")
 
 
 @checked
@@ -43,7 +41,7 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     shared = _shared(plan, u)
     volume = without_tables(plan.volume)
     moved = on_all_cores(lambda part: _slab(shared, volume, part[0], Constant(part[1])), parts)
-    return joined(moved, len(volume.points))
+    return join_slabs(moved, len(volume.points))
 
 
 @compiled
@@ -157,10 +155,12 @@ def transposable(plan: Any, *arguments: Any) -> Any:
 # XLA splits the loop over a program's blocks among threads operation by operation, and they wait
 # for each other at each. Programs of one slab of points each have nothing to wait for. XLA runs the
 # programs that one thread begins one after the other, so a thread for each core begins them.
-LEAST = 2**16  # points of a slab below which a program of its own costs more than it gains
+LEAST_SLAB = 2**16  # points of a slab below which a program of its own costs more than it gains
 # slabs of all points, and shares of a sum: more cores than these would not make a call faster
-MOST = 64
-STEP = 1536  # slabs begin at multiples of this, as blocks do: a block's size changes its last bits
+MOST_PARTS = 64
+SLAB_STEP = (
+    1536  # slabs begin at multiples of this, as blocks do: a block's size changes its last bits
+)
 
 
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
@@ -168,13 +168,13 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
     have one size, and so one program; some overlap. They do not depend on the number of cores:
     results have equal bits.
     """
-    if count < 2 * LEAST or not is_direct(arguments):
+    if count < 2 * LEAST_SLAB or not is_direct(arguments):
         return []
     # Every slab ends with the points that are left over when all are divided into steps, as the
     # last slab has to. Rows shared with the next slab are cut off.
-    rest = count % STEP
-    number = min(MOST, count // LEAST // 2 * 2)
-    stride = -(-(count - rest) // (number * STEP)) * STEP
+    rest = count % SLAB_STEP
+    number = min(MOST_PARTS, count // LEAST_SLAB // 2 * 2)
+    stride = -(-(count - rest) // (number * SLAB_STEP)) * SLAB_STEP
     size = stride + rest
     return [
         (np.asarray(start, np.int32), size)
@@ -183,9 +183,9 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
 
 
 @compiled
-def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
+def join_slabs(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:
     *others, last = parts
-    stride = len(last) - count % STEP
+    stride = len(last) - count % SLAB_STEP
     before = count - len(last)
     return jnp.concatenate(
         [*(part[: min(stride, before - k * stride)] for k, part in enumerate(others)), last]
@@ -195,7 +195,7 @@ def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "
 def shares(plan: Plan, *arguments: Any) -> int:
     """Counts shares of a plan's points in a sum, for any number of cores; 1 if traced."""
     surface = len(plan.surface.points)  # each share has a sum for all of it
-    number = min(MOST, len(plan.points) // max(LEAST, 2 * surface)) // 2 * 2
+    number = min(MOST_PARTS, len(plan.points) // max(LEAST_SLAB, 2 * surface)) // 2 * 2
     return number if number and is_direct(plan, arguments) else 1
 
 

@@ -20,11 +20,11 @@ from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, record
 from .plan import Guide, Plan, VolumePart
 
 MAGIC = b"JMPLAN\r\n"
-VERSION = 1
+JMPLAN_VERSION = 1
 HEADER_WORDS = 18
 STEP_WORDS = 9
-ARRAY_KINDS = {"<f8": 1, "<i8": 2, "<i4": 3}
-AXES = [["0", "1"], ["0", "2"], ["1", "2"]]
+KIND_NUMBERS = {"<f8": 1, "<i8": 2, "<i4": 3}
+PLANE_AXES = [["0", "1"], ["0", "2"], ["1", "2"]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +40,10 @@ class Layer:
 
     def __post_init__(self):
         rows_of("points", self.points, 2**31)
-        if not isinstance(self.axes, tuple | list) or sorted(map(repr, self.axes)) not in AXES:
+        if (
+            not isinstance(self.axes, tuple | list)
+            or sorted(map(repr, self.axes)) not in PLANE_AXES
+        ):
             raise ValueError(f"`axes` must be two of 0, 1, 2, not {shown(self.axes)}.")
 
 
@@ -72,7 +75,7 @@ def export(
     for one in single precision or laid over devices. Also for ids that are no points.
     """
     path = output_path(path)
-    _refuse(plan)
+    _check_exportable(plan)
     chosen = _chosen_points(nodes, len(plan.points))
     place = np.full(int(np.asarray(plan.surface.nodes).max(initial=0)) + len(plan.points) + 1, -1)
     place[chosen] = np.arange(len(chosen))
@@ -80,7 +83,7 @@ def export(
     for rows in (plan.n_moving, len(chosen)):  # of the registers U and POINTS
         tape.register(rows)
     volume = jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], without_tables(plan.volume))
-    first = _record(tape, plan, volume, place)
+    first = _record_plan(tape, plan, volume, place)
     arrays = [first, tape.array(volume.points), tape.array(place[np.asarray(plan.moving)], "i8")]
     own = [-1, 0, 1]
     if layer is not None:
@@ -103,7 +106,7 @@ def _chosen_points(nodes: Any, count: int) -> np.ndarray:
     return chosen
 
 
-def _refuse(plan: Plan) -> None:
+def _check_exportable(plan: Plan) -> None:
     if plan.layout is not None:
         raise ValueError("this plan is laid over devices: export the plan that `prepare` returned.")
     if not plan.is_linear:
@@ -123,7 +126,7 @@ def _refuse(plan: Plan) -> None:
         )
 
 
-def _record(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> int:
+def _record_plan(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) -> int:
     """Records the plan; returns the number of the first step on the points."""
     surface = plan.surface
     guide = surface.guide
@@ -230,7 +233,7 @@ def _write_tape(path: Path, tape: Tape, counts: Sequence[int]) -> None:
     ends = 8 * (tables + np.cumsum([0, *(-(-array.nbytes // 8) for array in tape.arrays)]))
     words = np.zeros(ends[-1] // 8, "<u8")
     table = [
-        (ARRAY_KINDS[array.dtype.str], array.size, offset)
+        (KIND_NUMBERS[array.dtype.str], array.size, offset)
         for array, offset in zip(tape.arrays, ends[:-1], strict=True)
     ]
     integers = np.concatenate([np.ravel(each) for each in (table, tape.rows, tape.steps)])
@@ -240,7 +243,7 @@ def _write_tape(path: Path, tape: Tape, counts: Sequence[int]) -> None:
         words.view(np.uint8)[offset : offset + array.nbytes] = array.view(np.uint8)
     rest = words[5:]
     words[1:5] = (
-        *(VERSION, words.nbytes, rest.sum()),
+        *(JMPLAN_VERSION, words.nbytes, rest.sum()),
         (rest * np.arange(1, len(rest) + 1, dtype=np.uint64)).sum(),
     )
     with complete(path) as partial, partial.open("wb") as file:

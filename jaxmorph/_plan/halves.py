@@ -31,7 +31,7 @@ from .plan import Plan, SurfacePart, VolumePart
 from .prepare import default_for, plan_of, refuse_cells
 
 # largest difference of a surface node's place in piece and half, as a share of the extent
-SAME = 1e-12
+SAME_POINT = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,7 +138,7 @@ class SurfaceHalf:
             plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
         )
         base = as_jax(x)
-        volume = VolumePart(base, on_plane, ids, _placed(plan.method, own, base, ids))
+        volume = VolumePart(base, on_plane, ids, _place_piece(plan.method, own, base, ids))
         return dataclasses.replace(plan, surface=own, volume=volume, is_piece=True)
 
     def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
@@ -185,7 +185,7 @@ class SurfaceHalf:
         base = np.asarray(self.plan.points)
         distance = np.abs(points[present] - base[rows]).max(axis=1, initial=0.0)
         wrong = np.flatnonzero(
-            distance > max(4 * roundoff(base), SAME * np.ptp(base, axis=0).max())
+            distance > max(4 * roundoff(base), SAME_POINT * np.ptp(base, axis=0).max())
         )
         if wrong.size:
             worst = wrong[distance[wrong].argmax()]
@@ -338,5 +338,7 @@ def _chunks(
 
 
 @compiled
-def _placed(method: AbstractMethod, surface: SurfacePart, points: Array, ids: PyTree) -> PyTree:
+def _place_piece(
+    method: AbstractMethod, surface: SurfacePart, points: Array, ids: PyTree
+) -> PyTree:
     return place_points(method, points, ids, surface.factors, surface.points)

@@ -28,10 +28,9 @@ from .._methods.surface import Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart
 from .refit import refitted
 
-FEW = (
-    50_000,
-    2_000,
-)  # points, and surface nodes, below which compiling takes longer than one compiled run
+# numbers of points and of surface nodes below which compiling takes longer than one compiled run
+QUICK_POINTS = 50_000
+QUICK_ROWS = 2_000
 
 
 def prepare(
@@ -147,13 +146,11 @@ def _plan_of(
         n_moving=len(boundary.moving),
         n_guided=len(boundary.guided),
     )
-    sizes = len(boundary.points), len(surface.points)
-    is_quick = not method.needs_cells and all(
-        size <= most for size, most in zip(sizes, FEW, strict=True)
-    )
+    is_small = len(points) <= QUICK_POINTS and len(surface.points) <= QUICK_ROWS
+    is_quick = is_small and not method.needs_cells
     with quickly_compiled(is_quick):
         plan = refitted(plan, plan.points)
-        method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
+        method.check(plan.surface.ids, plan.surface.factors, _trial_displacement(plan))
     return plan
 
 
@@ -172,7 +169,7 @@ def _guide_of(boundary: Conditions, method: AbstractMethod) -> Guide | None:
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
 
 
-def _trial(plan: Plan) -> Rows:
+def _trial_displacement(plan: Plan) -> Rows:
     """Makes a smooth displacement of the moving nodes, of size one, no polynomial; others rest."""
     points = np.asarray(plan.points)[np.asarray(plan.surface.nodes)]
     moving = points[: plan.n_moving]

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
 from .._boundary.periodic import MISMATCH, Pairing
+from .._boundary.slide import DEVIATION
 from .._boundary.symmetry import tolerance
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked
@@ -69,9 +70,6 @@ def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
         )
     return points
 
-
-# largest distance of new base points from a plane or wall, relative to its nodes' extent
-DEVIATION = 1e-5
 
 ANEW = "Call `prepare` with the new mesh and its boundaries."
 WORDS = {

@@ -78,7 +78,7 @@ def _is_of(kind: Any, module: str) -> bool:
 FORMAT = "jaxmorph plan"
 VERSION = 3
 _HEADER = "description"
-_DAMAGED = (
+_UNREADABLE = (
     ValueError,
     KeyError,
     TypeError,
@@ -135,7 +135,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
         arrays = [members[str(i)] for i in range(len(members) - 1)]
         kind = header["format"]
         version = int(header["version"])
-    except _DAMAGED as error:
+    except _UNREADABLE as error:
         detail = " ".join(str(error).split())[:120]
         raise ValueError(
             f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail})."
@@ -151,7 +151,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
         plan = _Reader(arrays, known_classes((SurfaceHalf, *classes))).node(header["tree"])
     except _Refused as error:
         raise ValueError(f"{path}: {error}") from error
-    except _DAMAGED as error:
+    except _UNREADABLE as error:
         raise ValueError(f"{path}: a damaged plan ({type(error).__name__}: {error}).") from error
     if not _is_plans(plan):
         raise ValueError(f"{path}: holds a {type(plan).__name__}, not a plan.")

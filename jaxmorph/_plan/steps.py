@@ -46,7 +46,7 @@ def march(
     points = plan.points
     surface = None
     plans = []
-    for j, target in enumerate(_targets(plan, path)):
+    for j, target in enumerate(_own_targets(plan, path)):
         step = (
             plan
             if j == 0
@@ -73,7 +73,7 @@ def replay(
     """
     if not plans:
         raise ValueError("`plans` is empty: pass the plans that `march` returned.")
-    targets = _targets(plans[0], path)
+    targets = _own_targets(plans[0], path)
     if len(targets) != len(plans):
         raise ValueError(
             f"`path` has {len(targets)} steps, but there are {len(plans)} plans; pass the path "
@@ -94,7 +94,7 @@ def replay(
     return points
 
 
-def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
+def _own_targets(plan: Plan, path) -> Float[Array, "k o d"]:
     """Places (k, o, d) of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
     m = plan.n_moving

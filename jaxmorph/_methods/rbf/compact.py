@@ -14,13 +14,13 @@ from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
 from ..base import AbstractPlacing, Control, Flag, Pairs, Point, Rows, Scalar, number_or_none
 from ..cells import NodeFactors
-from ..sparse import SLACK, InterpolatedField, NodeSearch, Reach, is_lost, squared_distance
+from ..sparse import SEARCH_SLACK, InterpolatedField, NodeSearch, Reach, is_lost, squared_distance
 from ..surface import Surface
 from .basis import WendlandC2
 from .expansion import is_sound, warn_of_close
 
-NEIGHBOURS = 200  # nodes within the automatic radius of half of the moving nodes
-INSIDE = (
+RADIUS_NEIGHBOURS = 200  # nodes within the automatic radius of half of the moving nodes
+WITHIN = (
     1 - 1e-6
 )  # share of a squared radius at which a function counts as zero: its value there is 1e-24
 
@@ -55,7 +55,7 @@ class CompactFactors(eqx.Module):
 
     def reaches(self, x: Float[Array, "*k d"], y: Float[Array, "*m d"]) -> Bool[Array, "*n"]:
         """Checks whether a function at y reaches x; at the very end of the reach it does not."""
-        return squared_distance(x, y) < INSIDE * self.radius**2
+        return squared_distance(x, y) < WITHIN * self.radius**2
 
     def count(self, x: Point, surface: Rows) -> Int[Array, ""]:
         return (self.has_function & self.reaches(x[None], surface)).sum()
@@ -89,7 +89,7 @@ class CompactRBF(AbstractPlacing):
         nodes = surface.points.astype(float)
         dtype = dtypes.canonicalize_dtype(surface.points.dtype)
         if self.radius is None:
-            count = min(NEIGHBOURS, len(nodes))
+            count = min(RADIUS_NEIGHBOURS, len(nodes))
             reach = np.asarray(Tree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(
                 surface.moving, -1
             )
@@ -104,7 +104,7 @@ class CompactRBF(AbstractPlacing):
         stands = owners[np.asarray(Tree(nodes[owners]).query(nodes)[1])]
         moves = np.arange(len(nodes)) < surface.moving
         speaks = moves | (np.bincount(stands, moves, minlength=len(nodes)) == 0)[stands]
-        distance = (1 + SLACK) * radius
+        distance = (1 + SEARCH_SLACK) * radius
         pairs = np.asarray(
             Tree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32
         ).reshape(-1, 2)
@@ -153,7 +153,7 @@ class CompactRBF(AbstractPlacing):
         return InterpolatedField(factors.matrix.solve(ids.pairs, free, ids.at_functions(u)))
 
     def check(self, ids: CompactIds, factors: CompactFactors, u):
-        error = float(_missed(self, ids, factors, u))
+        error = float(_error_at_nodes(self, ids, factors, u))
         dtype = factors.matrix.values.dtype
         nodes = np.asarray(ids.search.surface, dtype=float)[np.asarray(ids.has_function)]
         matrix = (
@@ -170,7 +170,9 @@ class CompactRBF(AbstractPlacing):
 
 
 @compiled
-def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Rows) -> Scalar:
+def _error_at_nodes(
+    method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Rows
+) -> Scalar:
     reached = factors.matrix.times(ids.pairs, method.field(ids, factors, u, u).u)
     missed = jnp.where(ids.has_function[:, None], ids.at_functions(u) - reached, 0)
     return jnp.abs(missed).max() / jnp.abs(u).max()

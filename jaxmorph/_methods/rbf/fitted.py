@@ -54,14 +54,14 @@ WALLS = {
     2: 8,
     3: 2,
 }  # most walls that get sources as if each were alone, by dimension; more share as many
-ROWS = {
+FIT_ROWS = {
     2: 4096,
     3: 2048,
 }  # most nodes of the wall, and most edges, that enter the fit, by dimension
 
 
 class WallIds(eqx.Module):
-    """Rows of the surface that a fit needs. A fit without edges is an interpolation.
+    """Rows of the surface that a fit needs.
 
     - `moving`, `fixed`: the sources.
     - `nodes`, `edges`: rows and pairs of rows at which the field follows the wall.
@@ -87,12 +87,6 @@ class WallIds(eqx.Module):
     reach: Float[Array, " r"]
 
     @classmethod
-    def without_edges(cls, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
-        none = np.zeros((0, 2))
-        rows = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
-        return cls(*as_jax([ids.astype(np.int32) for ids in rows]), *[jnp.zeros(0)] * 3)
-
-    @classmethod
     def found(
         cls, surface: Surface, moving: np.ndarray, fixed: np.ndarray, closest: float
     ) -> "WallIds":
@@ -109,9 +103,9 @@ class WallIds(eqx.Module):
             moving = drop_close(points, np.concatenate([moving, beside]), roundoff(points))
         # each source has a row of its own, so that the system is regular
         nodes = np.union1d(
-            surface.seen[skin.thinned(points[surface.seen], ROWS[dimension])], moving
+            surface.seen[skin.thinned(points[surface.seen], FIT_ROWS[dimension])], moving
         )
-        pairs = pairs[skin.thinned(points[pairs].mean(axis=1), ROWS[dimension])]
+        pairs = pairs[skin.thinned(points[pairs].mean(axis=1), FIT_ROWS[dimension])]
         label = wall[pairs[:, 0]]
         held = skin.nearest_held(points, surface.moving, wall, pairs)
         far, reach = skin.drawn_in(points, moving, fixed, surface.images)
@@ -276,23 +270,19 @@ class FittedRBF(AbstractMethod):
             is_open = skin.has_free_sides(
                 surface.points, surface.rows(len(points)) == len(surface.points), points
             )
-        # they depend on the surface alone, so all pieces of a mesh share them
+        # the ids depend on the surface alone, so all pieces of a mesh share them
         key = (self, bool(is_open))
         return surface.once(key, lambda: self._ids(surface, is_open)), None
 
-    def _ids(self, surface: Surface, is_open: bool) -> WallIds:
+    def _ids(self, surface: Surface, is_open: bool) -> "WallIds | np.ndarray":
+        """Finds the ids of the fit; sources alone for an interpolation."""
+        if is_open:
+            return self._denser.chosen(surface)
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
-        rbf = self._denser if is_open else self.rbf
-        sources = (
-            rbf.chosen(surface) if is_open else _on_each_wall(surface, rbf.chosen(surface), closest)
-        )
-        moving = sources[sources < surface.moving]
-        fixed = sources[sources >= surface.moving]
-        return (
-            WallIds.without_edges(moving, fixed)
-            if is_open
-            else WallIds.found(surface, moving, fixed, closest)
-        )
+        sources = _on_each_wall(surface, self.rbf.chosen(surface), closest)
+        is_moving = sources < surface.moving
+        ids = WallIds.found(surface, sources[is_moving], sources[~is_moving], closest)
+        return ids if len(ids.edges) else sources
 
     @property
     def _denser(self) -> RBF:
@@ -305,21 +295,23 @@ class FittedRBF(AbstractMethod):
         return RBF(self.rbf.basis, reduction, self.rbf.fixed_reduction, self.rbf.degree)
 
     def control(self, ids):
-        sources = np.concatenate([np.asarray(ids.moving), np.asarray(ids.fixed)])
-        return Control(sources, np.asarray(ids.fixed) if len(ids.edges) else sources)
+        if not isinstance(ids, WallIds):
+            return self.rbf.control(ids)
+        fixed = np.asarray(ids.fixed)
+        return Control(np.concatenate([np.asarray(ids.moving), fixed]), fixed)
 
-    def check(self, ids, factors: "FitFactors", u):
+    def check(self, ids, factors: "FitFactors | RBFFactors", u):
+        if isinstance(factors, RBFFactors):
+            return self.rbf.check(ids, factors, u)
         more = np.zeros((len(ids.far) + len(ids.tips), u.shape[1]), u.dtype)
         values = as_jax(np.concatenate([np.asarray(u)[self.control(ids).sources], more]))
         self.rbf.check(np.arange(len(values)), factors.rbf, values)
 
-    def fit(self, ids: WallIds, surface, points):
+    def fit(self, ids, surface, points):
+        if not isinstance(ids, WallIds):
+            return self.rbf.fit(ids, surface, points)
         sources = ids.places(surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
-        if not len(ids.edges):
-            none, outer = (jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 4))
-            empty = Cholesky.of(none)
-            return FitFactors(rbf, none, none, outer, empty, none, empty)
         surface = surface.astype(rbf.lu.dtype)
         moves = len(ids.moving)
         cardinal = rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
@@ -361,13 +353,12 @@ class FittedRBF(AbstractMethod):
         free = ids.held == ids.edges[:, 0]
         return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
 
-    def field(self, ids: WallIds, factors: "FitFactors", surface, u):
+    def field(self, ids, factors: "FitFactors | RBFFactors", surface, u):
+        if isinstance(
+            factors, RBFFactors
+        ):  # a fit to its own sources would lose half of the digits
+            return self.rbf.field(ids, factors, surface, u)
         values = u.astype(factors.rbf.lu.dtype)
-        if not len(
-            ids.edges
-        ):  # an interpolation: fitting it to its own sources would lose half of the digits
-            values = jnp.concatenate([values[ids.moving], values[ids.fixed]])
-            return self.rbf.expansion.field(factors.rbf, values, u.dtype)
         affine = factors.affine.solve(matmul(factors.polynomial.T, values))
         rest = values - matmul(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]

@@ -12,7 +12,7 @@ from ..base import Scalar, matmul, or_one
 from .basis import Columns, Sources
 from .system import polynomial, squared_distances
 
-LIMIT = 150  # most products of a solve. A sound matrix takes 10 to 20.
+MOST_PRODUCTS = 150  # most products of a solve. A sound matrix takes 10 to 20.
 MEAN = 0.1  # residual at which steps end, as a mean over the sources, in tolerances
 
 MISSED, NOTICEABLE = (
@@ -116,7 +116,12 @@ def iterated(
 
     def improved(state, left):
         beta, rest = state
-        steps = {"tol": 0.0, "atol": left, "maxiter": LIMIT, "M": lambda x: unseen(inverse(x))}
+        steps = {
+            "tol": 0.0,
+            "atol": left,
+            "maxiter": MOST_PRODUCTS,
+            "M": lambda x: unseen(inverse(x)),
+        }
         beta = beta + cg(lambda x: unseen(product(x)), unseen(rest), **steps)[0]
         return beta, values - product(beta)
 

@@ -197,11 +197,11 @@ class RBF(AbstractMethod):
         return self.solver if isinstance(self.solver, Iterative) else None
 
     def control(self, ids):
-        sources = np.asarray(_rows(ids))
+        sources = np.asarray(_source_rows(ids))
         return Control(sources, sources)
 
     def fit(self, ids: Int[Array, " s"] | OrderedIds, surface, points):
-        points = surface[_rows(ids)].astype(
+        points = surface[_source_rows(ids)].astype(
             jnp.promote_types(surface.dtype, jnp.result_type(float))
         )
         centre = points.mean(axis=0)
@@ -248,7 +248,7 @@ class RBF(AbstractMethod):
             warn_of_close(nodes, extent, type(self).__name__)
 
     def field(self, ids, factors: RBFFactors, surface, u):
-        return self.expansion.field(factors, u[_rows(ids)].astype(factors.lu.dtype), u.dtype)
+        return self.expansion.field(factors, u[_source_rows(ids)].astype(factors.lu.dtype), u.dtype)
 
     def _unusable(self, factors: RBFFactors, fault: str) -> str:
         sources = np.asarray(factors.places)
@@ -283,5 +283,5 @@ class RBF(AbstractMethod):
         ]
 
 
-def _rows(ids: Any) -> Any:
+def _source_rows(ids: Any) -> Any:
     return ids.sources if isinstance(ids, OrderedIds) else ids

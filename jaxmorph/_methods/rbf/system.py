@@ -23,7 +23,7 @@ from ..._kernels.linear import (
     few_rows_times_transposed,
     linear_primitive,
 )
-from ..base import BLOCK, Scalar, matmul
+from ..base import POINT_BLOCK, Scalar, matmul
 from ..blocks import fold_rows, map_rows
 from .basis import AbstractBasis, Columns, Sources, Squared, Weights
 
@@ -46,7 +46,7 @@ def squared_distances(a: Float[Array, "k d"], b: Sources) -> Weights:
 
 
 def block_size(count: int) -> int:
-    return min(BLOCK, max(64, KERNEL_BLOCK // count // 64 * 64))
+    return min(POINT_BLOCK, max(64, KERNEL_BLOCK // count // 64 * 64))
 
 
 def in_rows(points: Float[Array, "c d"], scale: Scalar) -> Float[Array, "d c"]:
