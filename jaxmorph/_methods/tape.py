@@ -361,6 +361,9 @@ def _(method: FittedRBF, tape, ids, factors: FitFactors | RBFFactors, rows) -> F
     affine = tape.cholesky(tape.dense(rows.u, factors.polynomial, TURNED), factors.affine)
     rest = tape.dense(affine, factors.polynomial, MINUS, tape.copy(rows.u))
     outer = tape.sparse(rest, _outside_matrix(ids, count))
+    others = len(ids.fixed), len(ids.tips)
+    rings = np.pad(factors.rings, ((0, 0), others, (0, 0), (0, 0)))
+    tape.dense(tape.take(rest, ids.moving), rings, ONE_VECTOR, outer)
     start, end = (_chosen(ends, count) for ends in ids.edges.T)
     fitted = tape.dense(tape.take(rest, ids.nodes), factors.nodes, TURNED)
     tape.dense(tape.sparse(rest, end - start), factors.edges, TURNED, fitted)
@@ -383,8 +386,11 @@ def _chosen(rows: np.ndarray, columns: int, height: int | None = None) -> csr_ar
 
 
 def _outside_matrix(ids: WallIds, count: int) -> csr_array:
-    """`WallIds.outside` as a matrix: by its values for unit rows, of the few rows that it reads."""
+    """`WallIds.outside` as a matrix without rings: by its values for unit rows, of the few rows
+    that it reads.
+    """
     read = Rows(np.unique(np.concatenate([ids.moving, ids.fixed, ids.far, ids.tips.ravel()])))
     few = jax.tree.map(lambda leaf: read.of(leaf) if leaf.dtype.kind == "i" else leaf, ids)
-    matrix = as_jax(few).outside(jnp.eye(len(read.ids)))
-    return csr_array(np.asarray(matrix)) @ _chosen(read.ids, count)
+    eye = jnp.eye(len(read.ids))
+    rings = jnp.zeros((len(eye), len(ids.far), len(eye), len(ids.moving)))
+    return csr_array(np.asarray(as_jax(few).outside(eye, rings))) @ _chosen(read.ids, count)

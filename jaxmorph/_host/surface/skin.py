@@ -23,14 +23,16 @@ from ..package.rounding import (
 )
 from ..sources.farthest import farthest
 
-# radii of rings at which a body's field comes to rest, relative to the body's radius
-RINGS = (40, 80)
-PAST_RINGS = 1.1  # least distance of a far field with rings, relative to the last ring
+# radii of the ring at which a body's field comes to rest, relative to the body's radius: the first
+# that no fixed node comes near, else the last
+RINGS = (10, 40)
+PAST_RING = 1.5  # least distance of fixed nodes, relative to the ring
 HULL_SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
-# distance of the points of a ring, relative to its radius: about 8 on a circle
+# distance of the points of a ring, relative to its radius: 25 on a circle, so that it does not
+# matter which ones they are
 RING_STEP = {
-    2: 0.6,
-    3: 0.8,
+    2: 0.25,
+    3: 0.5,
 }
 
 
@@ -129,25 +131,23 @@ def nearest_held(points: ndarray, moving: int, wall: ndarray, pairs: ndarray) ->
 
 
 def drawn_in(surface: ndarray, moving: ndarray, fixed: ndarray, images: ndarray) -> tuple:
-    """Finds distant fixed sources, and shares of the way to them where the field comes to rest. The
-    way begins at the middle of the moving sources.
+    """Finds distant fixed sources, and shares of the way to them where a ring stands. The way
+    begins at the middle of the moving sources.
     """
     centre = surface[moving].mean(axis=0)
-    rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
     way = np.linalg.norm(surface - centre, axis=1)
-    # one moving node has no size, and no rings
-    far = fixed[
-        (images[fixed] == fixed)
-        & (way[fixed] > PAST_RINGS * (1 + SAME) * rings.max())
-        & (rings.max() > 0)
-    ]
+    own = fixed[images[fixed] == fixed]
+    rings = [radius * way[moving].max() for radius in RINGS]
+    nearest = way[own].min(initial=np.inf)
+    ring = next((r for r in rings if nearest > PAST_RING * r), rings[-1])
+    far = own[(way[own] > PAST_RING * ring) & (ring > 0)]  # one moving node has no size
     if len(far):
         far = far[canonical_order(surface[far])]
         far = far[
             farthest(surface[far], len(far), 0.0, reach=RING_STEP[surface.shape[1]] * way[far])
         ]
     far = fixed[np.isin(images[fixed], far)]
-    return np.tile(far, len(rings)), (rings / way[far]).ravel()
+    return far, ring / way[far]
 
 
 def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:

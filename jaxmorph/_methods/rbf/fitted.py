@@ -45,10 +45,8 @@ BEYOND_TIP = 0.2
 or to the distance of the nearest held node, whichever is less.
 """
 
-AT_TIP = 0.03, 0.5
-"""Distance from a sharp tip, and `mu` there, both relative to the mean chord: the field follows the
-wall's slope. Cells there are small, and the wall's angle changes with the thickness.
-"""
+NARROW = 0.4
+"""Weight of a wall's strain against its displacement in the affine motion that rings carry."""
 
 WALLS = {
     2: 8,
@@ -68,10 +66,9 @@ class WallIds(eqx.Module):
     - `held`: for each edge the nearest row that is fixed or of another wall, else the edge's first
       row.
     - `ends`: for each edge two ends of its wall.
-    - `far`: fixed sources so far away that more of them rest nearer to the walls, at the share
-      `reach` of the way to them.
+    - `far`: fixed sources on the way to which, at the share `reach`, a ring of sources stands.
     - `tips`: sharp tips of the walls, each with a node on either side.
-    - `ell`, `mu`: the default lengths at each edge, relative to the distance of the wall's ends.
+    - `chord`: the mean chord of each edge's wall, relative to the distance of the wall's ends.
     """
 
     moving: Int[Array, " s"]
@@ -82,8 +79,7 @@ class WallIds(eqx.Module):
     ends: Pairs
     far: Int[Array, " r"]
     tips: Int[Array, "g 3"]
-    ell: Float[Array, " e"]
-    mu: Float[Array, " e"]
+    chord: Float[Array, " e"]
     reach: Float[Array, " r"]
 
     @classmethod
@@ -97,9 +93,8 @@ class WallIds(eqx.Module):
         wall, ends, share = surface.walls
         chord = share * np.linalg.norm(np.subtract(*points[ends.T]), axis=1)
         tips = np.zeros((0, 3))
-        sharp = np.zeros((0, dimension))
         if dimension == 2:
-            beside, tips, sharp = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
+            beside, tips = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
             moving = drop_close(points, np.concatenate([moving, beside]), roundoff(points))
         # each source has a row of its own, so that the system is regular
         nodes = np.union1d(
@@ -110,13 +105,7 @@ class WallIds(eqx.Module):
         held = skin.nearest_held(points, surface.moving, wall, pairs)
         far, reach = skin.drawn_in(points, moving, fixed, surface.images)
         rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        ell = ELL * share[label]
-        mu = MU[dimension] * share[label]
-        near, largest = AT_TIP
-        for tip in sharp:
-            distance = np.linalg.norm(points[pairs].mean(axis=1) - tip, axis=1)
-            mu = np.where(distance < near * chord[label] * (1 - SAME), largest * share[label], mu)
-        return cls(*as_jax([*(ids.astype(np.int32) for ids in rows), ell, mu, reach]))
+        return cls(*as_jax([*(ids.astype(np.int32) for ids in rows), share[label], reach]))
 
     def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
@@ -126,11 +115,10 @@ class WallIds(eqx.Module):
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
         return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
 
-    def outside(self, values: Rows) -> Float[Array, "o d"]:
+    def outside(self, values: Rows, rings: Float[Array, "d r d s"]) -> Float[Array, "o d"]:
         """Computes the displacement of sources outside of the fit: fixed, on rings, behind tips."""
-        return jnp.concatenate(
-            [values[self.fixed], self.at_rings(values), self.behind_tips(values)]
-        )
+        at_rings = einsum("arci,ic->ra", rings, values[self.moving])
+        return jnp.concatenate([values[self.fixed], at_rings, self.behind_tips(values)])
 
     def behind_tips(self, values: Rows) -> Float[Array, "g d"]:
         """Continues places or displacements of the walls behind their tips: a place behind is the
@@ -139,36 +127,64 @@ class WallIds(eqx.Module):
         tip, first, second = self.tips.T
         return 2 * values[tip] - (values[first] + values[second]) / 2
 
-    def at_rings(self, values: Rows) -> Float[Array, "r d"]:
-        """Computes the displacement of the rings, a share of the walls' mean displacement: that of
-        a plate which is held at the far field and pushed in the middle. So a body that is carried
-        far away takes them along.
+    def rings(self, surface: Rows) -> Float[Array, "d r d s"]:
+        """Computes the map from displacements of the moving sources to those of the rings.
+
+        A body pushes and turns the rings as it would an elastic plate that is held at the far
+        field: by shares of its mean displacement, and of the affine motion about its centre that
+        fits it best. Strain weighs there, so a thin body's change of thickness goes no farther.
         """
-        return (
-            deflection(self.reach.astype(values.dtype))[:, None]
-            * values[self.moving].mean(axis=0)[None]
+        d = surface.shape[1]
+        eye = jnp.eye(d, dtype=surface.dtype)
+        x = surface[self.moving]
+        if not len(self.far):
+            return jnp.zeros((d, 0, d, len(x)), surface.dtype)
+        centre = x.mean(axis=0)[None]
+        arm = x - centre
+        way = surface[self.far] - centre
+        # (A M + weight 2 dev sym A)_ab = mean of u_a arm_b, with the moments M of the arms
+        moments = matmul(arm.T, arm) / len(x)
+        strain = (
+            einsum("ac,bd->abcd", eye, eye)
+            + einsum("ad,bc->abcd", eye, eye)
+            - 2 / d * einsum("ab,cd->abcd", eye, eye)
         )
+        # the turn of a straight body about itself is none
+        weight = jnp.trace(moments) * (NARROW * strain + SAME * einsum("ac,bd->abcd", eye, eye))
+        system = einsum("ac,db->abcd", eye, moments) + weight
+        inverse = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
+        affine = einsum("abcd,id->abci", inverse, arm) / len(x)
+        reach = self.reach.astype(surface.dtype)
+        body = jnp.sqrt(jnp.sum(arm**2, axis=1).max()) / norm(way)
+        turned = (turning(reach) / turning(body) * reach)[:, None] * way
+        pushed = einsum("r,ac,i->arci", pushing(reach), eye, jnp.full_like(x[:, 0], 1 / len(x)))
+        return pushed + einsum("rb,abci->arci", turned, affine)
 
 
-def deflection(reach: Float[Array, " r"]) -> Float[Array, " r"]:
-    """The share of the walls' motion at a share of the way to the far field."""
+def pushing(reach: Float[Array, " r"]) -> Float[Array, " r"]:
+    """The share of a displacement at a share of the way to the far field, where a plate is held."""
     squared = reach**2
     return 1 - squared + squared * jnp.log(squared)
 
 
+def turning(reach: Float[Array, " r"]) -> Float[Array, " r"]:
+    """The same for a rotation, but for a factor."""
+    return -jnp.log(reach) - (1 - reach**2) / 2
+
+
 def _at_tips(
     surface: Surface, pairs: np.ndarray, chord: np.ndarray, closest: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Finds sources (k,) beside sharp tips in 2-D, and tips (g, 3) that get a source behind them,
-    each with a node on either side. Also the places (h, 2) of all tips. `pairs` are all edges of
-    the moving walls, `chord` (e,) is that of each edge's wall.
+    each with a node on either side. `pairs` are all edges of the moving walls, `chord` (e,) is that
+    of each edge's wall.
     """
     held = skin.nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
     room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
     walls = skin.sharp_tips(surface.points, pairs)
     behind = skin.behind_tips(walls, BEHIND * room, closest, BEYOND_TIP * room)
-    return skin.beside_tips(walls, chord), behind, walls.points[walls.tips]
+    return skin.beside_tips(walls, chord), behind
 
 
 def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
@@ -213,10 +229,12 @@ class FittedRBF(AbstractMethod):
     surface is reproduced: strain is measured from the affine motion that fits the surface's
     displacement best.
 
-    A thin plate spline carries the body's slope on to the far field: at 500 chords a bump moves
-    nodes by several times its height. So where fixed sources are farther away than about 45 chords,
-    the field comes to rest at 20 and 40 chords. Only the walls' mean displacement and affine
-    motions of the whole surface go farther.
+    A thin plate spline carries the change of one side of a thin body on to the far field: a bump
+    moves nodes by several times its height. So a ring of sources stands 10 radii of the body away
+    where every fixed node is at least 15 away, else 40 where fixed nodes are at least 60 away. It
+    moves as an elastic plate would that is held at the far field, pushed and turned in the middle:
+    by a share of the body's mean displacement, and of the affine motion that fits the body best
+    with little strain.
 
     A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So
     in 2-D a sharp tip of a wall has a fixed source behind it: its displacement is the wall's own,
@@ -238,7 +256,7 @@ class FittedRBF(AbstractMethod):
       distance to the nearest node that is held or of another wall. Default 0.03 of each wall's mean
       chord: of half of its perimeter, in 3-D of half of its area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
-      each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
+      each wall's mean chord, in 3-D 0.4.
 
     Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
 
@@ -342,14 +360,22 @@ class FittedRBF(AbstractMethod):
         terms = polynomial((surface - rbf.centre[None]) * rbf.scale, self.rbf.degree)
         affine = Cholesky.of(matmul(terms.T, terms))
         edges = weighted / length[:, None]
-        return FitFactors(rbf, nodes, edges, matrix[..., moves:], fit, terms, affine)
+        return FitFactors(
+            rbf=rbf,
+            nodes=nodes,
+            edges=edges,
+            outer=matrix[..., moves:],
+            rings=ids.rings(surface),
+            fit=fit,
+            polynomial=terms,
+            affine=affine,
+        )
 
     def _lengths(self, ids: WallIds, surface, middle):
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
-        ell, mu = (
-            share.astype(surface.dtype) * span if length is None else jnp.full_like(span, length)
-            for share, length in ((ids.ell, self.ell), (ids.mu, self.mu))
-        )
+        chord = ids.chord.astype(surface.dtype) * span
+        ell = ELL * chord if self.ell is None else jnp.full_like(chord, self.ell)
+        mu = MU[surface.shape[1]] * chord if self.mu is None else jnp.full_like(chord, self.mu)
         free = ids.held == ids.edges[:, 0]
         return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
 
@@ -362,7 +388,7 @@ class FittedRBF(AbstractMethod):
         affine = factors.affine.solve(matmul(factors.polynomial.T, values))
         rest = values - matmul(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
-        outer = ids.outside(rest)
+        outer = ids.outside(rest, factors.rings)
         at_nodes = matmul(factors.nodes.T, rest[ids.nodes])
         wanted = (at_nodes + matmul(factors.edges.T, difference)).T
         wanted = wanted - einsum("aicj,jc->ai", factors.outer, outer)
@@ -399,6 +425,7 @@ class FitFactors(eqx.Module):
     nodes: Weights
     edges: Float[Array, "e s"]
     outer: Float[Array, "d s d t"]
+    rings: Float[Array, "d r d s"]
     fit: Cholesky
     polynomial: Float[Array, "b p"]
     affine: Cholesky
