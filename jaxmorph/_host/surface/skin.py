@@ -130,14 +130,15 @@ def nearest_held(points: ndarray, moving: int, wall: ndarray, pairs: ndarray) ->
     return nearest
 
 
-def drawn_in(surface: ndarray, moving: ndarray, fixed: ndarray, images: ndarray) -> tuple:
+def drawn_in(
+    surface: ndarray, centre: ndarray, body: ndarray, fixed: ndarray, images: ndarray
+) -> tuple:
     """Finds distant fixed sources, and shares of the way to them where a ring stands. The way
-    begins at the middle of the moving sources.
+    begins at the centre of the `body`, the places of its nodes.
     """
-    centre = surface[moving].mean(axis=0)
     way = np.linalg.norm(surface - centre, axis=1)
     own = fixed[images[fixed] == fixed]
-    rings = [radius * way[moving].max() for radius in RINGS]
+    rings = np.array(RINGS) * np.linalg.norm(body - centre, axis=1).max()
     nearest = way[own].min(initial=np.inf)
     ring = next((r for r in rings if nearest > PAST_RING * r), rings[-1])
     far = own[(way[own] > PAST_RING * ring) & (ring > 0)]  # one moving node has no size

@@ -12,7 +12,7 @@ from ..._host.package.rounding import SAME, roundoff
 from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface import skin
-from ..._kernels.values import as_jax, norm
+from ..._kernels.values import Either, as_jax, norm
 from ..base import (
     AbstractMethod,
     Control,
@@ -103,21 +103,24 @@ class WallIds(eqx.Module):
         pairs = pairs[skin.thinned(points[pairs].mean(axis=1), FIT_ROWS[dimension])]
         label = wall[pairs[:, 0]]
         held = skin.nearest_held(points, surface.moving, wall, pairs)
-        far, reach = skin.drawn_in(points, moving, fixed, surface.images)
+        own = points[: surface.moving]
+        middle, weight = _middles(pairs, points)
+        far, reach = skin.drawn_in(points, weight @ middle, own, fixed, surface.images)
         rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
         return cls(*as_jax([*(ids.astype(np.int32) for ids in rows), share[label], reach]))
 
     def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
-        moving = surface[self.moving]
-        fixed = surface[self.fixed]
-        centre = moving.mean(axis=0)[None]
+        middle, weight = _middles(self.edges, surface)
+        centre = matmul(weight, middle)[None]
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
-        return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
+        return jnp.concatenate(
+            [surface[self.moving], surface[self.fixed], ring, self.behind_tips(surface)]
+        )
 
-    def outside(self, values: Rows, rings: Float[Array, "d r d s"]) -> Float[Array, "o d"]:
+    def outside(self, values: Rows, rings: "Rings") -> Float[Array, "o d"]:
         """Computes the displacement of sources outside of the fit: fixed, on rings, behind tips."""
-        at_rings = einsum("arci,ic->ra", rings, values[self.moving])
+        at_rings = rings.moved(values[self.edges].mean(axis=1))
         return jnp.concatenate([values[self.fixed], at_rings, self.behind_tips(values)])
 
     def behind_tips(self, values: Rows) -> Float[Array, "g d"]:
@@ -127,38 +130,61 @@ class WallIds(eqx.Module):
         tip, first, second = self.tips.T
         return 2 * values[tip] - (values[first] + values[second]) / 2
 
-    def rings(self, surface: Rows) -> Float[Array, "d r d s"]:
-        """Computes the map from displacements of the moving sources to those of the rings.
 
-        A body pushes and turns the rings as it would an elastic plate that is held at the far
-        field: by shares of its mean displacement, and of the affine motion about its centre that
-        fits it best. Strain weighs there, so a thin body's change of thickness goes no farther.
-        """
+def _middles(
+    edges: Int[Either, "e 2"], surface: Float[Either, "b d"]
+) -> tuple[Float[Either, "e d"], Float[Either, " e"]]:
+    """The middles of edges, and their shares of the length of all: one more node changes neither
+    mean nor moments of a wall.
+    """
+    length = norm(surface[edges[:, 1]] - surface[edges[:, 0]])
+    return surface[edges].mean(axis=1), length / length.sum()
+
+
+class Rings(eqx.Module):
+    """The map from displacements at the middles of edges to those of the rings.
+
+    A body pushes and turns the rings as it would an elastic plate that is held at the far field: by
+    shares of its mean displacement, and of the affine motion about its centre that fits it best.
+    Strain weighs there, so a thin body's change of thickness goes no farther.
+
+    - `moments` (1 + d, e): weights of the mean, and of its moments.
+    - `shares` (d, r, d, 1 + d): of the mean and the moments at the rings.
+    """
+
+    moments: Float[Array, "k e"]
+    shares: Float[Array, "d r d k"]
+
+    @classmethod
+    def made(cls, ids: WallIds, surface: Rows) -> "Rings":
         d = surface.shape[1]
         eye = jnp.eye(d, dtype=surface.dtype)
-        x = surface[self.moving]
-        if not len(self.far):
-            return jnp.zeros((d, 0, d, len(x)), surface.dtype)
-        centre = x.mean(axis=0)[None]
-        arm = x - centre
-        way = surface[self.far] - centre
+        middle, weight = _middles(ids.edges, surface)
+        centre = matmul(weight, middle)[None]
+        arm = middle - centre
+        moments = jnp.concatenate([weight[None], (weight[:, None] * arm).T])
+        if not len(ids.far):
+            return cls(moments, jnp.zeros((d, 0, d, 1 + d), surface.dtype))
         # (A M + weight 2 dev sym A)_ab = mean of u_a arm_b, with the moments M of the arms
-        moments = matmul(arm.T, arm) / len(x)
-        strain = (
-            einsum("ac,bd->abcd", eye, eye)
-            + einsum("ad,bc->abcd", eye, eye)
-            - 2 / d * einsum("ab,cd->abcd", eye, eye)
-        )
+        unit = einsum("ac,bd->abcd", eye, eye)
+        strain = unit + unit.swapaxes(0, 1) - 2 / d * einsum("ab,cd->abcd", eye, eye)
+        matrix = matmul(moments[1:], arm)
         # the turn of a straight body about itself is none
-        weight = jnp.trace(moments) * (NARROW * strain + SAME * einsum("ac,bd->abcd", eye, eye))
-        system = einsum("ac,db->abcd", eye, moments) + weight
-        inverse = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
-        affine = einsum("abcd,id->abci", inverse, arm) / len(x)
-        reach = self.reach.astype(surface.dtype)
+        system = einsum("ac,db->abcd", eye, matrix) + jnp.trace(matrix) * (
+            NARROW * strain + SAME * unit
+        )
+        affine = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
+        reach = ids.reach.astype(surface.dtype)
+        way = surface[ids.far] - centre
         body = jnp.sqrt(jnp.sum(arm**2, axis=1).max()) / norm(way)
         turned = (turning(reach) / turning(body) * reach)[:, None] * way
-        pushed = einsum("r,ac,i->arci", pushing(reach), eye, jnp.full_like(x[:, 0], 1 / len(x)))
-        return pushed + einsum("rb,abci->arci", turned, affine)
+        pushed = einsum("r,ac->arc", pushing(reach), eye)[..., None]
+        return cls(
+            moments, jnp.concatenate([pushed, einsum("rb,abck->arck", turned, affine)], axis=3)
+        )
+
+    def moved(self, middles: Float[Array, "e d"]) -> Float[Array, "r d"]:
+        return einsum("arck,kc->ra", self.shares, matmul(self.moments, middles))
 
 
 def pushing(reach: Float[Array, " r"]) -> Float[Array, " r"]:
@@ -365,7 +391,7 @@ class FittedRBF(AbstractMethod):
             nodes=nodes,
             edges=edges,
             outer=matrix[..., moves:],
-            rings=ids.rings(surface),
+            rings=Rings.made(ids, surface),
             fit=fit,
             polynomial=terms,
             affine=affine,
@@ -425,7 +451,7 @@ class FitFactors(eqx.Module):
     nodes: Weights
     edges: Float[Array, "e s"]
     outer: Float[Array, "d s d t"]
-    rings: Float[Array, "d r d s"]
+    rings: Rings
     fit: Cholesky
     polynomial: Float[Array, "b p"]
     affine: Cholesky
