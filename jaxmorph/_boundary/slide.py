@@ -15,21 +15,14 @@ from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.package.rounding import canonical_order
+from .._host.rows import Rows
 from .._host.surface.walls import in_order
 from .._mesh.mesh import Mesh
-from .outer_faces import Faces, Ids, row_of
+from .face_search import FaceSearch
+from .outer_faces import Faces, Ids
 from .symmetry import Plane, optional
 from .tracks import SMOOTH
-from .walls import (
-    ALONG_AXIS,
-    AbstractWall,
-    CurvedFaces,
-    Faceted,
-    Flat,
-    FlatFaces,
-    Round,
-    faces_around,
-)
+from .walls import ALONG_AXIS, AbstractWall, Flat, OnFaces, Round
 
 Walls = list[tuple[AbstractWall, np.ndarray]]
 
@@ -233,11 +226,10 @@ def _of_faces(
             "jm.Slide(nodes, jm.Plane(normal, origin))."
         )
     dimension = points.shape[1]
-    row = row_of(nodes, len(points))
     pieces = [np.zeros((0, dimension), dtype=np.int64)]
-    for corners in faces.values():
+    for corners in Rows(nodes).renumbered(faces).values():
         # quads are cut into triangles about the node that comes first by place
-        of_patch = in_order(row[corners][(row[corners] >= 0).all(axis=1)])
+        of_patch = in_order(corners[(corners >= 0).all(axis=1)])
         pieces += [
             of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))
         ]
@@ -280,9 +272,10 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
         corners = np.searchsorted(rows, corners).astype(np.int32)
         try:
             plane = Plane.through(points, ids)
-            walls.append((FlatFaces(plane.normal, plane.origin, ids, points[ids], corners), ids))
+            own = FaceSearch(ids, points[ids], corners)
+            walls.append((Flat(plane.normal, plane.origin, own), ids))
         except ValueError:
-            walls.append((Faceted.of(ids, points[ids], corners), ids))
+            walls.append((OnFaces(FaceSearch.of(ids, points[ids], corners)), ids))
     return walls
 
 
@@ -356,21 +349,19 @@ def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
     if mesh is None or not mesh.is_curved:
         return walls
     return [
-        (_curved(wall, mesh) if type(wall) is Faceted else wall, nodes) for wall, nodes in walls
+        (OnFaces(_with_curves(wall.own, mesh)) if isinstance(wall, OnFaces) else wall, nodes)
+        for wall, nodes in walls
     ]
 
 
-def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
-    nodes = np.asarray(wall.nodes)
+def _with_curves(own: FaceSearch, mesh: Mesh) -> FaceSearch:
+    nodes = np.asarray(own.nodes)
     sides = {kind: ids for kind, (ids, _) in mesh.topology.outer(nodes).items() if len(ids)}
     pieces = sum(
         len(ids) * (2 if kind == "quad" else 1) for kind, ids in linear_cells(sides).items()
     )
-    if len(sides) != 1 or pieces != len(wall.faces):
-        return wall
+    if len(sides) != 1 or pieces != len(own.faces):
+        return own
     ((kind, ids),) = sides.items()
-    rows = row_of(nodes, len(mesh.points))[ids]
-    rows = rows[np.lexsort(np.sort(rows, axis=1).T)]
-    return CurvedFaces(
-        wall.nodes, wall.vertices, wall.faces, faces_around(rows, len(nodes)), rows, kind
-    )
+    rows = Rows(nodes).of(ids)
+    return own.on_curved(rows[np.lexsort(np.sort(rows, axis=1).T)], kind)

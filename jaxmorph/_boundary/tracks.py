@@ -1,5 +1,6 @@
 """Tracks: the nodes that slide along one wall, or where two walls meet."""
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 
@@ -11,9 +12,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._kernels.values import Either
+from .face_search import FLAT_FACES, SMOOTH_FACES, Places, solve_small
 from .periodic import Nodal, Pairing
 from .symmetry import Plane
-from .walls import AbstractWall, Faceted, Flat, Places, Round, SmoothFaces, solved
+from .walls import AbstractWall, Flat, OnFaces, Round
 
 # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
 STEPS = 6
@@ -56,8 +58,8 @@ class Track(eqx.Module):
 
     def project(self, x: Places) -> Places:
         only = self.walls[0] if len(self.walls) == 1 else None
-        if isinstance(only, Faceted):
-            return only.nearest(x)[0]
+        if isinstance(only, OnFaces):
+            return only.own.closest(x)[0]
         is_exact = self.is_linear or (isinstance(only, Round) and only.is_straight)
 
         def nearer(x, _):
@@ -76,14 +78,22 @@ class Track(eqx.Module):
 
 
 def smoothed(track: Track) -> Track:
-    walls = (SmoothFaces(**vars(wall)) if type(wall) is Faceted else wall for wall in track.walls)
-    return Track(np.asarray(track.rows), tuple(walls))
+    """Lets the rows of a track slide on the smooth surface instead of flat faces."""
+    return Track(np.asarray(track.rows), tuple(map(_smooth, track.walls)))
+
+
+def _smooth(wall: AbstractWall) -> AbstractWall:
+    if isinstance(wall, OnFaces) and wall.own.kind == FLAT_FACES:
+        return OnFaces(dataclasses.replace(wall.own, kind=SMOOTH_FACES))
+    return wall
 
 
 def _least(normals: Float[Array, "k w d"], above: Float[Array, "k w"]) -> Places:
     """The shortest vectors with the components `above` along one or two normals."""
     gram = jnp.einsum("kvd,kwd->kvw", normals, normals, precision="highest")
-    return jnp.einsum("kw,kwd->kd", jax.vmap(solved)(gram, above), normals, precision="highest")
+    return jnp.einsum(
+        "kw,kwd->kd", jax.vmap(solve_small)(gram, above), normals, precision="highest"
+    )
 
 
 def tracks_of(

@@ -3,14 +3,14 @@
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from ..cells.topology import Pair
 from ..linear.products import cofactor_rows, cross_rows, outward
-from ..package.rounding import Tree, morton_order
+from ..package.rounding import Tree, canonical_order, morton_order, roundoff
 
 POINTS_TOGETHER = 1 << 12  # points of a block
 NEAR_SIMPLICES = 8  # nearest simplices that bound the distance to all others
@@ -55,12 +55,26 @@ def fans(ids: ndarray, counts: ndarray) -> ndarray:
     return ids[np.stack([np.repeat(first, counts - 2), inner, inner + 1], axis=1)]
 
 
-def closest(corners: ndarray, x: ndarray) -> tuple[ndarray, ...]:
-    """Finds the first simplex (m,) of `corners` (t, c, d) that is closest to each of `x` (m, d).
-    Returns its number, the weights (m, c) of its corners at its closest place, and the distance.
+class Closest(NamedTuple):
+    """The simplex (m,) that is closest to each point, by number, the `weights` (m, c) of its
+    corners at its closest place, and the distance (m,).
     """
-    # Simplices of one size are searched together: one ball around a point holds all that can be
-    # closest, and a few long ones do not make candidates of all.
+
+    face: ndarray
+    weights: ndarray
+    distance: ndarray
+
+
+def closest(corners: ndarray, x: ndarray) -> Closest:
+    """Finds the simplex of `corners` (t, c, d) that is closest to each of `x` (m, d).
+
+    Of equally near ones it is that whose middle comes first by place.
+    """
+    # Sorted by place, the first of equally near simplices is the one wanted. Those of one size are
+    # searched together: one ball around a point holds all that can be closest, and a few long ones
+    # do not make candidates of all.
+    order = canonical_order(corners.mean(axis=1))
+    corners = corners[order]
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     size = np.frexp(np.maximum(radius, 1e-9 * radius.max()))[1]
@@ -70,12 +84,11 @@ def closest(corners: ndarray, x: ndarray) -> tuple[ndarray, ...]:
         _closest_of_block(trees, corners, x[at : at + POINTS_TOGETHER])
         for at in range(0, max(len(x), 1), POINTS_TOGETHER)
     ]
-    return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
+    return Closest(order[simplex], weights, distance)
 
 
-def _closest_of_block(
-    trees: list, corners: ndarray, x: ndarray
-) -> tuple[ndarray, ndarray, ndarray]:
+def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
@@ -92,9 +105,12 @@ def _closest_of_block(
     row = np.concatenate(rows)
     simplex = np.concatenate(simplices)
     weights, distance = _find_nearest_places(corners[simplex], x[row])
-    order = np.lexsort((simplex, distance, row))
+    least = np.full(len(x), np.inf)
+    np.minimum.at(least, row, distance)
+    is_least = distance <= least[row] + max(roundoff(corners), roundoff(x))
+    order = np.lexsort((simplex, ~is_least, row))
     best = order[np.unique(row[order], return_index=True)[1]]
-    return simplex[best], weights[best], distance[best]
+    return Closest(simplex[best], weights[best], distance[best])
 
 
 def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
