@@ -11,17 +11,15 @@ from jaxtyping import Float
 from .._boundary.outer_faces import mask, row_of
 from .._host.cells.adjacency import parts_of
 from .._host.cells.topology import solid
-from .._host.linear.products import FLAT, outward
+from .._host.linear.products import outward
 from .._host.package.rounding import Tree
 from .._host.surface.gaps import Passages, TooManyPairs, crossing_faces, passages
+from .._host.tolerances import FLAT_CORNER, PLANAR, SAME
 from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
 from .._plan.plan import Plan
 from .turn import Turn
 
-# distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
-SAME = 1e-9
-PLANAR = 1e-6  # distance of a plane's nodes from it, relative to the extent
 STRIDE = np.deg2rad(20)  # angle of a turn that is taken for a straight way
 
 UNKNOWN = (
@@ -239,7 +237,7 @@ def _turned_out(ways: list[np.ndarray], faces: np.ndarray, body: np.ndarray) -> 
         height = np.einsum("kd,kd->k", outward(x[faces]), arms)
         volumes.append((np.bincount(of, height, count), np.bincount(of, np.abs(height), count)))
     (start, size), (end, _) = volumes
-    return np.where(np.abs(start) > FLAT * size, end / np.where(start == 0, 1, start), 1.0)
+    return np.where(np.abs(start) > FLAT_CORNER * size, end / np.where(start == 0, 1, start), 1.0)
 
 
 def _faces_of(mesh: Mesh) -> OuterFaces:

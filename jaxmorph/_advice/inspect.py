@@ -19,22 +19,18 @@ from .._host.sources.reduction import KDTree, drop_close
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls
+from .._host.tolerances import PUT_BACK, RESTS, SAME
 from .._mesh.mesh import Mesh
 from .._methods.rbf.fitted import FittedRBF
 from .._plan.deform import deform
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
 from .._quality.verdict import judge
-from .crossings import SAME, Crossings, names_of, simplices, wall_crossings
+from .crossings import Crossings, names_of, simplices, wall_crossings
 from .cures import advice_on_folds
 
 STEEP = 0.5  # slope of a displacement along the wall above which a fitted field strains cells more
 NARROW = 0.2  # share of a gap, left after a motion, below which one step folds cells in it
-# share of the largest motion by which planes, surfaces and pairs may change a moving node's
-PUT_BACK = 0.01
-# distance of a node from another wall, relative to the surface's extent: no gap there
-TOUCHING = 1e-9
-RESTS = 1e-3  # share of the largest displacement below which a part of the surface rests
 UNRESOLVED = 1 / 3  # share of the largest displacement that sources may miss between them
 ROWS = 4096  # points whose distances are held together
 LEAVES = (64, 128, 256, 512, 1024, 2048)  # numbers of leaves of a k-d tree that are tried
@@ -146,7 +142,7 @@ class _Motion:
             return None
         before = self.points.astype(float)
         wall = walls(before, self.plan.n_moving, {"simplex": self.faces})
-        scale = TOUCHING * np.ptp(before, axis=0).max()
+        scale = SAME * np.ptp(before, axis=0).max()
         share = share_left(before, before + self.vectors.astype(float), wall, self.faces, scale)
         if not np.isfinite(share).any():
             return None

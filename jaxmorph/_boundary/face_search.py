@@ -17,6 +17,7 @@ from .._host.cells.adjacency import columns_of, is_single, sorted_columns
 from .._host.cells.lagrange import lagrange_types
 from .._host.cells.topology import SHAPES
 from .._host.surface.gaps import Closest, closest
+from .._host.tolerances import AT_VERTEX, CANCELLED
 from .._kernels.module import Module
 from .._kernels.values import Either, area_vectors, norm
 
@@ -34,9 +35,6 @@ BLOCK = 512  # nodes in a block
 SEARCH = 8
 POLISH = 2
 LIFTS = 4  # steps along the normal to a smooth surface; each leaves a small share of the distance
-# length of a sum of unit normals, over their number, that is no direction: a thin plate's
-CANCELLED = 1e-3
-AT_VERTEX = 1e-20  # square of a distance from a vertex that counts as none, over that of its edges
 
 
 class FaceSearch(Module):

@@ -17,19 +17,23 @@ from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.package.rounding import canonical_order
 from .._host.rows import Rows
 from .._host.surface.walls import in_order
+from .._host.tolerances import (
+    ALIGNED,
+    ALONG_AXIS,
+    CONTINUES,
+    NO_AREA,
+    NO_EDGE,
+    ON_SURFACE,
+    SAME,
+    SAME_STATION,
+)
 from .._mesh.mesh import Mesh
 from .face_search import FaceSearch
 from .outer_faces import Faces, Ids
 from .symmetry import Plane, optional
-from .tracks import SMOOTH
-from .walls import ALONG_AXIS, AbstractWall, Flat, OnFaces, Round
+from .walls import AbstractWall, Flat, OnFaces, Round
 
 Walls = list[tuple[AbstractWall, np.ndarray]]
-
-# least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole
-CONTINUES = 0.5
-# distance of nodes on a surface, relative to the patch's extent: files have few digits
-DEVIATION = 1e-5
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -158,7 +162,7 @@ def walls_of_patch(
             f"{dimension} dimensions."
         )
     off = np.abs(np.asarray(wall.height(jnp.asarray(exact[nodes]))[0]))
-    allowed = DEVIATION * np.ptp(exact[nodes], axis=0).max()
+    allowed = ON_SURFACE * np.ptp(exact[nodes], axis=0).max()
     check_none(
         nodes[worst_first(off, allowed)],
         f"{slide.name} does not lie on its surface: {{count}} of {len(nodes)} nodes are off, the "
@@ -208,11 +212,11 @@ def _line_or_profile(
     profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
     middle = profile.mean(axis=0)
     normal = np.array([0.0, 1.0])
-    if axis.any() and np.ptp(profile[:, 1]) > 1e-9 * size:
+    if axis.any() and np.ptp(profile[:, 1]) > SAME * size:
         normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
-    is_line = not axis.any() or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
+    is_line = not axis.any() or np.abs((profile - middle) @ normal).max() <= ON_SURFACE * size
     profile = profile[np.argsort(profile[:, 0], kind="stable")]
-    profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
+    profile = profile[np.append(True, np.diff(profile[:, 0]) > SAME_STATION * size)]
     return np.array([*normal, middle @ normal]) if is_line else None, profile
 
 
@@ -253,7 +257,9 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     """
     area = normals(points[nodes[elements]])
     size = np.linalg.norm(area, axis=1)
-    has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
+    has_area = (
+        size > NO_AREA * size.max()
+    )  # a quad that ends in a point has a triangle without area
     elements = elements[has_area]
     unit = area[has_area] / size[has_area, None]
     walls = []
@@ -261,7 +267,7 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     touch = csr_array((np.ones(faces.size), (elements.ravel(), faces)))
     beside = (touch.T @ touch).tocoo()
     cosine = np.sum(unit[beside.row] * unit[beside.col], axis=1)
-    joined = (cosine > CONTINUES - 1e-9) | (cosine < -SMOOTH)
+    joined = (cosine > CONTINUES - ALIGNED) | (cosine < -NO_EDGE)
     part = parts_of(beside.row[joined], beside.col[joined], len(elements))
     if len(np.unique(elements)) < len(nodes):  # nodes of no face belong to all parts
         part[:] = 0

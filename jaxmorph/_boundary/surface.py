@@ -12,6 +12,7 @@ from .._host.cells.adjacency import parts_of
 from .._host.package.rounding import Tree
 from .._host.rows import Rows
 from .._host.surface.walls import ordered_rows
+from .._host.tolerances import OTHER_IMAGE
 from .._kernels.values import as_jax
 from .._methods.surface import Cells, Surface
 from .conditions import Conditions
@@ -19,8 +20,6 @@ from .images import Images
 from .outer_faces import mask, row_of
 from .periodic import Pairing
 from .symmetry import Plane, edges_of, facing, tolerance
-
-DIFFERENT = 1e-3  # difference of two matrices of mirrors; the narrowest angle is a degree
 
 
 def surface_of(
@@ -189,7 +188,7 @@ def _mirrors(
             product = products[number] @ _mirror(planes[k])
             away = np.abs((products - product)[:, :-1, :-1]).max(axis=(1, 2))
             after[-1][k] = int(away.argmin())
-            if away.min() > DIFFERENT:
+            if away.min() > OTHER_IMAGE:
                 after[-1][k] = len(products)
                 products = np.concatenate([products, product[None]])
     return products, np.reshape(after, (len(products), len(planes))).astype(int)

@@ -11,12 +11,17 @@ from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import checked, finite_array, freeze, rows_of
 from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
+from .._host.tolerances import (
+    ALIGNED,
+    ALONG_AXIS,
+    NEAR_PLANE,
+    ON_PLANE,
+    SAME_NORMAL,
+    SAME_TRANSFORM,
+)
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
 from .outer_faces import Ids, Points, mask
-
-# distance from a plane, relative to the mesh's extent, within which a node lies on it
-TOLERANCE = 1e-8
 
 
 class Plane(Module):
@@ -61,7 +66,7 @@ class Plane(Module):
         normal = np.linalg.svd(patch - origin, full_matrices=False)[2][-1]
         axis = np.abs(normal).argmax()
         if (
-            np.abs(np.delete(normal, axis)).max() < 1e-7
+            np.abs(np.delete(normal, axis)).max() < ALONG_AXIS
         ):  # the usual case: keep the coordinate bit for bit
             normal = np.eye(len(normal))[axis]
             origin[axis] = np.median(patch[:, axis])
@@ -98,7 +103,7 @@ class Plane(Module):
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
         if (
             self.normal.shape != other.normal.shape
-            or abs(float(self.normal @ other.normal)) < 1 - 1e-12
+            or abs(float(self.normal @ other.normal)) < 1 - SAME_NORMAL
         ):
             return False
         return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
@@ -159,7 +164,7 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list
     planes: list[Plane] = []
     for k in first[np.argsort(-count, kind="stable")[: 4 * MOST]]:
         plane = Plane(normal[k], corners[k])
-        near = nodes[np.abs(plane.height(points[nodes])) <= 1e-3 * extent]
+        near = nodes[np.abs(plane.height(points[nodes])) <= NEAR_PLANE * extent]
         with contextlib.suppress(ValueError):
             plane = Plane.through(points, near)
         if not any(plane.equals(other, points) for other in planes):
@@ -172,12 +177,10 @@ def optional(name: str, value: Any, *shapes: tuple[int | None, ...]) -> np.ndarr
 
 
 def tolerance(points: np.ndarray) -> float:
-    return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
+    return max(ON_PLANE * float(np.ptp(points, axis=0).max()), roundoff(points))
 
 
-ALIGNED = 1e-9  # difference of a cosine from that of parallel planes, or of a right angle
 NARROWEST = 180  # mirrors at an angle of 180 / n degrees have 2 n images
-ANGLE = 1e-6  # radians by which the angle of two mirrors may be off
 
 
 class Mirrors(NamedTuple):
@@ -213,7 +216,7 @@ class Mirrors(NamedTuple):
                 inward.append(np.sign(height[np.abs(height).argmax()]) * self.planes[k].normal)
             angle = np.arccos(-inward[0] @ inward[1])  # of the mesh between the planes
             sectors = round(np.pi / angle)
-            is_mirror = sectors <= NARROWEST and abs(angle - np.pi / sectors) < ANGLE
+            is_mirror = sectors <= NARROWEST and abs(angle - np.pi / sectors) < SAME_TRANSFORM
             if len(edges) > 1 or not is_mirror:
                 raise ValueError(
                     f"{len(self.planes)} symmetry planes are not all parallel or at right angles, "

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
+from .._host.tolerances import NO_EDGE
 from .._kernels.values import Either
 from .face_search import FLAT_FACES, SMOOTH_FACES, Places, solve_small
 from .periodic import Nodal, Pairing
@@ -19,9 +20,6 @@ from .walls import AbstractWall, Flat, OnFaces, Round
 
 # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
 STEPS = 6
-SMOOTH = np.cos(
-    np.deg2rad(5)
-)  # cosine of the angle below which two sliding patches meet without an edge
 
 
 class Track(eqx.Module):
@@ -132,7 +130,7 @@ def tracks_of(
 def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
     first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
     check_none(
-        nodes[worst_first(np.abs(np.sum(first * second, axis=1)), SMOOTH)],
+        nodes[worst_first(np.abs(np.sum(first * second, axis=1)), NO_EDGE)],
         "two sliding patches, or a sliding patch and a symmetry plane, meet at {count} nodes "
         "without an edge, the worst "
         "is node {node} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or "
@@ -161,7 +159,7 @@ def check_repeated(
     for pairing in pairings:
         first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
         mismatch = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
-        wrong = worst_first(mismatch * (free[first] & free[second]), np.sqrt(2 - 2 * SMOOTH**2))
+        wrong = worst_first(mismatch * (free[first] & free[second]), np.sqrt(2 - 2 * NO_EDGE**2))
         if wrong.size:
             node, partner = (int(side[wrong[0]]) for side in (first, second))
             raise MeshError(

@@ -8,14 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.tolerances import ALONG_AXIS, END
 from .._kernels.module import Module
 from .._kernels.values import Either, area_vectors, norm
 from .face_search import FaceSearch, Places
-
-# component of a unit normal that counts as zero: coordinates in files have few digits
-ALONG_AXIS = 1e-7
-# distance from the end of faces that counts as zero: relative to their extent, or share of a corner
-END = 1e-9
 
 
 class AbstractWall(Module):
@@ -130,7 +126,7 @@ class Round(AbstractWall):
             (x - np.asarray(self.origin)) @ np.asarray(self.axis),
             np.asarray(self.knots),
         )
-        slack = 1e-9 * (high - low)
+        slack = END * (high - low)
         return np.asarray((along < low - slack) | (along > high + slack))
 
     def is_apex(self, x):

@@ -14,6 +14,7 @@ from .._boundary.conditions import Conditions
 from .._boundary.names import check_finite
 from .._host.cells.pieces import owners
 from .._host.package.arguments import between, checked, whole
+from .._host.tolerances import SAME_MARGIN
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
@@ -24,7 +25,6 @@ from .constraints import problem_of
 from .stages import Minimum, Search, judge_minimum, minimise_softly, minimise_stiffly
 
 MINIMUM = 1e-2
-SAME_MARGIN = 1e-6  # difference of two margins that is round-off
 GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
 
 Count = Int[Array, ""]

@@ -13,6 +13,7 @@ from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
 from .._host.linear.products import determinant
+from .._host.tolerances import SHIFT
 from .._quality import measures
 from .._quality.distortion import (
     Bounds,
@@ -68,10 +69,6 @@ class Ways(eqx.Module):
         for pairing in self.pairings:
             points = pairing.matched(start, points)
         return points
-
-
-# added to a Hessian's diagonal (order one): it may be singular where cells are inverted
-SHIFT = 1e-12
 
 
 class Distortion(eqx.Module):

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 
 from .._host.cells.topology import Pair
-from .._host.package.rounding import SAME, canonical_order
+from .._host.package.rounding import canonical_order
 from .._host.ragged import Ragged
+from .._host.tolerances import LEAST_PIECE, SAME
 from .faces import BLOCK, Faces, open_cells, standard_cells
 
-SLIVER = 1e-3  # share of a cell's mean piece below which a piece is left out: its sign says nothing
-ENOUGH = 0.05  # share of the mean piece that ends the search for an apex
+GOOD_APEX = 0.05  # share of the mean piece that ends the search for an apex
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class _Pieces:
         apex = pairs[first[:-1], 1]
         best = np.full(count, -np.inf)
         for turn in range(int(np.diff(first).max())):
-            open_cells = (best < ENOUGH) & (np.diff(first) > turn)
+            open_cells = (best < GOOD_APEX) & (np.diff(first) > turn)
             if not open_cells.any():
                 break
             tried = pairs[np.minimum(first[:-1] + turn, first[1:] - 1), 1]
@@ -192,5 +192,5 @@ class _Pieces:
         volume, away = self.volumes(apex, np.arange(len(self.cell)))
         size = np.where(away, np.abs(volume), 0)
         mean = np.bincount(self.cell, size) / np.maximum(np.bincount(self.cell, away), 1)
-        used = away & (size > SLIVER * mean[self.cell])
+        used = away & (size > LEAST_PIECE * mean[self.cell])
         return np.column_stack([self.corners[used], apex[self.cell[used]]]), self.cell[used]

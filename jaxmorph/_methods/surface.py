@@ -6,10 +6,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .._host.package.rounding import SAME, Tree, nearest_of
+from .._host.package.rounding import Tree, nearest_of
 from .._host.sources.reduction import AbstractReduction, AllPoints, drop_close, drop_near
 from .._host.surface.skin import chords
 from .._host.surface.walls import walls
+from .._host.tolerances import SAME
 
 T = TypeVar("T")
 ByKind = Mapping[str, np.ndarray]  # corners (k, c) of cells or faces, by their type

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from .._host.cells.lagrange import lagrange_types, values
 from .._host.linear import products
+from .._host.tolerances import OFF_APEX
 from .._kernels.values import Either, namespace
 from . import bernstein
 from .bernstein import Space
@@ -146,7 +147,9 @@ class JacobianForm:
     def inside(self, at: Lattice) -> Lattice:
         """Moves places off a pyramid's apex, where det J has directions, by a millionth."""
         is_last = np.arange(len(at)) == len(at) - 1
-        return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
+        return np.where(
+            (self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - OFF_APEX), at
+        )
 
     def reference(self, places: Lattice) -> Float[np.ndarray, "d k"]:
         places = places[1:] if self.has_time else places

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from ..tolerances import NO_WEIGHT
 from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
 from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType, Pair
 
@@ -155,7 +156,7 @@ def _lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
             nodes[inner].tolist(), cell.nodes_at(ends[inner]).tolist(), strict=True
         ):
             weights = slopes[node] @ (cell.reference[last] - cell.reference[node])
-            near = np.flatnonzero(np.abs(weights) > 1e-12 * np.abs(weights).max())
+            near = np.flatnonzero(np.abs(weights) > NO_WEIGHT * np.abs(weights).max())
             lines.append((node, last, near, weights[near]))
     return tuple(lines)
 

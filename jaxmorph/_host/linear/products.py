@@ -9,9 +9,6 @@ from numpy import ndarray
 # a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
 Components = Any
 
-# Jacobian over the product of a corner's edges up to which it is flat; in 2-D the sine of its angle
-FLAT = 1e-4
-
 
 def dot(a: Components, b: Components) -> Any:
     first, *others = [p * q for p, q in zip(a, b, strict=True)]

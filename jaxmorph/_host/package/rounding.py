@@ -9,14 +9,11 @@ from scipy.spatial import KDTree
 
 from ..cells.topology import Pair
 from ..rows import first_of_equals
+from ..tolerances import NEAR_ZERO, SAME
 from .cores import cores
 
-SAME = 1e-9  # relative difference up to which two numbers count as equal
 TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
 FEW_POINTS = 4096  # points of a search up to which threads cost more than they gain
-
-
-NEAR_ZERO = 1e-290  # far above the smallest normal number, with a square that is zero
 
 
 class Tree(KDTree):

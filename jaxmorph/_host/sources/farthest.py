@@ -8,7 +8,6 @@ from numpy import ndarray
 from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, whole
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
     first_largest,
@@ -17,6 +16,7 @@ from ..package.rounding import (
     roundoff,
     spacing,
 )
+from ..tolerances import SAME
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
 
 ENOUGH = {2: 84, 3: 400}  # sources of `Filled` by dimension: a wall in 3-D needs more than a curve

@@ -8,7 +8,8 @@ from scipy.spatial.distance import cdist
 from scipy.special import xlogy
 
 from ..package.arguments import between, finite_array, whole
-from ..package.rounding import SAME, first_largest
+from ..package.rounding import first_largest
+from ..tolerances import SAME
 from .farthest import farthest
 from .reduction import AbstractSeparated
 

@@ -10,7 +10,6 @@ from scipy.spatial.distance import cdist
 from ..cells.topology import Pair
 from ..package.arguments import between
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
     first_largest,
@@ -19,6 +18,7 @@ from ..package.rounding import (
     roundoff,
 )
 from ..ragged import Ragged
+from ..tolerances import SAME
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 

@@ -13,7 +13,6 @@ from numpy import ndarray
 from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, finite_array, whole
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
     first_largest,
@@ -21,6 +20,7 @@ from ..package.rounding import (
     resolution,
     roundoff,
 )
+from ..tolerances import SAME
 
 
 class AbstractReduction(abc.ABC):

@@ -9,8 +9,9 @@ from ..cells.adjacency import handedness, neighbours, parts_of
 from ..cells.topology import Pair
 from ..linear.products import normals, unit_rows
 from ..package.arguments import as_array, rows_of
-from ..package.rounding import SAME, canonical_order, roundoff
+from ..package.rounding import canonical_order, roundoff
 from ..rows import first_of_equals
+from ..tolerances import SAME
 
 
 class Creased(NamedTuple):

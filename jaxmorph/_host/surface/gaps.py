@@ -11,6 +11,7 @@ from numpy import ndarray
 from ..cells.topology import Pair
 from ..linear.products import cofactor_rows, cross_rows, outward
 from ..package.rounding import Tree, canonical_order, morton_order, roundoff
+from ..tolerances import ALIGNED, MEETS, MET_BEFORE, SAME
 
 POINTS_TOGETHER = 1 << 12  # points of a block
 NEAR_SIMPLICES = 8  # nearest simplices that bound the distance to all others
@@ -77,7 +78,7 @@ def closest(corners: ndarray, x: ndarray) -> Closest:
     corners = corners[order]
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    size = np.frexp(np.maximum(radius, 1e-9 * radius.max()))[1]
+    size = np.frexp(np.maximum(radius, SAME * radius.max()))[1]
     groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
     trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
     blocks = [
@@ -99,7 +100,7 @@ def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
         ]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
     for group, tree, radius in trees:
-        row, member = tree.within(x, (bound + radius) * (1 + 1e-9))
+        row, member = tree.within(x, (bound + radius) * (1 + SAME))
         rows.append(row)
         simplices.append(group[member])
     row = np.concatenate(rows)
@@ -142,10 +143,6 @@ def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
     return np.stack(choices)[best], distance[best]
 
 
-# slack of a crossing, relative to the faces: faces that nearly touched before do not count
-AFTER = 1e-9
-BEFORE = 1e-6
-PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
 TOGETHER = 1 << 17  # pairs of faces in a block
 SPLIT = 8  # parts of a straight way, in each of which a node changes sides once at most
 HALVES = 40  # bisections of a way to the place where a node passes a face
@@ -168,9 +165,9 @@ def crossing_faces(points: ndarray, moved: ndarray, faces: ndarray, place: ndarr
         both = pairs[start : start + TOGETHER]
         first, second = place[faces[both]].swapaxes(0, 1)
         both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
-        where = _find_meeting(moved[faces[both]], AFTER)
+        where = _find_meeting(moved[faces[both]], MEETS)
         met = np.flatnonzero(np.isfinite(where[:, 0]))
-        new = met[np.isnan(_find_meeting(points[faces[both[met]]], BEFORE)[:, 0])]
+        new = met[np.isnan(_find_meeting(points[faces[both[met]]], MET_BEFORE)[:, 0])]
         found.append(both[new])
         places.append(where[new])
     return np.concatenate(found), np.concatenate(places)
@@ -208,7 +205,7 @@ def overlapping_boxes(
 
 
 def _bound_faces(corners: ndarray, is_still: ndarray) -> ndarray:
-    slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
+    slack = MEETS * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
     low = corners.min(axis=1) - slack
     return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
 
@@ -296,7 +293,7 @@ def _find_passed(
         low = np.where(is_before, share, low)
         high = np.where(is_before, high, share)
     face, where = _place_on_way(before, after, low, corners, node)
-    hit = _find_nearest_places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
+    hit = _find_nearest_places(face, where)[1] <= MET_BEFORE * np.ptp(face, axis=1).max(axis=1)
     return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
 
 
@@ -321,7 +318,7 @@ def _place_on_way(
     return face, before[node] + share * (after[node] - before[node])
 
 
-def _find_side(corners: ndarray, x: ndarray, slack: float = BEFORE) -> ndarray:
+def _find_side(corners: ndarray, x: ndarray, slack: float = MET_BEFORE) -> ndarray:
     """The side (k,) of faces on which points (k, d) lie: 1 outside, -1 inside, 0 on the face."""
     normal = outward(corners)
     height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
@@ -349,7 +346,7 @@ def _measure_share(start: ndarray, along: ndarray, corners: ndarray, slack: floa
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
     rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])
     volume = np.einsum("kd,kd->k", rows[0], along)
-    is_steep = np.abs(volume) > PARALLEL * np.linalg.norm(along, axis=1) * np.linalg.norm(
+    is_steep = np.abs(volume) > ALIGNED * np.linalg.norm(along, axis=1) * np.linalg.norm(
         rows[0], axis=1
     )
     share, *places = np.einsum("rkd,kd->rk", rows, corners[:, 0] - start) / np.where(

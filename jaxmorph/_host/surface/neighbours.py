@@ -10,7 +10,6 @@ from numpy import ndarray
 from ..cells.topology import Pair
 from ..package.cores import over_blocks
 from ..package.rounding import (
-    SAME,
     Tree,
     few_by,
     lowest_of_equals,
@@ -18,6 +17,7 @@ from ..package.rounding import (
     nearest_few,
     roundoff,
 )
+from ..tolerances import SAME
 
 WALLS_APART = 16  # most walls for which every wall has a search tree of its own
 LEAP_NEIGHBOURS = 8  # neighbours among whose distances a leap is searched

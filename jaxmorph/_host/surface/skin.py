@@ -9,7 +9,6 @@ from scipy.spatial import ConvexHull, QhullError
 from ..cells.topology import ByType, Pair
 from ..linear.products import outward
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
     distinct_places,
@@ -22,6 +21,7 @@ from ..package.rounding import (
     spacing,
 )
 from ..sources.farthest import farthest
+from ..tolerances import ON_PLANE, SAME, SHARP_TIP
 
 # radii of rings at which a body's field comes to rest, relative to the body's radius
 RINGS = (40, 80)
@@ -169,7 +169,7 @@ def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
     )[1:]
     area = np.bincount(plane.ravel(), size)
     largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:HULL_SIDES]]
-    slack = 1e-8 * float(np.ptp(surface, axis=0).max())
+    slack = ON_PLANE * float(np.ptp(surface, axis=0).max())
     free = points[is_free]
     return any(
         (free @ np.array(normal) + offset > -slack).sum() > 1
@@ -181,11 +181,9 @@ def has_free_faces(points: ndarray, faces: ByType, is_held: ndarray) -> bool:
     """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
-    return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
+    return len(middles) > 0 and bool((spacing(middles) > SAME * np.ptp(points, axis=0).max()).any())
 
 
-# cosine of the angle between a tip's edges below which the wall is sharp there
-SHARP_TIP = np.cos(np.deg2rad(60))
 # distances of sources from a tip over the mean chord: waves invert cells at tips
 NEARBY = (0.002, 0.008, 0.032)
 # least distance of a place behind a tip from the wall, relative to its distance from the tip

@@ -6,11 +6,10 @@ from numpy import ndarray
 from ..cells.adjacency import parts_of
 from ..cells.topology import ByType
 from ..linear.products import outward, unit_rows
-from ..package.rounding import SAME, Tree, distinct_places, nearest_of, ranked, resolution
+from ..package.rounding import Tree, distinct_places, nearest_of, ranked, resolution
 from ..sources.farthest import farthest
+from ..tolerances import CONCAVE, SAME
 
-# cosine of a concave corner's angle from which on its faces are two walls
-CONCAVE = np.cos(np.deg2rad(45))
 # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
 REACH = 1.5
 # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more

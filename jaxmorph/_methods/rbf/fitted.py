@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._host.package.rounding import SAME, roundoff
+from ..._host.package.rounding import roundoff
 from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface import skin
+from ..._host.tolerances import SAME
 from ..._kernels.values import as_jax, norm
 from ..base import (
     AbstractMethod,
