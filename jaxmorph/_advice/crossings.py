@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._boundary.outer_faces import mask, row_of
 from .._host.cells.adjacency import parts_of
 from .._host.cells.topology import solid
 from .._host.linear.products import outward
 from .._host.package.rounding import Tree
+from .._host.rows import Rows
 from .._host.surface.gaps import Passages, TooManyPairs, crossing_faces, passages
 from .._host.tolerances import FLAT_CORNER, PLANAR, SAME
 from .._mesh.mesh import Mesh
@@ -253,14 +253,14 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mesh of a surface alone has its cells for faces.
     """
     outer = _faces_of(mesh)
-    rows = row_of(nodes, len(mesh.points))
+    rows = Rows(nodes)
     faces = [np.zeros((0, mesh.points.shape[1]), int)]
     ids = [np.zeros(0, int)]
     for kind, corners in outer.corners.items():
         triangles = (
             [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]
         )
-        faces.append(rows[corners[:, triangles]].reshape(-1, mesh.points.shape[1]))
+        faces.append(rows.of(corners[:, triangles]).reshape(-1, mesh.points.shape[1]))
         ids.append(np.repeat(outer.ids[kind], len(triangles)))
     joined = np.concatenate(faces)
     known = (joined >= 0).all(axis=1)
@@ -271,5 +271,5 @@ def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
     """Names the smallest patch with all nodes of each face (k, corners); "" without any."""
     names = np.full(len(faces), "", dtype=object)
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: -len(item[1])):
-        names[mask(len(mesh.points), nodes)[faces].all(axis=1)] = name
+        names[Rows(nodes).mask(faces).all(axis=1)] = name
     return names.tolist()

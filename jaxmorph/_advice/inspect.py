@@ -10,11 +10,11 @@ from jaxtyping import ArrayLike, Float, Integer, Real
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
-from .._boundary.outer_faces import mask
 from .._host.package.arguments import checked, finite_array, rows_of
 from .._host.package.cores import beside
 from .._host.package.errors import check_none
 from .._host.package.rounding import Tree, roundoff
+from .._host.rows import mark
 from .._host.sources.reduction import KDTree, drop_close
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
@@ -388,7 +388,7 @@ def overshoot(
     points = np.asarray(plan.points)
     moving = np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)
-    inner = np.flatnonzero(~mask(len(points), moving, plan.fixed))
+    inner = np.flatnonzero(~mark(len(points), moving, plan.fixed))
     if not size.max() or not inner.size:
         return 0.0, 0.0
     moved = np.asarray(deform(plan, u)) if moved is None else moved

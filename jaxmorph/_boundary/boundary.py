@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike, Real
 
 from .._host.package.arguments import freeze
 from .._host.package.errors import MeshError, check_none, place_of
+from .._host.rows import mark
 from .._mesh.mesh import Mesh
 from .conditions import Conditions
 from .names import Named, Nodes
@@ -102,9 +103,7 @@ def _guides(named: Named, mirrors: Mirrors, mesh: Mesh | None) -> dict[str, Any]
         "them from `moving`, or slide along fewer patches.",
         points,
     )
-    is_free = np.ones(len(points), bool)
-    is_free[named.fixed] = False
-    check_repeated(tracks, corners, pairings, points, is_free)
+    check_repeated(tracks, corners, pairings, points, ~mark(len(points), named.fixed))
     fixed = np.append(named.fixed, corners[~np.isin(corners, named.fixed)])
     left = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in left if len(track.rows))

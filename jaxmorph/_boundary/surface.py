@@ -10,14 +10,13 @@ from jaxtyping import Bool, Float, Int
 
 from .._host.cells.adjacency import parts_of
 from .._host.package.rounding import Tree
-from .._host.rows import Rows
+from .._host.rows import Rows, mark
 from .._host.surface.walls import ordered_rows
 from .._host.tolerances import OTHER_IMAGE
 from .._kernels.values import as_jax
 from .._methods.surface import Cells, Surface
 from .conditions import Conditions
 from .images import Images
-from .outer_faces import mask, row_of
 from .periodic import Pairing
 from .symmetry import Plane, edges_of, facing, tolerance
 
@@ -37,7 +36,8 @@ def surface_of(
     faces = boundary.surface_faces
     order = ordered_rows(points, moving, faces) if order is None else order
     place = np.argsort(order)
-    own = tuple(pairing.renumbered(row_of(nodes, len(boundary.points))) for pairing in pairings)
+    row = Rows(nodes).of(np.arange(len(boundary.points)))
+    own = tuple(pairing.renumbered(row) for pairing in pairings)
     ordered = tuple(pairing.renumbered(place) for pairing in own)
     copies = _copies_of(on_plane[order], boundary.planes, ordered, points[order], moving)
     rows = order[copies.rows]
@@ -155,7 +155,7 @@ def _copies_of(
     kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), count)
     first = np.argsort(rows >= moving, kind="stable")
     sides = [
-        mask(count, side, pairing.alone)
+        mark(count, side, pairing.alone)
         for pairing in pairs
         for side in (pairing.first, pairing.second)
     ]
@@ -237,7 +237,7 @@ def _numbered(
     places = np.reshape(lowest, (len(kinds), radix))[kind.ravel()][:, mirror].T
     for power, pairing in zip(powers.T, pairings, strict=True):
         span = pairing.turn or 2 * pairing.copies + 2
-        steps = (power[:, None] + mask(count, pairing.second)[None] + pairing.copies) % span
+        steps = (power[:, None] + mark(count, pairing.second)[None] + pairing.copies) % span
         steps[:, pairing.alone] = 0
         places = places + radix * steps
         radix = radix * span

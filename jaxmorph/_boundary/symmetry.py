@@ -11,6 +11,7 @@ from .._host.linear.products import normals, unit_rows
 from .._host.package.arguments import checked, finite_array, freeze, rows_of
 from .._host.package.errors import MeshError, check_none, worst_first
 from .._host.package.rounding import roundoff
+from .._host.rows import mark
 from .._host.tolerances import (
     ALIGNED,
     ALONG_AXIS,
@@ -21,7 +22,7 @@ from .._host.tolerances import (
 )
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .outer_faces import Ids, Points, mask
+from .outer_faces import Ids, Points
 
 
 class Plane(Module):
@@ -149,7 +150,7 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list
     # A face has a key: its unit normal and its height, rounded to four digits, equal for faces of
     # one plane. Equal keys are counted. The plane of one face is tilted by the digits of its
     # corners: it is fitted to all nodes nearby.
-    inside = mask(len(points), nodes)
+    inside = mark(len(points), nodes)
     sides = [ids[inside[ids].all(axis=1)][:, : points.shape[1]] for ids in faces]
     corners = points[
         np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *sides])

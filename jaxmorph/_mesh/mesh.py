@@ -15,6 +15,7 @@ from .._host.cells.pieces import linear_cells, places_of, steps_of
 from .._host.cells.topology import CORNERS, DIMENSION, SHAPES
 from .._host.package.arguments import check, checked, shown, whole
 from .._host.package.text import patch_names
+from .._host.rows import Rows
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export, vtk
@@ -417,7 +418,5 @@ def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.n
     for kind, (sides, _) in Topology(cells, n, highest).sides.items():
         corners = sides[:, : CORNERS[SHAPES[kind]]]
         for name, nodes in mesh.patches.items():
-            inside = np.zeros(n, bool)
-            inside[np.asarray(nodes)] = True
-            patches[name].append(sides[inside[corners].all(axis=1)].ravel())
+            patches[name].append(sides[Rows(nodes).mask(corners).all(axis=1)].ravel())
     return {name: np.concatenate(parts) for name, parts in patches.items()}

@@ -7,6 +7,7 @@ import numpy as np
 from .._host.cells.topology import Pair
 from .._host.package.rounding import canonical_order
 from .._host.ragged import Ragged
+from .._host.rows import mark
 from .._host.tolerances import LEAST_PIECE, SAME
 from .faces import BLOCK, Faces, open_cells, standard_cells
 
@@ -24,8 +25,7 @@ class Polyhedra:
         """Computes the middles of the `wanted` cells' faces, in a table (cells, d) of all cells."""
         faces = self.faces
         neighbour = faces.all_neighbours()
-        is_wanted = np.zeros(max(faces.owner.max(), neighbour.max()) + 2, dtype=bool)
-        is_wanted[wanted] = True
+        is_wanted = mark(max(faces.owner.max(), neighbour.max()) + 2, wanted)
         rows = np.flatnonzero(is_wanted[faces.owner] | is_wanted[neighbour])
         own = faces.rows.take(rows)
         sides = np.concatenate([faces.owner[rows], neighbour[rows]])

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from ..rows import mark
 from ..tolerances import NO_WEIGHT
 from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
 from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType, Pair
@@ -66,8 +67,7 @@ def first_lines(cells: ByType, sides: Mapping[str, Pair], points: ndarray, wall:
     From a node inside of an edge or a side, a line goes to the node opposite. Of the `sides` among
     the wall nodes, each has its cell, numbered as in `cells`. Raises `ValueError` for none.
     """
-    on_wall = np.zeros(len(points), dtype=bool)
-    on_wall[wall] = True
+    on_wall = mark(len(points), wall)
     centre = np.concatenate([_centres(kind, ids, points) for kind, ids in cells.items()])
     walls = {
         kind: _wall_sides(kind, ids, centre[owner], points) for kind, (ids, owner) in sides.items()

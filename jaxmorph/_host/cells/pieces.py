@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from ..rows import mark
 from .adjacency import columns_of, is_single, sorted_columns, unpaired
 from .lagrange import collapsed, depth, lagrange_types, of_order, values
 from .topology import CORNERS, NODES, SHAPES, ByType, Pair, numbers, numbers_by_name
@@ -46,8 +47,7 @@ def owned_sides(cells: ByType, n: int, among: ndarray | None = None) -> dict[str
     nodes, counterclockwise as seen from outside. Also returns the cell (f,) of each, numbered as in
     `cells`, node ids (k, nodes) by type below `n`. All nodes of a face are `among` these ids.
     """
-    is_candidate = np.zeros(n, bool)
-    is_candidate[[] if among is None else among] = True
+    is_candidate = mark(n, *[] if among is None else [among])
     found: dict[str, list[tuple[list[ndarray], ndarray]]] = {}
     first = 0
     for kind, ids in cells.items():
