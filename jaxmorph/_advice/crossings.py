@@ -160,7 +160,7 @@ def crossings(
     before = points[nodes]
     ways = [before, *(before + vectors for vectors in states.reshape(-1, *before.shape))]
     is_solid = np.arange(len(nodes)) < (len(nodes) if walls is None else walls)
-    close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")
+    close = Tree(before).close_pairs(SAME * np.ptp(points, axis=0).max())
     place = parts_of(close[:, 0], close[:, 1], len(before))  # nearly coincident nodes are at one
     here = np.flatnonzero(is_solid[faces].all(axis=1))
     passed = Passages.none(points.shape[1])
@@ -208,7 +208,7 @@ def _passages(
     steps = []
     for k, (start, end) in enumerate(itertools.pairwise(ways)):
         step = passages(start, end, faces, place, is_solid)
-        steps.append(dataclasses.replace(step, shares=(k + step.shares) / (len(ways) - 1)))
+        steps.append(step._replace(shares=(k + step.shares) / (len(ways) - 1)))
     every = Passages.joined(steps)
     moves = np.any([way != ways[0] for way in ways[1:]], axis=(0, 2))
     inner = faces[moves[faces].all(axis=1)]

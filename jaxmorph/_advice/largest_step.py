@@ -68,18 +68,10 @@ def largest_step(
       that is proven of the undeformed cell.
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already. **Raises:**
-    `ValueError` for wrong shapes, a bound outside of 0 to 1, and a `max_step` that is not above 0.
-    Also for a plan that is not linear: its nodes leave the straight lines on which roots are
-    sought. With `proven`, also for undeformed cells that are not proven valid.
+    `ValueError` for wrong shapes, a bound outside of 0 to 1, a `max_step` that is not above 0, and
+    a plan that is not linear. With `proven`, also for undeformed cells that are not proven valid.
     """
-    if not plan.is_linear:
-        raise ValueError(
-            f"this plan is not linear in `u`: {_nonlinear(plan)}. Its nodes leave straight lines, "
-            "so a cell may invert before the "
-            "step that straight lines give. jm.fewest_steps(plan, mesh, motion) finds how much "
-            "of a motion keeps a bound. "
-            "jm.ValidSteps judges each step of a line search where it ends."
-        )
+    _check_linear(plan)
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
     between("max_step", max_step, 0)
     shape = plan.n_moving, plan.points.shape[1]
@@ -87,20 +79,37 @@ def largest_step(
     direction = finite_array("direction", direction, shape)
 
     def at(step: float) -> np.ndarray:
-        return np.asarray(
-            places(mesh, deform(plan, jnp.asarray(u) + step * jnp.asarray(direction)))
-        )
+        moved = deform(plan, jnp.asarray(u) + step * jnp.asarray(direction))
+        return np.asarray(places(mesh, moved))
 
-    start = at(0.0)
-    end = at(max_step)
     bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
-    found = bounds.largest_share(start, end)
-    step = found.step * max_step
-    less = float(np.finfo(plan.points.dtype).eps)
-    # the points at the step have a round-off of their own
-    while step > 0 and proven and (broken := bounds.proven_share(at(step), at(step)).cell) >= 0:
-        step, found, less = step * max(1 - less, 0.0), LargestStep(step, broken), 4 * less
-    return LargestStep(step, found.cell)
+    found = bounds.largest_share(at(0.0), at(max_step))
+    found = LargestStep(found.step * max_step, found.cell)
+    return _proven_back(bounds, at, found, plan.points.dtype) if proven else found
+
+
+def _proven_back(
+    bounds: "CornerBounds", at: Callable[[float], np.ndarray], found: LargestStep, dtype: Any
+) -> LargestStep:
+    """Goes back from a step until its points, which have a round-off of their own, are proven."""
+    step = found.step
+    cell = found.cell
+    less = float(np.finfo(dtype).eps)
+    while step > 0 and (broken := bounds.proven_share(at(step), at(step)).cell) >= 0:
+        step = step * max(1 - less, 0.0)
+        cell = broken
+        less = 4 * less
+    return LargestStep(step, cell)
+
+
+def _check_linear(plan: Plan) -> None:
+    if not plan.is_linear:
+        raise ValueError(
+            f"this plan is not linear in `u`: {_nonlinear(plan)}. Its nodes leave straight lines, "
+            "so a cell may invert before the step that straight lines give. "
+            "jm.fewest_steps(plan, mesh, motion) finds how much of a motion keeps a bound. "
+            "jm.ValidSteps judges each step of a line search where it ends."
+        )
 
 
 def _nonlinear(plan: Plan) -> str:

@@ -25,6 +25,9 @@ Point = Float[Array, " d"]
 Vertices = Float[Array, "v d"]
 Places = Float[Array, "k d"]
 Place = tuple[Point, Point]
+Simplices = Float[Array, "w d d"]
+Corners = Int[Array, "e c"]
+Share = Float[Array, " e"]
 
 FLAT_FACES = "flat"
 SMOOTH_FACES = "smooth"
@@ -140,14 +143,14 @@ def _nearest_row(x: Point, places: Float[Array, "w d"]) -> Int[Array, ""]:
     return jnp.argmin(jax.lax.stop_gradient(jnp.sum((places - x[None]) ** 2, axis=1)))
 
 
-def _on_nearest(x: Point, corners: Float[Array, "w d d"]) -> tuple[Point, Int[Array, ""]]:
+def _on_nearest(x: Point, corners: Simplices) -> tuple[Point, Int[Array, ""]]:
     """The closest place on several flat faces, and the number of its face."""
     places = jax.vmap(on_simplex, in_axes=(None, 0))(x, corners)
     chosen = _nearest_row(x, places)
     return places[chosen], chosen
 
 
-def _on_flat(x: Point, corners: Float[Array, "w d d"], vertex: Point, smooth: Point) -> Place:
+def _on_flat(x: Point, corners: Simplices, vertex: Point, smooth: Point) -> Place:
     """On flat faces. At a vertex several meet: the tangent there is across their mean normal."""
     place, chosen = _on_nearest(x, corners)
     size = jnp.max(jnp.sum((corners[:, 1] - corners[:, 0]) ** 2, axis=1))
@@ -157,7 +160,7 @@ def _on_flat(x: Point, corners: Float[Array, "w d d"], vertex: Point, smooth: Po
     return jnp.where(is_vertex, tangent, place), normal
 
 
-def _on_smooth(x: Point, corners: Float[Array, "w d d"], normals: Float[Array, "w d d"]) -> Place:
+def _on_smooth(x: Point, corners: Simplices, normals: Simplices) -> Place:
     """On the smooth surface through the vertices.
 
     A place p of a face goes up to p + (p' - p) / 2, where p' is the mean of the places below p on
@@ -174,7 +177,7 @@ def _on_smooth(x: Point, corners: Float[Array, "w d d"], normals: Float[Array, "
     return jax.lax.scan(nearer, (x, jnp.zeros_like(x)), length=LIFTS)[0]
 
 
-def _raise(x: Point, corners: Float[Array, "w d d"], normals: Float[Array, "w d d"]) -> Place:
+def _raise(x: Point, corners: Simplices, normals: Simplices) -> Place:
     place, chosen = _on_nearest(x, corners)
     corner = corners[chosen]
     normal = normals[chosen]
@@ -214,9 +217,7 @@ def _on_curved(x: Point, corners: Float[Array, "w s d"], kind: str) -> Place:
     return value(at, own), _normal_of(corners)
 
 
-def _search_inside(
-    x: Point, start: Float[Array, " e"], coefficients: Float[Array, "k d"], kind: str
-) -> Float[Array, " e"]:
+def _search_inside(x: Point, start: Share, coefficients: Float[Array, "k d"], kind: str) -> Share:
     value = functools.partial(_evaluate, powers=_polynomials(kind)[0])
 
     def nearer(at, _):
@@ -230,9 +231,7 @@ def _search_inside(
     return jax.lax.scan(nearer, start, length=SEARCH)[0]
 
 
-def _evaluate(
-    at: Float[Array, " e"], coefficients: Float[Array, "k d"], powers: np.ndarray
-) -> Point:
+def _evaluate(at: Share, coefficients: Float[Array, "k d"], powers: np.ndarray) -> Point:
     """Evaluates a face's polynomial; whole powers are safe at zero in every derivative."""
     monomials = [
         math.prod(x**power for x, power in zip(at, row, strict=True)) for row in powers.tolist()
@@ -249,7 +248,7 @@ def _polynomials(kind: str) -> tuple[np.ndarray, np.ndarray]:
     return complete.lattice, np.linalg.solve(monomials, completion)
 
 
-def solve_small(matrix: Float[Array, "e e"], right: Float[Array, " e"]) -> Float[Array, " e"]:
+def solve_small(matrix: Float[Array, "e e"], right: Share) -> Share:
     """Solves a symmetric system of one or two unknowns; a singular matrix gives zero."""
     signs = jnp.asarray([[1, -1], [-1, 1]])[: len(right), : len(right)]
     # of one unknown the adjugate is the matrix itself, and the determinant its square
@@ -262,13 +261,13 @@ def _normal_of(corners: Float[Array, "d d"]) -> Point:
     return _unit(area_vectors(corners[None]), 0)[0]
 
 
-def mean_normals(vertices: Vertices, faces: Int[Array, "e c"]) -> Vertices:
+def mean_normals(vertices: Vertices, faces: Corners) -> Vertices:
     """Computes unit normals at vertices: the mean of their faces', by area."""
     areas = area_vectors(vertices[faces])
     return _unit(jnp.zeros_like(vertices).at[faces].add(areas[:, None]), 0)
 
 
-def smooth_normals(vertices: Vertices, faces: Int[Array, "e c"]) -> Vertices:
+def smooth_normals(vertices: Vertices, faces: Corners) -> Vertices:
     """Computes unit normals at vertices, exact on a sphere (a circle in 2-D).
 
     At a rim, where faces lie on one side only, the normals of inner vertices go on. Source: Max,
@@ -294,7 +293,7 @@ def smooth_normals(vertices: Vertices, faces: Int[Array, "e c"]) -> Vertices:
 
 
 def _go_on(
-    vertices: Vertices, faces: Int[Array, "e c"], unit: Vertices, is_rim: Bool[Array, " v"]
+    vertices: Vertices, faces: Corners, unit: Vertices, is_rim: Bool[Array, " v"]
 ) -> Vertices:
     """Continues the normals of inner vertices along edges, exact on a sphere. A short edge counts
     most: sides of quads count more than diagonals. Without inner neighbours a vertex keeps its
@@ -318,7 +317,7 @@ def _go_on(
 
 
 def _sum_rows(
-    rows: Int[Array, "e c"],
+    rows: Corners,
     count: int,
     vectors: Float[Array, "e c d"],
     weights: Float[Array, "e c"],

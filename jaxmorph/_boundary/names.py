@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Int, Integer
 
 from .._host.package.arguments import real_array, rows_of, shown
-from .._host.package.errors import MeshError, check_none, warn
+from .._host.package.errors import MeshError, check_all_finite, check_none, warn
 from .._mesh.mesh import Mesh
 from .outer_faces import Ids
 from .periodic import Periodic
@@ -114,7 +114,7 @@ def checked_points(points: Any) -> np.ndarray:
     array = real_array("points", points, (None, 2), (None, 3))
     if array.dtype not in (np.float32, np.float64):
         array = array.astype(np.float64)
-    check_finite(array)
+    check_all_finite(array)
     dtype = jax.dtypes.canonicalize_dtype(array.dtype)  # the precision of the plan
     size = np.abs(array).max(axis=1, initial=0)
     far = np.flatnonzero(size > np.finfo(dtype).max ** (1 / 3))
@@ -133,11 +133,6 @@ def checked_points(points: Any) -> np.ndarray:
             "Choose a smaller unit of length."
         )
     return array
-
-
-def check_finite(points: np.ndarray) -> None:
-    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    check_none(wrong, f"{{count}} of {len(points)} points are not finite, first node {{node}}.")
 
 
 def names_in(values: Any) -> tuple[str, ...] | None:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._host.cells.adjacency import parts_of
 from .._host.package.rounding import Tree
-from .._host.rows import Rows, mark
+from .._host.rows import Rows, first_of_equals, mark
 from .._host.surface.walls import ordered_rows
 from .._host.tolerances import OTHER_IMAGE
 from .._kernels.values import as_jax
@@ -112,8 +112,8 @@ class Copies:
     @property
     def first(self) -> np.ndarray:
         """The first extended row (b,) that is an image of a row's own row or periodic partner."""
-        _, first, inverse = np.unique(self.roots[self.rows], return_index=True, return_inverse=True)
-        return first[inverse]
+        first, place = first_of_equals(self.roots[self.rows])
+        return first[place]
 
     def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
         """Extends faces between own rows by their images: each once, none on periodic sides."""
@@ -257,12 +257,8 @@ def _joined(
     numbers, first = np.unique(places, return_index=True)
     first = np.sort(first)  # own rows come before images
     kind = first // len(points)
-    pairs = Tree(at.reshape(-1, at.shape[-1])[first]).query_pairs(
-        tolerance(points), output_type="ndarray"
-    )
-    pairs = np.sort(pairs, axis=1)
+    pairs = Tree(at.reshape(-1, at.shape[-1])[first]).close_pairs(tolerance(points))
     pairs = pairs[kind[pairs[:, 0]] != kind[pairs[:, 1]]]
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     joined = numbers.copy()
     for into, other in np.searchsorted(numbers, places.ravel()[first[pairs]]):
         if joined[other] == numbers[other]:

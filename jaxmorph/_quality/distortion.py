@@ -203,21 +203,18 @@ def distortion(
 ) -> DistortionOfCells:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
-    It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. There it
-    is as large as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. The
-    target of a cell that is folded on the undeformed mesh is not folded, see `improve`. A curved
-    cell has the mean of its linear pieces, see `Mesh.linear`.
+    It is 0 for a cell like its target, and finite on inverted cells, with a derivative that turns
+    them round again. Traced in `points`. The target of a cell that is folded on the undeformed mesh
+    is the nearest parallelogram, parallelepiped or the like, else the equilateral cell of the size
+    around. A curved cell has the mean of its linear pieces, see `Mesh.linear`.
 
     **Arguments:**
 
     - `mesh`: the mesh; `mesh.points` is undeformed.
     - `points`: where the nodes are (n, d). Default: `mesh.points`.
     - `ideal`: False (default) compares with the undeformed cell, True with the equilateral cell.
-    - `size_weight`: the weight of size against shape, 0 to 1, default 0.5. At 0 the result is the
-      mean over the corners of 1 / mean ratio - 1, at 1 a barrier on the corner Jacobians relative
-      to the target's.
-    - `softness`: width of the regularisation of det T, without unit, default 1e-3. A larger value
-      gives a smoother barrier.
+    - `size_weight`: the weight of size against shape, 0 to 1, default 0.5.
+    - `softness`: width of the regularisation of det T, without unit, default 1e-3.
 
     **Returns:** an array (k,), the cells in the order of `mesh.cells`. **Raises:** `ValueError` for
     a mesh without cells of its own dimension, and another shape of `points`.

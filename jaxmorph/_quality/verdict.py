@@ -215,12 +215,6 @@ def judge(
     as checkMesh does. Others are judged by the Jacobians at the corners of their cells, relative to
     the undeformed mesh. A motion is not blamed for cells that were inverted before.
 
-    ```python
-    verdict = jm.judge(mesh, jm.deform(plan, u), jm.Limits(max_skewness=0.9, proven=True))
-    print(verdict)
-    assert verdict.ok
-    ```
-
     **Arguments:**
 
     - `mesh`: the undeformed mesh.
@@ -229,8 +223,8 @@ def judge(
     - `before`: the verdict on the undeformed mesh under the same limits, for several motions of one
       mesh. Default: made.
     - `steps`: points after each step of the motion but the last, for `Limits.proven`.
-    - `is_straight`: nodes move along straight lines from step to step, as with a plan that
-      `is_linear`. Default True. Else the ends of steps alone are proven.
+    - `is_straight`: nodes move along straight lines from step to step. Default True. Else the ends
+      of steps alone are proven.
     - `part`: number of the part of a mesh that `mesh` is, for `Verdict.together`.
 
     **Raises:** `ValueError` for points of another shape, and a limit on a measure that the cells

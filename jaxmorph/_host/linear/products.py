@@ -36,9 +36,14 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
     return [cross(b, c), cross(c, a), cross(a, b)]
 
 
+def edges_of(corners: ndarray) -> list[ndarray]:
+    """Edges, each (k, d), from the first corner of simplices (k, c, d) to the others."""
+    return list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
+
+
 def smallest_height(corners: ndarray) -> ndarray:
     """Least heights (k,) of simplices (k, d + 1, d)."""
-    edges = list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
+    edges = edges_of(corners)
     # area vectors of all sides but the first, whose area vector is minus their sum
     rows = cofactor_rows(edges)
     largest = np.max([np.linalg.norm(side, axis=1) for side in (*rows, sum(rows))], axis=0)
@@ -47,10 +52,8 @@ def smallest_height(corners: ndarray) -> ndarray:
 
 def normals(corners: ndarray) -> ndarray:
     """Normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
-    edges = corners[:, 1:] - corners[:, :1]
-    return (
-        edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross_rows(edges[:, 0], edges[:, 1])
-    )
+    first, *second = edges_of(corners)
+    return cross_rows(first, *second) if second else first[:, ::-1] * [1, -1]
 
 
 def cofactor_rows(edges: list[ndarray]) -> list[ndarray]:

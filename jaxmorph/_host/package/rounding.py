@@ -36,6 +36,11 @@ class Tree(KDTree):
         rows = np.repeat(np.arange(len(x)), [len(ids) for ids in around])
         return rows, np.fromiter(itertools.chain.from_iterable(around), np.int64, len(rows))
 
+    def close_pairs(self, radius: float) -> ndarray:
+        """Pairs (p, 2) of points within a distance of each other, first ones first."""
+        pairs = self.query_pairs(radius, output_type="ndarray")
+        return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
 
 def roundoff(points: ndarray) -> float:
     return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))

@@ -281,10 +281,8 @@ def drop_close(points: ndarray, ids: ndarray, closest: float) -> ndarray:
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = Tree(points[ids]).query_pairs(_with_noise(points, closest), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
-    # pairs come as first < second
-    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
+    for first, second in Tree(points[ids]).close_pairs(_with_noise(points, closest)):
         if keep[first]:
             keep[second] = False
     return ids[keep]

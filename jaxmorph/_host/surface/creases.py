@@ -133,12 +133,12 @@ def _neighbours_of(vertices: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     return beside, sign, first_of_equals(part)[1]
 
 
-def _edges_of(vertices: ndarray) -> ndarray:
+def _sides_of(vertices: ndarray) -> ndarray:
     return np.stack([vertices, np.roll(vertices, -1, axis=1)][: vertices.shape[1] - 1], axis=2)
 
 
 def _borders(vertices: ndarray, beside: ndarray, is_sharp: ndarray) -> Pair:
-    edges = np.sort(_edges_of(vertices), axis=2)
+    edges = np.sort(_sides_of(vertices), axis=2)
     sharp = np.unique(edges[(beside >= 0) & is_sharp], axis=0)
     single, count = np.unique(edges[beside < 0], axis=0, return_counts=True)
     return np.concatenate([sharp, single[count > 1]]), single[count == 1]
@@ -149,7 +149,7 @@ def _split(vertices: ndarray, beside: ndarray, is_smooth: ndarray) -> Pair:
     face, edge = np.nonzero(is_smooth)
     other = beside[face, edge]
     pairs = []
-    for nodes in _edges_of(vertices)[face, edge].T:
+    for nodes in _sides_of(vertices)[face, edge].T:
         for rows in (face, other):
             column = np.argmax(vertices[rows] == nodes[:, None], axis=1)
             pairs.append(rows * vertices.shape[1] + column)

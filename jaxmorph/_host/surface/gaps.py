@@ -1,15 +1,14 @@
 """Faces of a surface: closest places, gaps between walls, and faces that cross once nodes move."""
 
-import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from ..cells.topology import Pair
-from ..linear.products import cofactor_rows, cross_rows, outward
+from ..linear.products import cofactor_rows, cross_rows, edges_of, outward
 from ..package.rounding import Tree, canonical_order, morton_order, roundoff
 from ..tolerances import ALIGNED, MEETS, MET_BEFORE, SAME
 
@@ -127,8 +126,7 @@ def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
         choices.append(weights)
     if corners.shape[1] == 3:  # the foot of the perpendicular, if it is inside
         a = corners[:, 0]
-        u = corners[:, 1] - corners[:, 0]
-        v = corners[:, 2] - corners[:, 0]
+        u, v = edges_of(corners)
         normal = cross_rows(u, v)
         arm = x - a
         area = np.einsum("md,md->m", normal, normal)
@@ -161,16 +159,21 @@ def crossing_faces(points: ndarray, moved: ndarray, faces: ndarray, place: ndarr
     pairs = overlapping_boxes(moved[faces], (points != moved).any(axis=1)[faces].any(axis=1))
     found = [pairs[:0]]
     places = [points[:0]]
-    for start in range(0, len(pairs), TOGETHER):
-        both = pairs[start : start + TOGETHER]
-        first, second = place[faces[both]].swapaxes(0, 1)
-        both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
+    for both in _blocks_apart(pairs, place[faces]):
         where = _find_meeting(moved[faces[both]], MEETS)
         met = np.flatnonzero(np.isfinite(where[:, 0]))
         new = met[np.isnan(_find_meeting(points[faces[both[met]]], MET_BEFORE)[:, 0])]
         found.append(both[new])
         places.append(where[new])
     return np.concatenate(found), np.concatenate(places)
+
+
+def _blocks_apart(pairs: ndarray, places: ndarray) -> Iterator[ndarray]:
+    """Blocks of pairs of faces without a common number of `places` (f, c)."""
+    for start in range(0, len(pairs), TOGETHER):
+        both = pairs[start : start + TOGETHER]
+        first, second = places[both].swapaxes(0, 1)
+        yield both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
 
 
 def overlapping_boxes(
@@ -210,8 +213,7 @@ def _bound_faces(corners: ndarray, is_still: ndarray) -> ndarray:
     return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
 
 
-@dataclasses.dataclass(frozen=True)
-class Passages:
+class Passages(NamedTuple):
     """Nodes (k,) that pass through faces: `pairs` (k, 2) of the node's face and the one passed.
     `shares` (k,) are those of the way, `places` (k, d) where. `senses` (k,) are 1 from inside out.
     """
@@ -229,10 +231,10 @@ class Passages:
 
     @classmethod
     def joined(cls, steps: "Sequence[Passages]") -> "Passages":
-        return cls(*map(np.concatenate, zip(*(vars(step).values() for step in steps), strict=True)))
+        return cls(*map(np.concatenate, zip(*steps, strict=True)))
 
     def at(self, rows: ndarray) -> "Passages":
-        return Passages(*(column[rows] for column in vars(self).values()))
+        return Passages(*(column[rows] for column in self))
 
 
 def passages(
@@ -248,11 +250,8 @@ def passages(
     """
     moves = (before != after).any(axis=1)[faces].any(axis=1)
     pairs = overlapping_boxes(before[faces], moves, after[faces])
-    found = []
-    for start in range(0, max(len(pairs), 1), TOGETHER):
-        both = pairs[start : start + TOGETHER]
-        first, second = place[faces[both]].swapaxes(0, 1)
-        both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
+    found = [Passages.none(before.shape[1])]
+    for both in _blocks_apart(pairs, place[faces]):
         both = np.concatenate([both, both[:, ::-1]])
         both = both[is_solid[faces[both[:, 0]]].all(axis=1)]
         node = faces[both[:, 0]].ravel()
@@ -344,7 +343,7 @@ def _find_meeting(corners: ndarray, slack: float) -> ndarray:
 def _measure_share(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
     """The share (k,) of a segment up to where it meets a simplex (k, d, d); NaN if it does not."""
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
-    rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])
+    rows = cofactor_rows([along, *edges_of(corners)])
     volume = np.einsum("kd,kd->k", rows[0], along)
     is_steep = np.abs(volume) > ALIGNED * np.linalg.norm(along, axis=1) * np.linalg.norm(
         rows[0], axis=1
