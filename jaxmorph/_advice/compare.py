@@ -90,12 +90,6 @@ def compare(
 ) -> Comparison:
     """Compares methods on a family of motions: inverted cells, Jacobian ratio, wall angle, time.
 
-    ```python
-    compared = jm.compare(jm.Boundary(mesh, "airfoil", "farfield"), motions)
-    print(compared)
-    plan = compared.plans[0]
-    ```
-
     **Arguments:**
 
     - `boundary`: the boundary of a mesh.
@@ -125,19 +119,8 @@ def compare(
         raise ValueError(
             "`motions` is zero: no method moves a node. Give what the mesh is to bear, (s, m, d)."
         )
-    pairs = []
-    for name, make in _makers(boundary, methods).items():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
-            try:
-                plan = plan_of(boundary, make())
-            except (
-                ValueError,
-                ImportError,
-            ) as error:  # ImportError: a solver for large 3-D meshes is not installed
-                pairs.append((Trial(name, refused=str(error) or repr(error)), None))
-                continue
-        pairs.append((_trial(mesh, plan, motions, name), plan))
+    makers = _makers(boundary, methods)
+    pairs = [_try(boundary, make, mesh, motions, name) for name, make in makers.items()]
     rows, plans = zip(*sorted(pairs, key=lambda pair: pair[0].badness), strict=True)
     if plans[0] is None:
         raise ValueError(f"every method is refused. {rows[0].method}: {rows[0].refused}")
@@ -185,7 +168,19 @@ def _small_enough(make: Any, size: float, boundary: Boundary) -> AbstractMethod:
     return method
 
 
-def _trial(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str) -> Trial:
+def _try(
+    boundary: Boundary, make: Any, mesh: Mesh, motions: np.ndarray, name: str
+) -> tuple[Trial, Plan | None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
+        try:
+            plan = plan_of(boundary, make())
+        except (ValueError, ImportError) as error:  # or a solver for large meshes is not installed
+            return Trial(name, refused=str(error) or repr(error)), None
+    return _measure(mesh, plan, motions, name), plan
+
+
+def _measure(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str) -> Trial:
     vectors = [jnp.asarray(u, plan.points.dtype) for u in motions]
     moved = [deform(plan, u) for u in vectors]
     jax.block_until_ready(moved)

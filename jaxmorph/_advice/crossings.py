@@ -177,26 +177,31 @@ def crossings(
         face = faces[passed.pairs[:, 1]]
         follows = ~is_held[face].all(axis=1) & (sheet[face[:, 0]] == sheet[passed.nodes])
         passed = passed.at(np.flatnonzero(~follows))
-    if len(pairs):
+    crosses = len(pairs) > 0
+    if crosses:
         single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
         pairs = pairs[single]
         places = places[single]
         both = faces[pairs, 0]
     else:
-        both = np.stack([passed.nodes, faces[passed.pairs[:, 1], 0]], axis=1)
-    facts: dict[str, Any] = {"crosses": len(pairs) > 0, "is_known": is_known}
-    if len(passed.nodes):
-        faced = ways[-1][faces[passed.pairs[:, 1]]].mean(axis=1)
-        facts |= {
-            "share": float(passed.shares.min()),
-            "beyond": float(np.linalg.norm(ways[-1][passed.nodes] - faced, axis=1).max()),
-            "leaves": bool((np.bincount(passed.nodes, passed.senses) > 0).any()),
-        }
-    if not len(pairs):
         pairs = passed.pairs
         places = passed.places
+        both = np.stack([passed.nodes, faces[pairs[:, 1], 0]], axis=1)
     first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
+    facts = _facts_of(passed, faces, ways[-1]) | {"crosses": crosses, "is_known": is_known}
     return Crossings(nodes[both], tuple(zip(first, second, strict=True)), places, **facts)
+
+
+def _facts_of(passed: Passages, faces: np.ndarray, end: np.ndarray) -> dict[str, Any]:
+    """When nodes first pass faces, how far beyond they are at the end, whether they leave."""
+    if not len(passed.nodes):
+        return {}
+    faced = end[faces[passed.pairs[:, 1]]].mean(axis=1)
+    return {
+        "share": float(passed.shares.min()),
+        "beyond": float(np.linalg.norm(end[passed.nodes] - faced, axis=1).max()),
+        "leaves": bool((np.bincount(passed.nodes, passed.senses) > 0).any()),
+    }
 
 
 def _passages(

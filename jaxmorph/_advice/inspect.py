@@ -161,6 +161,23 @@ class _Motion:
         n = self.plan.n_moving
         return _slope(self.points[:n], self.vectors[:n])
 
+    def check_finite(self) -> None:
+        is_finite = np.isfinite(self.displacement).all(axis=1)
+        check_none(
+            np.asarray(self.plan.moving)[~is_finite],
+            f"{{count}} of {self.plan.n_moving} displacements are not finite, first that of node "
+            f"{{node}} (row {int(np.argmin(is_finite))}).",
+        )
+
+    def advice_on_cells(self, moved: Any, is_hopeless: bool) -> tuple[str, ...]:
+        """Cures of cells that one step folds, unless walls cross, and cells folded before."""
+        assert self.mesh is not None
+        verdict = judge(self.mesh, moved)
+        folds = ""
+        if verdict.spoilt and not is_hopeless:
+            folds = advice_on_folds(self.plan, self.mesh, self.displacement, verdict)
+        return tuple(filter(None, (folds, verdict.note)))
+
     def warnings(self, crossings: str) -> Iterator[str]:
         """What no method moves well; `crossings` is what is said of walls that cross, or empty."""
         if len(self.torn):
@@ -260,12 +277,10 @@ def inspect(
 
     Two neighbouring surface nodes contradict each other in two cases. One moves, the other is
     fixed, and the displacement is larger than their distance: a wall slides along a fixed boundary.
-    Or both move, and their distance more than doubles. No method moves such a mesh well. With the
-    mesh, it measures how much is left of gaps between walls, and finds moved walls that cross
-    another boundary or themselves. Faces that crossed before do not count, nor do faces that share
-    a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that is
-    neither moving nor fixed are left out. If one step folds cells, it tries cures: round walls that
-    slide, 2, 4 and 8 steps, methods on cells.
+    Or both move, and their distance more than doubles. With the mesh, it measures how much is left
+    of gaps between walls, and finds moved walls that come to cross another boundary or themselves.
+    If one step folds cells, it tries cures: round walls that slide, 2, 4 and 8 steps, methods on
+    cells.
 
     **Arguments:**
 
@@ -284,12 +299,7 @@ def inspect(
     whole = mesh if nodes is None else None
     motion = _Motion(plan, u, ids, mesh)
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
-    is_finite = np.isfinite(motion.displacement).all(axis=1)
-    check_none(
-        np.asarray(plan.moving)[~is_finite],
-        f"{{count}} of {plan.n_moving} displacements are not finite, first that of node {{node}} "
-        f"(row {int(np.argmin(is_finite))}).",
-    )
+    motion.check_finite()
     if moved is not None or whole is not None:
         moved = deform(plan, u) if moved is None else moved
         moved = finite_array("moved", moved, plan.points.shape)
@@ -298,16 +308,9 @@ def inspect(
         part = None if np.array_equal(ids, np.arange(len(mesh.points))) else ids
         crossing = beside(wall_crossings, plan, mesh, motion.displacement[None], moved, part)
     anywhere, behind = overshoot(plan, motion.displacement, moved)
-    gap_left = None if motion.gap is None else motion.gap[0]
     crossings = None if crossing is None else crossing.result()
     hopeless = bool(crossings) and not motion.touches.any()
-    of_cells: tuple[str, ...] = ()
-    if whole is not None:
-        verdict = judge(whole, moved)
-        folds = ""
-        if verdict.spoilt and not hopeless:
-            folds = advice_on_folds(plan, whole, motion.displacement, verdict)
-        of_cells = tuple(filter(None, (folds, verdict.note)))
+    of_cells = () if whole is None else motion.advice_on_cells(moved, hopeless)
     return Inspection(
         warnings=tuple(motion.warnings("" if crossings is None else str(crossings))),
         advice=(*of_cells, *motion.advice()),
@@ -318,7 +321,7 @@ def inspect(
         overshoot=anywhere,
         overshoot_behind=behind,
         slope=motion.slope,
-        gap_left=gap_left,
+        gap_left=motion.gap and motion.gap[0],
         missed=motion.missed,
     )
 

@@ -138,8 +138,12 @@ def bend(
         )
     up = jnp.cross(normal, jnp.pad(along, (0, 3 - len(along))))[: len(along)]
     curvature = one_number("angle", angle, x) / span
-    reach = arm @ along
-    height = arm @ up
+    forward, upward = _onto_arc(arm @ along, arm @ up, span, curvature)
+    return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
+
+
+def _onto_arc(reach: Array, height: Array, span: Array, curvature: Array) -> tuple[Array, Array]:
+    """How far places go forward and upward as a line of length `span` is bent."""
     s = clamp(reach, 0, span)
     turned = curvature * s
     beyond = reach - s
@@ -151,7 +155,7 @@ def bend(
         - height * versine
         + beyond * jnp.sin(turned)
     )
-    return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
+    return forward, upward
 
 
 def _turn(arm: Positions, angle: Array, axis: Float[Array, " 3"]) -> Positions:

@@ -68,24 +68,37 @@ def near_walls(
             surface[candidates, axis] - points[near[part], axis, None]
             for axis in range(points.shape[1])
         ]
-        rows[part, :count] = _pick_closest(
-            candidates, np.sum([a * a for a in offsets], axis=0), count
-        )
+        squared = np.sum([a * a for a in offsets], axis=0)
+        rows[part, :count] = _pick_closest(candidates, squared, count)
 
     over_blocks(compare, len(near))
-    rows[:, count] = rows[:, 0]
-    is_nearest = np.ones(len(near), dtype=bool)
-    for label in np.unique(wall[first]):
-        here = np.flatnonzero(wall[first] == label)
+    closest, other = _search_others(surface, wall, reach, points[near], wall[first], once)
+    rows[:, count] = np.where(closest < np.inf, other, rows[:, 0])
+    is_nearest = distance <= closest
+    return near[is_nearest], rows[is_nearest]
+
+
+def _search_others(
+    surface: ndarray,
+    wall: ndarray,
+    reach: ndarray,
+    points: ndarray,
+    labels: ndarray,
+    once: Once,
+) -> Pair:
+    """The nearest node of another wall than the point's own, `labels` (k,), within eight times the
+    reach of this, and its distance, else infinite.
+    """
+    distance = np.full(len(points), np.inf)
+    nearest = np.zeros(len(points), dtype=np.int32)
+    for label in np.unique(labels):
+        here = np.flatnonzero(labels == label)
         others = np.flatnonzero(wall != label)
         if others.size:
             far = 8 * (1 + SAME) * reach[wall == label].max()
             bounded = [(members, far) for members in searched_together(wall, others)]
-            closest, other = _search_nearest(surface, bounded, points[near[here]], once)
-            close = np.flatnonzero(closest < np.inf)
-            rows[here[close], count] = other[close]
-            is_nearest[here[close]] = distance[here[close]] <= closest[close]
-    return near[is_nearest], rows[is_nearest]
+            distance[here], nearest[here] = _search_nearest(surface, bounded, points[here], once)
+    return distance, nearest
 
 
 def _divide_by_reach(wall: ndarray, reach: ndarray) -> list[tuple[ndarray, float]]:
