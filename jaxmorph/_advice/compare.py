@@ -177,10 +177,12 @@ def _try(
             plan = plan_of(boundary, make())
         except (ValueError, ImportError) as error:  # or a solver for large meshes is not installed
             return Trial(name, refused=str(error) or repr(error)), None
-    return _measure(mesh, plan, motions, name), plan
+    return _measure_motions(mesh, plan, motions, name), plan
 
 
-def _measure(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str) -> Trial:
+def _measure_motions(
+    mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str
+) -> Trial:
     vectors = [jnp.asarray(u, plan.points.dtype) for u in motions]
     moved = [deform(plan, u) for u in vectors]
     jax.block_until_ready(moved)

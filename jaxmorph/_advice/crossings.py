@@ -63,7 +63,7 @@ class Crossings:
             return "" if self.is_known else UNKNOWN
         place = ", ".join(f"{x:.4g}" for x in self.places[0])
         pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
-        between = ", ".join(_between(*pair) for pair in pairs)
+        between = ", ".join(_and(*pair) for pair in pairs)
         count = f"{len(self)} {'pair' if len(self) == 1 else 'pairs'}"
         said = f"{count} of boundary faces cross each other after the motion"
         if not self.crosses:
@@ -81,7 +81,7 @@ class Crossings:
         )
 
 
-def _between(first: str, second: str) -> str:
+def _and(first: str, second: str) -> str:
     one, other = (repr(name) if name else "faces of no patch" for name in (first, second))
     return f"{one} and itself" if first == second else f"{one} and {other}"
 
@@ -103,13 +103,13 @@ def wall_crossings(
     points = np.asarray(mesh.points, dtype=float)
     cut = simplices(mesh, ids)
     inner = cut[0][(cut[0] < plan.n_moving).all(axis=1)]
-    bodies = _bodies(inner, plan.n_moving)
+    bodies = _number_bodies(inner, plan.n_moving)
     states = [
         np.asarray(plan.of_surface(u.astype(plan.points.dtype)), float)
         for u in turned_path(points[ids[: plan.n_moving]], np.asarray(path, float), bodies)
     ]
     if nodes is None and moved is not None:
-        corners = [rows.ravel() for rows in _faces_of(mesh).corners.values()]
+        corners = [rows.ravel() for rows in _outer_of(mesh).corners.values()]
         rest = np.setdiff1d(np.concatenate([ids, *corners]), ids)
         way = np.asarray(moved, float)[rest] - points[rest]
         states = [np.concatenate([u, (k + 1) / len(states) * way]) for k, u in enumerate(states)]
@@ -170,10 +170,10 @@ def crossings(
     with contextlib.suppress(TooManyPairs):
         pairs, places = crossing_faces(before, ways[-1], faces[here], place)
         pairs = here[pairs]
-        passed = _passages(ways, faces, place, is_solid)
+        passed = _join_passages(ways, faces, place, is_solid)
         is_known = True
     if is_held is not None:
-        sheet = _bodies(faces, len(nodes))
+        sheet = _number_bodies(faces, len(nodes))
         face = faces[passed.pairs[:, 1]]
         follows = ~is_held[face].all(axis=1) & (sheet[face[:, 0]] == sheet[passed.nodes])
         passed = passed.at(np.flatnonzero(~follows))
@@ -204,7 +204,7 @@ def _facts_of(passed: Passages, faces: np.ndarray, end: np.ndarray) -> dict[str,
     }
 
 
-def _passages(
+def _join_passages(
     ways: list[np.ndarray], faces: np.ndarray, place: np.ndarray, is_solid: np.ndarray
 ) -> Passages:
     """Joins the passages of all steps, the first to come first. A body may graze itself on a way
@@ -217,14 +217,14 @@ def _passages(
     every = Passages.joined(steps)
     moves = np.any([way != ways[0] for way in ways[1:]], axis=(0, 2))
     inner = faces[moves[faces].all(axis=1)]
-    body = _bodies(inner, len(moves))
+    body = _number_bodies(inner, len(moves))
     other = faces[every.pairs[:, 1], 0]
     is_own = (body[every.nodes] == body[other]) & moves[every.nodes] & moves[other]
     kept = ~is_own | (_turned_out(ways, inner, body) < 0)[body[other]]
     return every.at(np.flatnonzero(kept)[np.argsort(every.shares[kept], kind="stable")])
 
 
-def _bodies(faces: np.ndarray, count: int) -> np.ndarray:
+def _number_bodies(faces: np.ndarray, count: int) -> np.ndarray:
     """Numbers the connected parts of so many rows, joined by faces."""
     first = np.repeat(faces[:, 0], faces.shape[1] - 1)
     return parts_of(first, faces[:, 1:].ravel(), count)
@@ -245,7 +245,7 @@ def _turned_out(ways: list[np.ndarray], faces: np.ndarray, body: np.ndarray) -> 
     return np.where(np.abs(start) > FLAT_CORNER * size, end / np.where(start == 0, 1, start), 1.0)
 
 
-def _faces_of(mesh: Mesh) -> OuterFaces:
+def _outer_of(mesh: Mesh) -> OuterFaces:
     outer = mesh.outer_faces
     if outer is None:
         return OuterFaces.numbered(solid(mesh.linear.cells, mesh.points.shape[1] - 1))
@@ -257,7 +257,7 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     from outside. Also returns the number (f,) of the file's face of each. A
     mesh of a surface alone has its cells for faces.
     """
-    outer = _faces_of(mesh)
+    outer = _outer_of(mesh)
     rows = Rows(nodes)
     faces = [np.zeros((0, mesh.points.shape[1]), int)]
     ids = [np.zeros(0, int)]

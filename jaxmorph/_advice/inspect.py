@@ -32,7 +32,7 @@ from .cures import advice_on_folds
 STEEP = 0.5  # slope of a displacement along the wall above which a fitted field strains cells more
 NARROW = 0.2  # share of a gap, left after a motion, below which one step folds cells in it
 UNRESOLVED = 1 / 3  # share of the largest displacement that sources may miss between them
-ROWS = 4096  # points whose distances are held together
+DISTANCES_TOGETHER = 4096  # points whose distances are held together
 LEAVES = (64, 128, 256, 512, 1024, 2048)  # numbers of leaves of a k-d tree that are tried
 
 
@@ -154,7 +154,7 @@ class _Motion:
         sources = np.flatnonzero(np.isin(self.plan.moving, self.plan.sources))
         if base.shape[1] < 3 or not len(sources):
             return 0.0
-        return missed(base, self.displacement, sources)
+        return measure_missed(base, self.displacement, sources)
 
     @functools.cached_property
     def slope(self) -> float:
@@ -295,7 +295,7 @@ def inspect(
     that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
     plan.check_surface("inspect")
-    ids = _ids(plan, mesh, nodes)
+    ids = _ids_of_points(plan, mesh, nodes)
     whole = mesh if nodes is None else None
     motion = _Motion(plan, u, ids, mesh)
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
@@ -326,7 +326,7 @@ def inspect(
     )
 
 
-def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
+def _ids_of_points(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
     count = len(plan.points)
     if mesh is not None and nodes is None:
         plan.check_mesh(mesh)
@@ -413,7 +413,7 @@ def overshoot(
     return float(share.max()), float(share[rows[behind]].max(initial=0.0))
 
 
-def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
+def measure_missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
     """Measures the residual of an interpolation of `u` (m, d) from `sources` at `points` (m, d),
     relative to the largest displacement, and zero without one. The interpolation is that by
     distances, and a constant; SciPy's `RBFInterpolator` takes a tenth of a second to import.
@@ -425,7 +425,10 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
     system = np.pad(-cdist(points[rows], points[rows]), (0, 1), constant_values=1.0)
     system[-1, -1] = 0
     weights = np.linalg.solve(system, np.pad(u[rows], ((0, 1), (0, 0))))
-    blocks = [slice(start, start + ROWS) for start in range(0, len(points), ROWS)]
+    blocks = [
+        slice(start, start + DISTANCES_TOGETHER)
+        for start in range(0, len(points), DISTANCES_TOGETHER)
+    ]
     off = [
         u[block] - weights[-1] + cdist(points[block], points[rows]) @ weights[:-1]
         for block in blocks
@@ -437,7 +440,7 @@ def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:
     """The least of `LEAVES` whose sources miss less than a third of `u`, or None."""
     for leaves in LEAVES:
         sources = KDTree(leaves, extremes=True)(points)
-        if missed(points, u, sources) <= UNRESOLVED:
+        if measure_missed(points, u, sources) <= UNRESOLVED:
             return leaves
         if len(sources) == len(points):
             break

@@ -25,7 +25,7 @@ from .._quality.bounds import DEPTH, blocks
 from .._quality.jacobian_form import form_of, nodes_of
 from .._quality.proof import proof
 from .._quality.quality import places, signs_of, standards_of
-from .._quality.vector import corners
+from .._quality.vector import corner_points
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,7 +139,7 @@ class _Corners:
     scale: Float[np.ndarray, " k"]
 
     def jacobians(self, points: Any) -> Any:
-        relative = measures.relative_corners(corners(points, self.ids))[0]
+        relative = measures.relative_corners(corner_points(points, self.ids))[0]
         return self.sign[None] * measures.jacobians(self.kind, relative)[0]
 
     def polynomials(self, start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "4 s k"]:
@@ -199,7 +199,7 @@ class CornerBounds:
                 continue
             form = form_of(part.kind, True)
             space = form_of(part.kind).space
-            for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count(space)):
+            for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count_coefficients(space)):
                 x = nodes_of(part.ids[rows].T, *ends)
                 cell = part.first + rows
                 columns = form.columns(x)
@@ -207,7 +207,7 @@ class CornerBounds:
                     x, columns
                 )
                 excess = (excess - self.of_cells[cell]).reshape(
-                    -1, bernstein.count(space), len(rows)
+                    -1, bernstein.count_coefficients(space), len(rows)
                 )
                 best = _search(space, excess, cell, best)
         return best

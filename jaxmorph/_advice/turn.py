@@ -14,7 +14,7 @@ from .._host.package.arguments import checked, finite_array, whole
 from .._host.tolerances import ROUND_PATCH, SAME
 
 # angle of a motion in radians from which on its path turns, and round patches may slide
-TURNS = 0.1
+TURNS_FROM = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Turn:
         mean = way.mean(axis=0)
         vector = _rotation(points - middle, points - middle + way - mean)
         angle = float(np.linalg.norm(vector))
-        if angle <= TURNS:
+        if angle <= TURNS_FROM:
             return Turn(u, points - middle, middle, np.array([0.0, 0.0, 1.0]), 0.0)
         change = np.eye(3) - Rotation.from_rotvec(vector).as_matrix()
         centre = middle + np.linalg.lstsq(change, mean, rcond=SAME)[0]

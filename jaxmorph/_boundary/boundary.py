@@ -83,7 +83,7 @@ class Boundary(Conditions):
         if patches is not None:
             known = known.with_mesh(patches)
         mirrors.check(known.points, known.loose)
-        found = vars(known) | _between(known)
+        found = vars(known) | _guide_between(known)
         super().__init__(**jax.tree.map(freeze, found | {"mesh": None}) | {"mesh": patches})
 
 
@@ -107,11 +107,11 @@ def _guides(named: Named, mirrors: Mirrors, mesh: Mesh | None) -> dict[str, Any]
     fixed = np.append(named.fixed, corners[~np.isin(corners, named.fixed)])
     left = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in left if len(track.rows))
-    guided = _guided(pairings, tracks, named.moving, fixed, points)
+    guided = _list_guided(pairings, tracks, named.moving, fixed, points)
     return {"pairings": pairings, "tracks": tracks, "guided": guided, "fixed": fixed}
 
 
-def _guided(
+def _list_guided(
     pairings: Sequence[Pairing],
     tracks: Sequence[Track],
     moving: np.ndarray,
@@ -144,7 +144,7 @@ def _guided(
     return nodes[role[nodes] == 0]
 
 
-def _between(known: Conditions) -> dict[str, Any]:
+def _guide_between(known: Conditions) -> dict[str, Any]:
     """Guides nodes of parallel planes in no list, and pairs them around one layer of cells.
 
     Two parallel mirrors have endless images. A field with some of them has a step beside the plane,

@@ -33,7 +33,7 @@ FLAT_FACES = "flat"
 SMOOTH_FACES = "smooth"
 """Kinds of faces; any other is a type of the sides of curved cells."""
 
-BLOCK = 512  # nodes in a block
+POINTS_OF_BLOCK = 512  # nodes in a block
 # steps of Gauss and Newton inside each face near a point; of Newton on the nearest face
 SEARCH = 8
 POLISH = 2
@@ -96,7 +96,7 @@ class FaceSearch(Module):
                 return _on_smooth(point, vertices[near], normals[near])
             return _on_flat(point, vertices[near], vertices[vertex], normals[vertex])
 
-        return jax.lax.map(place, x, batch_size=BLOCK)
+        return jax.lax.map(place, x, batch_size=POINTS_OF_BLOCK)
 
     def find(self, x: Float[np.ndarray, "k d"]) -> Closest:
         """Finds, on the host, the faces that are closest to each of `x`, exactly."""
@@ -258,13 +258,13 @@ def solve_small(matrix: Float[Array, "e e"], right: Share) -> Share:
 
 
 def _normal_of(corners: Float[Array, "d d"]) -> Point:
-    return _unit(area_vectors(corners[None]), 0)[0]
+    return _scale_to_one(area_vectors(corners[None]), 0)[0]
 
 
 def mean_normals(vertices: Vertices, faces: Corners) -> Vertices:
     """Computes unit normals at vertices: the mean of their faces', by area."""
     areas = area_vectors(vertices[faces])
-    return _unit(jnp.zeros_like(vertices).at[faces].add(areas[:, None]), 0)
+    return _scale_to_one(jnp.zeros_like(vertices).at[faces].add(areas[:, None]), 0)
 
 
 def smooth_normals(vertices: Vertices, faces: Corners) -> Vertices:
@@ -280,7 +280,7 @@ def smooth_normals(vertices: Vertices, faces: Corners) -> Vertices:
     squared = jnp.prod(jnp.sum(others**2, axis=3), axis=0)
     weight = norm(areas)[:, None] / jnp.where(squared > 0, squared, jnp.inf)
     total, weights = _sum_rows(
-        faces, len(vertices), weight[..., None] * _unit(areas, 0)[:, None], weight
+        faces, len(vertices), weight[..., None] * _scale_to_one(areas, 0)[:, None], weight
     )
     # Round an inner vertex each neighbour comes first once and last once: ids cancel out.
     if size == 3:
@@ -288,7 +288,7 @@ def smooth_normals(vertices: Vertices, faces: Corners) -> Vertices:
     else:
         turns = jnp.asarray([[1, -1]], faces.dtype) + 0 * faces
     is_rim = jnp.zeros(len(vertices), faces.dtype).at[faces].add(turns) != 0
-    unit = _unit(total, CANCELLED * weights)
+    unit = _scale_to_one(total, CANCELLED * weights)
     return jnp.where(is_rim[:, None], _go_on(vertices, faces, unit, is_rim), unit)
 
 
@@ -313,7 +313,7 @@ def _go_on(
         here, len(unit), weight[..., None] * (other - 2 * share[..., None] * side), weight
     )
     goes_on = norm(total) > CANCELLED * weights
-    return jnp.where(goes_on[:, None], _unit(total, CANCELLED * weights), unit)
+    return jnp.where(goes_on[:, None], _scale_to_one(total, CANCELLED * weights), unit)
 
 
 def _sum_rows(
@@ -327,7 +327,7 @@ def _sum_rows(
     return total, jnp.zeros(count, weights.dtype).at[rows].add(weights)
 
 
-def _unit(vectors: Vertices, noise: Float[Array, " v"] | int) -> Vertices:
+def _scale_to_one(vectors: Vertices, noise: Float[Array, " v"] | int) -> Vertices:
     """Scales vectors to length one; a vector no longer than `noise` becomes zero."""
     length = norm(vectors)
     return vectors * jnp.where(length > noise, 1 / jnp.where(length > 0, length, 1), 0)[:, None]

@@ -110,7 +110,7 @@ class Facets(Module):
         **Raises:** `ValueError` for no faces.
         """
         nodes = mesh.patch(*patches) if patches else np.arange(len(mesh.points))
-        faces = _faces_of(mesh, patches)
+        faces = _facets_of(mesh, patches)
         rows = [ids[(ids >= 0).all(axis=1)] for ids in map(Rows(nodes).of, faces)]
         return Facets(
             mesh.points[nodes], [ids for ids in rows if len(ids)], smooth=smooth, angle=angle
@@ -136,7 +136,7 @@ class Facets(Module):
         """
         x = self._like("x", x)
         facing = None if facing is None else self._like("facing", facing, len(x))
-        return _find_places(self, x, facing, along and self.sides is None)
+        return _place(self, x, facing, along and self.sides is None)
 
     @checked
     def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
@@ -182,9 +182,7 @@ def _normals_of(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v 
 
 
 @eqx.filter_jit
-def _find_places(
-    facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool
-) -> Float[Array, "m d"]:
+def _place(facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool) -> Float[Array, "m d"]:
     points = jnp.asarray(facets.points)
     face = facets.face(x, facing)
     flat = jax.vmap(on_simplex)(x, points[jnp.asarray(facets.faces)[face]])
@@ -244,7 +242,7 @@ def _along_normals(
     return jnp.concatenate([1 - jnp.sum(at, keepdims=True), at])
 
 
-def _faces_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
+def _facets_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
     d = mesh.points.shape[1]
     cells = mesh.linear.cells
     faces = [

@@ -16,7 +16,7 @@ from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.package.rounding import canonical_order
 from .._host.rows import Rows
-from .._host.surface.walls import in_order
+from .._host.surface.walls import sort_faces
 from .._host.tolerances import (
     ALIGNED,
     ALONG_AXIS,
@@ -233,7 +233,7 @@ def _of_faces(
     pieces = [np.zeros((0, dimension), dtype=np.int64)]
     for corners in Rows(nodes).renumbered(faces).values():
         # quads are cut into triangles about the node that comes first by place
-        of_patch = in_order(corners[(corners >= 0).all(axis=1)])
+        of_patch = sort_faces(corners[(corners >= 0).all(axis=1)])
         pieces += [
             of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))
         ]
@@ -293,7 +293,7 @@ def filled(
     a Delaunay triangulation in the rim's mean plane makes the faces. Old faces come first.
     """
     if faces.shape[1] == 2:
-        return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)
+        return np.concatenate([faces, _join_ends(faces, vertices, moves)]).astype(faces.dtype)
     # closed rims of moving vertices: edges (r, 2) against the faces beside them
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     size = int(faces.max()) + 1
@@ -306,7 +306,7 @@ def filled(
     return np.concatenate([faces, *new]).astype(faces.dtype)
 
 
-def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
+def _join_ends(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Lists lines (k, 2) from moving ends to the nearest moving starts that lie ahead."""
     start, end = faces.T
     along = unit_rows(vertices[end] - vertices[start])  # zero for a face of two nodes at one place

@@ -18,7 +18,7 @@ from .._methods.surface import Cells, Surface
 from .conditions import Conditions
 from .images import Images
 from .periodic import Pairing
-from .symmetry import Plane, edges_of, facing, tolerance
+from .symmetry import Plane, facing, oblique_pairs, tolerance
 
 
 def surface_of(
@@ -63,14 +63,14 @@ def surface_of(
     return surface, images
 
 
-def _normals(planes: Sequence[Plane], dimension: int) -> Float[np.ndarray, "p d"]:
+def _normals_of_planes(planes: Sequence[Plane], dimension: int) -> Float[np.ndarray, "p d"]:
     return np.reshape([plane.normal for plane in planes], (-1, dimension))
 
 
 def _cells_of(boundary: Conditions) -> Cells | None:
     if boundary.cells is None:
         return None
-    normals = _normals(boundary.planes, boundary.points.shape[1])
+    normals = _normals_of_planes(boundary.planes, boundary.points.shape[1])
     return Cells(boundary.cells, normals, boundary.on)
 
 
@@ -83,7 +83,7 @@ def _images_of(
 ) -> Images:
     d = copies.transforms.shape[1] - 1
     parts = {
-        "normals": _normals(planes, d),
+        "normals": _normals_of_planes(planes, d),
         "origins": np.reshape([plane.origin for plane in planes], (-1, d)),
         "on_plane": on_plane,
         "rows": rows.astype(np.int32),
@@ -93,7 +93,7 @@ def _images_of(
         "powers": copies.powers,
         "pairings": pairings,
     }
-    return Images(**as_jax(parts), edges=edges_of(planes))
+    return Images(**as_jax(parts), edges=oblique_pairs(planes))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,11 +146,11 @@ def _copies_of(
     mirrors, after = _mirrors(planes, d)
     powers, mirror = _elements(len(mirrors), pairs)
     elements = zip(powers, mirror, strict=True)
-    transforms = np.stack([mirrors[m] @ _repeated(pairs, power, d) for power, m in elements])
-    places, roots = _numbered(powers, mirror, after, pairs, on_plane)
+    transforms = np.stack([mirrors[m] @ _repeat(pairs, power, d) for power, m in elements])
+    places, roots = _number_places(powers, mirror, after, pairs, on_plane)
     if pairs:
         images = np.einsum("tij,oj->toi", transforms[:, :-1, :-1], points.astype(float))
-        places = _joined(places, images + transforms[:, None, :-1, -1], points)
+        places = _join_images(places, images + transforms[:, None, :-1, -1], points)
     # each place once: moving rows first, own rows before images
     kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), count)
     first = np.argsort(rows >= moving, kind="stable")
@@ -213,7 +213,7 @@ def _elements(
     return every, mirror
 
 
-def _numbered(
+def _number_places(
     powers: Int[np.ndarray, "t q"],
     mirror: Int[np.ndarray, " t"],
     after: Int[np.ndarray, "g p"],
@@ -247,7 +247,7 @@ def _numbered(
     return places + radix * roots[None], roots
 
 
-def _joined(
+def _join_images(
     places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], points: np.ndarray
 ) -> np.ndarray:
     """Gives one number to images that coincide, for example where walls meet a periodic side."""
@@ -266,7 +266,7 @@ def _joined(
     return joined[np.searchsorted(numbers, places)]
 
 
-def _repeated(
+def _repeat(
     pairings: Sequence[Pairing], powers: np.ndarray, dimension: int
 ) -> Float[np.ndarray, "e e"]:
     affine = np.eye(dimension + 1)

@@ -118,16 +118,16 @@ class Plane(Module):
         return (points - self.origin) @ self.normal
 
 
-MOST = 6  # most planes of one patch: the sides of a box
+MOST_PLANES = 6  # most planes of one patch: the sides of a box
 
 
 def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> tuple[Plane, ...]:
     """Finds the planes of a patch, such as front and back, by boundary faces (e, corners). The
     plane with most of the nodes comes first, then the plane with most of the remaining nodes. There
-    are none if `MOST` planes do not hold all nodes, or if other planes hold as many nodes. In a
-    duct one cell wide and high, nodes do not decide which sides are meant.
+    are none if `MOST_PLANES` planes do not hold all nodes, or if other planes hold as many nodes.
+    In a duct one cell wide and high, nodes do not decide which sides are meant.
     """
-    planes = _candidates(points, nodes, faces)
+    planes = _list_candidates(points, nodes, faces)
     on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(
         -1, len(nodes)
     )
@@ -135,7 +135,7 @@ def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> t
     chosen = []
     while (
         left.any()
-        and len(chosen) < MOST
+        and len(chosen) < MOST_PLANES
         and (on & left).sum(axis=1).max(initial=0) >= points.shape[1]
     ):
         chosen.append(int((on & left).sum(axis=1).argmax()))
@@ -145,7 +145,7 @@ def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> t
     return tuple(planes[k] for k in chosen) if is_decided else ()
 
 
-def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list[Plane]:
+def _list_candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list[Plane]:
     """Different planes of faces between nodes, those of most faces first."""
     # A face has a key: its unit normal and its height, rounded to four digits, equal for faces of
     # one plane. Equal keys are counted. The plane of one face is tilted by the digits of its
@@ -163,7 +163,7 @@ def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list
     keys = np.round(np.column_stack([normal, height]), 4) + 0.0
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
     planes: list[Plane] = []
-    for k in first[np.argsort(-count, kind="stable")[: 4 * MOST]]:
+    for k in first[np.argsort(-count, kind="stable")[: 4 * MOST_PLANES]]:
         plane = Plane(normal[k], corners[k])
         near = nodes[np.abs(plane.height(points[nodes])) <= NEAR_PLANE * extent]
         with contextlib.suppress(ValueError):
@@ -209,7 +209,7 @@ class Mirrors(NamedTuple):
         """
         of_cells = np.ones(len(points), bool)
         of_cells[loose] = False
-        edges = edges_of(self.planes)
+        edges = oblique_pairs(self.planes)
         for edge in edges:
             inward = []
             for k in edge:
@@ -260,7 +260,7 @@ def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     return (_cosines(planes) > 1 - ALIGNED).sum(axis=1) > 1
 
 
-def edges_of(planes: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
+def oblique_pairs(planes: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
     """Lists pairs of planes that are neither parallel nor at right angles: they meet in an edge."""
     cosines = np.triu(_cosines(planes), 1)
     first, second = np.nonzero((cosines > ALIGNED) & (cosines < 1 - ALIGNED))

@@ -19,7 +19,7 @@ from .symmetry import Plane
 from .walls import AbstractWall, Flat, OnFaces, Round
 
 # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
-STEPS = 6
+PROJECTIONS = 6
 
 
 class Track(eqx.Module):
@@ -36,7 +36,7 @@ class Track(eqx.Module):
     def off(self, points: Nodal) -> Float[Array, "k d d"]:
         """The projections onto the walls' normals at the rows' places. Traced."""
         normals = self._heights(self.project(points[self.rows]))[1]
-        return jax.vmap(_least, (None, 2), 2)(normals, normals)
+        return jax.vmap(_shortest, (None, 2), 2)(normals, normals)
 
     def along(self, points: Nodal, u: Nodal) -> Nodal:
         """Changes displacements so that the rows keep their distance from the walls. Traced."""
@@ -45,7 +45,7 @@ class Track(eqx.Module):
         if self.is_linear:
             normals = self._heights(start)[1]
             above = jnp.einsum("kwd,kd->kw", normals, displacement, precision="highest")
-            tangential = displacement - _least(normals, above)
+            tangential = displacement - _shortest(normals, above)
         else:
             tangential = self.project(start + displacement) - self.project(start)
         return u.at[self.rows].set(tangential)
@@ -62,9 +62,9 @@ class Track(eqx.Module):
 
         def nearer(x, _):
             above, normals = self._heights(x)
-            return x - _least(normals, above), None
+            return x - _shortest(normals, above), None
 
-        return jax.lax.scan(nearer, x, length=1 if is_exact else STEPS)[0]
+        return jax.lax.scan(nearer, x, length=1 if is_exact else PROJECTIONS)[0]
 
     def at(self, points: Nodal) -> "Track":
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
@@ -86,7 +86,7 @@ def _smooth(wall: AbstractWall) -> AbstractWall:
     return wall
 
 
-def _least(normals: Float[Array, "k w d"], above: Float[Array, "k w"]) -> Places:
+def _shortest(normals: Float[Array, "k w d"], above: Float[Array, "k w"]) -> Places:
     """The shortest vectors with the components `above` along one or two normals."""
     gram = jnp.einsum("kvd,kwd->kvw", normals, normals, precision="highest")
     return jnp.einsum(

@@ -105,7 +105,7 @@ ACCURACY = 1e-9
 # Residual over the right side that is enough for a step of Newton's method.
 ROUGH = 1e-2
 # The same where a derivative is solved for.
-EXACT = 1e-10
+SOLVED_EXACTLY = 1e-10
 # Residual over the right side above which a system counts as singular.
 SOLVED = 1e-6
 # Added to a Hessian's diagonal (order one): it may be singular where cells are inverted.

@@ -16,7 +16,7 @@ from .._host.rows import mark
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._quality.distortion import node_scales, signs_of_pieces, targets
+from .._quality.distortion import node_scales, signs_of_pieces, target_cells
 from .motion import Distortion, Ways
 
 
@@ -91,7 +91,7 @@ def _distortion_of(
     ideal,
     size,
 ):
-    goals = targets(cells, reference, signs, ideal)
+    goals = target_cells(cells, reference, signs, ideal)
     scale = node_scales(cells, goals, len(reference))
     return Distortion(
         cells=cells,

@@ -126,7 +126,7 @@ def improve(
     **Raises:** `ValueError` for a mesh without cells of its dimension, another shape of `points`, a
     boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
-    boundary, own = _boundary_of(mesh)
+    boundary, own = _given_boundary(mesh)
     start = places(own, points)
     if is_known(start):
         check_all_finite(np.asarray(start))
@@ -148,7 +148,7 @@ def improve(
     return eqx.tree_at(lambda it: it.steps, chosen, stiff.steps)
 
 
-def _boundary_of(mesh: Mesh | Conditions) -> tuple[Conditions, Mesh]:
+def _given_boundary(mesh: Mesh | Conditions) -> tuple[Conditions, Mesh]:
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         boundary = mesh if isinstance(mesh, Conditions) else Boundary(mesh, ())
     if boundary.mesh is None:

@@ -323,7 +323,7 @@ class Mesh(Module):
                     "blocks has `combine`."
                 )
             grid = grid.cast_to_unstructured_grid()
-        return Mesh(*vtk.mesh_of(grid))
+        return Mesh(*vtk.parts_of_grid(grid))
 
     @checked
     def to_pyvista(
@@ -384,7 +384,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     number[new] = len(old) + np.arange(len(new))
     cells = {of_order(kind, order).name: number[table] for kind, table in tables.items()}
     points = np.concatenate([old, places[new]])
-    return Mesh(points, cells, _patches(mesh, cells, len(points)))
+    return Mesh(points, cells, _joined_patches(mesh, cells, len(points)))
 
 
 def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -412,7 +412,7 @@ def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]
     return np.concatenate(places)[first].astype(points.dtype), tables
 
 
-def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
+def _joined_patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
     patches = {name: [np.asarray(nodes)] for name, nodes in mesh.patches.items()}
     highest = max(DIMENSION[kind] for kind in cells)
     for kind, (sides, _) in Topology(cells, n, highest).sides.items():

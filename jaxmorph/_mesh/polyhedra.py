@@ -9,7 +9,7 @@ from .._host.package.rounding import canonical_order
 from .._host.ragged import Ragged
 from .._host.rows import mark
 from .._host.tolerances import LEAST_PIECE, SAME
-from .faces import BLOCK, Faces, open_cells, standard_cells
+from .faces import CELLS_OF_BLOCK, Faces, open_cells, standard_cells
 
 GOOD_APEX = 0.05  # share of the mean piece that ends the search for an apex
 
@@ -109,8 +109,8 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
     ordered, starts = faces.of_cells()
     parts = [np.zeros((0, 4), faces.labels.dtype)]
     owners = [np.zeros(0, np.int64)]
-    for at in range(0, len(cells), BLOCK):
-        block = cells[at : at + BLOCK]
+    for at in range(0, len(cells), CELLS_OF_BLOCK):
+        block = cells[at : at + CELLS_OF_BLOCK]
         sides = Ragged(ordered, starts).take(block)
         pieces = _Pieces.around(faces, sides.values, sides.row, points)
         corners, cell = pieces.tetrahedra(pieces.best_apex())

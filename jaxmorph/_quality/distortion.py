@@ -24,7 +24,7 @@ from .._mesh.mesh import Mesh, PointsLike
 from . import measures
 from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
-from .vector import ValuesByType, Vector, corners, determinant_of, dot, total
+from .vector import ValuesByType, Vector, corner_points, determinant_of, dot, total
 
 AtSamples = Float[Array, "s k"]
 DistortionOfCells = Float[Array, " k"]
@@ -54,16 +54,20 @@ class Target(NamedTuple):
     counts: AtSamples
 
 
-def targets(
+def target_cells(
     cells: ValuesByType, points: Float[Array, "n d"], signs: ValuesByType, ideal: bool
 ) -> dict[str, Target]:
-    volumes = {kind: jnp.abs(volume_of(kind, corners(points, ids))) for kind, ids in cells.items()}
+    volumes = {
+        kind: jnp.abs(volume_of(kind, corner_points(points, ids))) for kind, ids in cells.items()
+    }
     sums = jnp.zeros((2, len(points)), points.dtype)
     for kind, ids in cells.items():
         sums = sums.at[0, ids].add(volumes[kind][:, None]).at[1, ids].add(1)
     around = sums[0] / jnp.maximum(sums[1], 1)
     return {
-        kind: target(kind, corners(points, ids), ideal, signs[kind], jnp.mean(around[ids], axis=1))
+        kind: target(
+            kind, corner_points(points, ids), ideal, signs[kind], jnp.mean(around[ids], axis=1)
+        )
         for kind, ids in cells.items()
     }
 
@@ -228,11 +232,11 @@ def distortion(
     current = places(mesh, points)
     linear = linear_cells(cells, jnp.concatenate)
     with jax.ensure_compile_time_eval():  # not folded into a caller's program
-        goals = targets(
+        goals = target_cells(
             linear, jnp.asarray(mesh.points, current.dtype), signs_of_pieces(mesh), ideal
         )
     parts = [
-        energy_of_cells(kind, corners(current, ids), goals[kind], softness, size_weight)
+        energy_of_cells(kind, corner_points(current, ids), goals[kind], softness, size_weight)
         for kind, ids in linear.items()
     ]
     if not mesh.is_curved:

@@ -18,7 +18,7 @@ BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
 """Measures of faces, by their names in limits and tables. The plain names are those of corners."""
 
 RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
-ROWS = tuple(
+MEASURES_TOLD = tuple(
     (kind, name)
     for name in ("skewness", "aspect_ratio", "non_orthogonality")
     for kind in ("mean", "max")
@@ -165,7 +165,7 @@ class Judged:
             keys = {measure: key for key, measure in BY_FACES.items()}
             last = (("min", "pyramid"), RATIOS[0])
         weight = float(np.abs(np.asarray(report.volume)[self.counted]).sum())
-        for kind, name in (*ROWS, ("min", "volume"), *last):
+        for kind, name in (*MEASURES_TOLD, ("min", "volume"), *last):
             if (kind, name) in RATIOS:
                 rows[kind, name] = self.number(kind, *self._least(name))
                 continue

@@ -18,7 +18,7 @@ from ._arguments import (
     ShapeWeights,
     Vector,
     above_zero,
-    arms,
+    arms_from,
     axis_for,
     cast,
     clamp,
@@ -49,7 +49,7 @@ def rotate(
     x = positions(x)
     angle = jnp.asarray(angle, x.dtype)
     angle = angle[:, None] if angle.shape == x.shape[:1] else one_number("angle", angle, x)
-    return x + _turn(arms(x, about), angle, axis_for(axis, x))
+    return x + _rotate_arms(arms_from(x, about), angle, axis_for(axis, x))
 
 
 @checked
@@ -72,7 +72,7 @@ def scale(x: Numbers, factors: Numbers | ShapeNumber, about: Numbers) -> Positio
     factors = jnp.asarray(factors, x.dtype)
     if factors.ndim == 0:
         factors = jnp.broadcast_to(factors, x.shape[1:])
-    return x + (vector("factors", factors, x) - 1)[None, :] * (arms(x, about))
+    return x + (vector("factors", factors, x) - 1)[None, :] * (arms_from(x, about))
 
 
 @checked
@@ -94,11 +94,11 @@ def twist(
     x = positions(x)
     if x.shape[1] == 2:
         raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
-    arm = arms(x, about)
+    arm = arms_from(x, about)
     along = direction("axis", axis, x)
     span = above_zero("length", length, x)
     share = clamp(arm @ along, 0, span) / span
-    return x + _turn(arm, one_number("angle", angle, x) * share[:, None], along)
+    return x + _rotate_arms(arm, one_number("angle", angle, x) * share[:, None], along)
 
 
 @checked
@@ -127,7 +127,7 @@ def bend(
     right angles to the line.
     """
     x = positions(x)
-    arm = arms(x, about)
+    arm = arms_from(x, about)
     along = direction("along", along, x)
     span = above_zero("length", length, x)
     normal = axis_for(axis, x)
@@ -158,7 +158,7 @@ def _onto_arc(reach: Array, height: Array, span: Array, curvature: Array) -> tup
     return forward, upward
 
 
-def _turn(arm: Positions, angle: Array, axis: Float[Array, " 3"]) -> Positions:
+def _rotate_arms(arm: Positions, angle: Array, axis: Float[Array, " 3"]) -> Positions:
     d = arm.shape[1]
     arm = jnp.pad(arm, ((0, 0), (0, 3 - d)))
     axis = jnp.broadcast_to(axis, arm.shape)
@@ -258,7 +258,7 @@ class ReferenceAxis(AbstractShape):
         arm = x - weights @ own.points
         arm = arm - (arm @ own.spanwise)[:, None] * spanwise
         growth = chord * arm
-        turn = _turn(arm + growth, twist, own.spanwise)
+        turn = _rotate_arms(arm + growth, twist, own.spanwise)
         upward = jnp.cross(chordwise, spanwise)
         return x + (growth + turn + sweep * chordwise + dihedral * upward + span * spanwise)
 

@@ -20,7 +20,7 @@ from jaxmorph.extend import Module, area_vectors, between, checked, host_call, n
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
 from ._features import (
-    SAME_NORMAL,
+    ON_SYMMETRY,
     Borders,
     Clip,
     Planes,
@@ -114,7 +114,7 @@ class Onto(Module):
         if isinstance(target, Facets):
             for plane in planes:
                 clip, target = clipped(
-                    target, plane, np.sign(np.median(plane.height(x))), SAME_NORMAL * extent
+                    target, plane, np.sign(np.median(plane.height(x))), ON_SYMMETRY * extent
                 )
                 self.clips += (clip,)
             self.target = _turn_normals(target, wall.at(start))

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from ..rows import mark
 from ..tolerances import NO_WEIGHT
-from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
+from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, shape_values
 from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType, Pair
 
 
@@ -122,11 +122,11 @@ def _wall_sides(kind: str, ids: ndarray, inside: ndarray, points: ndarray) -> Wa
 
 def _candidates(cells: ByType, starts: ndarray, on_wall: ndarray) -> tuple[ndarray, ...]:
     """Lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
-    width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
+    width = max((len(row) for kind in cells for *_, row, _ in _list_lines(kind)), default=1)
     parts = []
     for kind, ids in cells.items():
         near = ids[starts[ids].any(axis=1)]
-        for first, last, nodes, weights in _lines(kind):
+        for first, last, nodes, weights in _list_lines(kind):
             chosen = near[starts[near[:, first]] & ~on_wall[near[:, last]]]
             fill = width - len(nodes)
             row = np.pad(chosen[:, nodes], ((0, 0), (0, fill)))
@@ -136,7 +136,7 @@ def _candidates(cells: ByType, starts: ndarray, on_wall: ndarray) -> tuple[ndarr
 
 
 @functools.cache
-def _lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
+def _list_lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
     """Lines of a type that may leave a wall: start, end, and weights of some nodes."""
     cell = lagrange_types()[kind]
     lines = []
@@ -149,7 +149,7 @@ def _lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
     for face, (side, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
         beyond = corners[[_beyond(cell.shape, face, corner) for corner in face]]
         ends = np.rint(
-            cell.order * values(SHAPES[side], lagrange_types()[side].reference) @ beyond
+            cell.order * shape_values(SHAPES[side], lagrange_types()[side].reference) @ beyond
         ).astype(int)
         inner = nodes >= cell.corners
         for node, last in zip(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy import ndarray
 from scipy import sparse
 
-from ..tolerances import EXACT, ROUGH, SOLVED
+from ..tolerances import ROUGH, SOLVED, SOLVED_EXACTLY
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
 # damping terms of the diagonal, tried in turn until a matrix is positive
@@ -82,8 +82,8 @@ not positive. For a large one, conjugate gradients run to 1 % of the right side.
 if H is not finite.
 """
 
-solve_exactly = functools.partial(_solve_blocks, EXACT)
-"""Solves as `solve`, to round-off or `EXACT`; NaN if not positive, or without convergence."""
+solve_exactly = functools.partial(_solve_blocks, SOLVED_EXACTLY)
+"""Solves as `solve`, to round-off or `SOLVED_EXACTLY`; NaN if not positive, or not converged."""
 
 
 def _solve_by_factors(matrix: Any, right: ndarray, damping: tuple[float, ...]) -> ndarray:

@@ -37,7 +37,7 @@ def walls(
     """
     label = np.full(len(points), -1)
     groups = [
-        in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)
+        sort_faces(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)
     ]
     if groups:
         label = _label_by_faces(points, moving, groups)
@@ -53,7 +53,7 @@ def walls(
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def in_order(faces: ndarray) -> ndarray:
+def sort_faces(faces: ndarray) -> ndarray:
     """Sorts faces (k, c) by their nodes, each from its first node on; edges keep their sense."""
     if faces.shape[1] > 2:
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
