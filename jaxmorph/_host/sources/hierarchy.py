@@ -27,76 +27,52 @@ ROW_WIDTH = 8  # entries in a row of a sweep's table
 
 
 def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
-    """Orders nodes so that the next is always the farthest from its predecessors.
-
-    Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
-    images of a node, of its number in `images` (b,), are its predecessors. Without earlier nodes,
-    the first node is the farthest from the middle, and the node farthest from it counts as its
-    nearest predecessor. A duplicate of a predecessor is left out. Duplicates and earlier nodes are
-    their own nearest predecessors.
+    """Orders nodes so that the next is always the farthest from its predecessors; also finds the
+    nearest of these. `earlier` nodes are predecessors of all, and so are mirror images of a node,
+    of its number in `images` (b,). Without earlier ones, the first node is the farthest from the
+    middle, and the node farthest from it counts as its nearest. Duplicates of a predecessor are
+    left out. They and earlier nodes are their own nearest.
     """
     rank = canonical_order(points)
     place = np.argsort(rank)
-    order = _Order.start(points[rank].astype(float), place[earlier], images[rank])
-    tree = Tree(order.points)
-    least = roundoff(points)
-    while (batch := _pick_batch(order.distance, least)).size:
-        order.pick(batch, tree)
-    radius = order.radius
-    first = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
-    nearest = np.where(radius == 0, np.arange(len(points)), order.nearest)
-    return rank[first], rank[nearest[place]]
+    ordered = points[rank].astype(float)
+    distance = np.full(len(points), np.inf)
+    nearest = np.arange(len(points))
+    radius = np.zeros(len(points))
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Order:
-    """Points by place, their distances from nodes that are picked, the `nearest` of these, and the
-    distance, `radius`, at which each was picked. Arrays change in place.
-    """
-
-    points: ndarray
-    distance: ndarray
-    nearest: ndarray
-    radius: ndarray
-
-    @classmethod
-    def start(cls, points: ndarray, start: ndarray, images: ndarray) -> "_Order":
-        n = len(points)
-        order = cls(points, np.full(n, np.inf), np.arange(n), np.zeros(n))
-        order.approach(*_pair_equals(images))
-        if not len(start):
-            start = np.array([first_largest(np.linalg.norm(points - points.mean(axis=0), axis=1))])
-            away = np.linalg.norm(points - points[start], axis=1)
-            if order.nearest[start] == start:
-                order.distance[start] = away.max()
-                order.nearest[start] = first_largest(away)
-            order.radius[start] = order.distance[start]
-        others = np.setdiff1d(np.arange(n), start)
-        order.approach(others, nearest_of(points[others], points[start], start))
-        order.distance[start] = 0
-        return order
-
-    def approach(self, near: ndarray, node: ndarray) -> None:
+    def approach(near: ndarray, node: ndarray) -> None:
         """Updates distances and nearest nodes of nodes `near` that are nearer to `node`."""
-        gap = np.linalg.norm(self.points[near] - self.points[node], axis=1)
-        closer = np.flatnonzero(gap < (1 - SAME) * self.distance[near])
-        np.minimum.at(self.distance, near[closer], gap[closer])
-        closer = closer[gap[closer] <= (1 + SAME) * self.distance[near[closer]]]
+        gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
+        np.minimum.at(distance, near[closer], gap[closer])
+        closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
         # the first of equals is written last
         closer = closer[np.argsort(-node[closer], kind="stable")]
-        self.nearest[near[closer]] = node[closer]
+        nearest[near[closer]] = node[closer]
 
-    def pick(self, batch: ndarray, tree: Tree) -> None:
-        """Picks those of a batch, the nodes with the largest distances, that no earlier node of the
-        batch comes nearer to. Only nodes within the distance of a picked one come nearer to it.
-        """
-        gaps = cdist(self.points[batch], self.points[batch])
-        gaps = np.where(np.tri(len(batch), k=-1, dtype=bool), gaps, np.inf)
-        picked = batch[gaps.min(axis=1) >= self.distance[batch] * (1 - SAME)]
-        self.radius[picked] = self.distance[picked]
-        self.distance[picked] = 0
-        node, near = tree.within(self.points[picked], (1 - SAME) * self.radius[picked])
-        self.approach(near, picked[node])
+    approach(*_pair_equals(images[rank]))
+    start = place[earlier]
+    if not len(earlier):
+        start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])
+        away = np.linalg.norm(ordered - ordered[start], axis=1)
+        if nearest[start] == start:
+            distance[start] = away.max()
+            nearest[start] = first_largest(away)
+        radius[start] = distance[start]
+    others = np.setdiff1d(np.arange(len(points)), start)
+    approach(others, nearest_of(ordered[others], ordered[start], start))
+    distance[start] = 0
+    tree = Tree(ordered)
+    least = roundoff(points)
+    while (picked := _pick(ordered, distance, least)).size:
+        # only nodes within the distance of a picked node can come nearer to it
+        radius[picked] = distance[picked]
+        distance[picked] = 0
+        node, near = tree.within(ordered[picked], (1 - SAME) * radius[picked])
+        approach(near, picked[node])
+    nearest[radius == 0] = np.flatnonzero(radius == 0)
+    order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
+    return rank[order], rank[nearest[place]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,12 +97,18 @@ def _pair_equals(numbers: ndarray) -> Pair:
     return first[first != second], second[first != second]
 
 
-def _pick_batch(distance: ndarray, least: float) -> ndarray:
-    """Nodes with the largest distances above `least`, largest first; ties by first node."""
+def _pick(points: ndarray, distance: ndarray, least: float) -> ndarray:
+    """Nodes with the largest distances above `least`, largest first; ties by first node. Of a batch
+    of them, those that no earlier node of the batch comes nearer to.
+    """
     count = min(CANDIDATES, len(distance))
     last = np.partition(distance, -count)[-count]
     batch = np.flatnonzero((distance >= (1 - SAME) * last) & (distance > least))
-    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:CANDIDATES]]
+    order = np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))
+    batch = batch[order[:CANDIDATES]]
+    earlier = np.tri(len(batch), k=-1, dtype=bool)
+    gaps = np.where(earlier, cdist(points[batch], points[batch]), np.inf)
+    return batch[gaps.min(axis=1, initial=np.inf) >= (1 - SAME) * distance[batch]]
 
 
 def overlaps(points: ndarray, centres: ndarray, radius: ndarray, targets: ndarray) -> Pair:
