@@ -16,6 +16,7 @@ from jaxtyping import ArrayLike, Float, Real
 
 from .._boundary.boundary import Boundary
 from .._host.package.arguments import checked, finite_array, shown
+from .._host.package.rounding import extent_of
 from .._host.sources.reduction import KDTree
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
@@ -129,7 +130,7 @@ def compare(
 
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
     if methods is None:
-        size = float(np.ptp(boundary.points[boundary.moving], axis=0).max())
+        size = float(extent_of(boundary.points[boundary.moving]))
         listed = {name: entry.make for name, entry in METHODS.items() if entry.is_tried}
         makers = {
             name: functools.partial(_small_enough, make, size, boundary)

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from .._host.cells.adjacency import parts_of
 from .._host.cells.topology import solid
-from .._host.linear.products import outward
-from .._host.package.rounding import Tree
+from .._host.linear.products import outward, row_lengths
+from .._host.package.rounding import Tree, extent_of
 from .._host.rows import Rows
 from .._host.surface.gaps import Passages, TooManyPairs, crossing_faces, passages
 from .._host.tolerances import FLAT_CORNER, PLANAR, SAME
@@ -117,7 +117,7 @@ def wall_crossings(
         cut = simplices(mesh, ids)
     is_held = np.arange(len(ids)) < len(surface)
     for plane in plan.images.planes:
-        is_held |= np.abs(plane.height(points[ids])) <= PLANAR * np.ptp(points, axis=0).max()
+        is_held |= np.abs(plane.height(points[ids])) <= PLANAR * extent_of(points)
     return crossings(cut, mesh, ids, np.stack(states), len(surface), is_held)
 
 
@@ -160,7 +160,7 @@ def crossings(
     before = points[nodes]
     ways = [before, *(before + vectors for vectors in states.reshape(-1, *before.shape))]
     is_solid = np.arange(len(nodes)) < (len(nodes) if walls is None else walls)
-    close = Tree(before).close_pairs(SAME * np.ptp(points, axis=0).max())
+    close = Tree(before).close_pairs(SAME * extent_of(points))
     place = parts_of(close[:, 0], close[:, 1], len(before))  # nearly coincident nodes are at one
     here = np.flatnonzero(is_solid[faces].all(axis=1))
     passed = Passages.none(points.shape[1])
@@ -199,7 +199,7 @@ def _facts_of(passed: Passages, faces: np.ndarray, end: np.ndarray) -> dict[str,
     faced = end[faces[passed.pairs[:, 1]]].mean(axis=1)
     return {
         "share": float(passed.shares.min()),
-        "beyond": float(np.linalg.norm(end[passed.nodes] - faced, axis=1).max()),
+        "beyond": float(row_lengths(end[passed.nodes] - faced).max()),
         "leaves": bool((np.bincount(passed.nodes, passed.senses) > 0).any()),
     }
 

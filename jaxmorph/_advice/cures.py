@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Float, Real
 from .._boundary.boundary import Boundary
 from .._boundary.conditions import Conditions
 from .._host.package.arguments import checked, finite_array
+from .._host.package.rounding import extent_of
 from .._mesh.mesh import Mesh
 from .._methods.inverse_distance import InverseDistance
 from .._plan.deform import deform
@@ -135,6 +136,6 @@ def _move(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
             mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding
         )
     else:
-        method = METHODS[cure.method].make(float(np.ptp(points[moving], axis=0).max()))
+        method = METHODS[cure.method].make(float(extent_of(points[moving])))
         cured = plan_of(plan.boundary.with_mesh(mesh), method)
     return np.asarray(deform(cured, u))

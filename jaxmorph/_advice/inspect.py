@@ -10,10 +10,11 @@ from jaxtyping import ArrayLike, Float, Integer, Real
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
+from .._host.linear.products import dot_rows, row_lengths
 from .._host.package.arguments import checked, finite_array, rows_of
 from .._host.package.cores import beside
 from .._host.package.errors import check_none
-from .._host.package.rounding import Tree, roundoff
+from .._host.package.rounding import Tree, extent_of, roundoff
 from .._host.rows import mark
 from .._host.sources.reduction import KDTree, drop_close
 from .._host.surface.gaps import share_left
@@ -107,7 +108,7 @@ class _Motion:
 
     @functools.cached_property
     def size(self) -> np.ndarray:
-        return np.linalg.norm(self.displacement, axis=1)
+        return row_lengths(self.displacement)
 
     @functools.cached_property
     def is_fixed(self) -> np.ndarray:
@@ -142,7 +143,7 @@ class _Motion:
             return None
         before = self.points.astype(float)
         wall = walls(before, self.plan.n_moving, {"simplex": self.faces})
-        scale = SAME * np.ptp(before, axis=0).max()
+        scale = SAME * extent_of(before)
         share = share_left(before, before + self.vectors.astype(float), wall, self.faces, scale)
         if not np.isfinite(share).any():
             return None
@@ -194,7 +195,7 @@ class _Motion:
             )
         if crossings:
             yield crossings
-        changed = np.linalg.norm(self.vectors[: self.plan.n_moving] - self.displacement, axis=1)
+        changed = row_lengths(self.vectors[: self.plan.n_moving] - self.displacement)
         count = int(np.sum(changed > PUT_BACK * self.size.max()))
         if count:
             yield (
@@ -298,7 +299,7 @@ def inspect(
     ids = _ids_of_points(plan, mesh, nodes)
     whole = mesh if nodes is None else None
     motion = _Motion(plan, u, ids, mesh)
-    offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
+    offset = row_lengths(np.asarray(plan.offset(u)))
     motion.check_finite()
     if moved is not None or whole is not None:
         moved = deform(plan, u) if moved is None else moved
@@ -349,7 +350,7 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
     first, second = pairs.T
     rest = u - terms @ np.linalg.lstsq(terms, u, rcond=None)[0]
     distance, length = (
-        np.linalg.norm(positions[second] - positions[first], axis=1) for positions in (rest, points)
+        row_lengths(positions[second] - positions[first]) for positions in (rest, points)
     )
     return float(np.quantile(distance / length, 0.98))
 
@@ -360,10 +361,10 @@ def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) ->
     first = np.repeat(np.arange(len(points)), count)
     second = nearest[:, 1:].ravel()
     distance = distance[:, 1:].ravel()
-    difference = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
-    after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
+    difference = row_lengths(vectors[first] - vectors[second])
+    after = row_lengths((points + vectors)[first] - (points + vectors)[second])
     mixed = is_fixed[first] != is_fixed[second]
-    scale = SAME * np.ptp(points, axis=0).max()
+    scale = SAME * extent_of(points)
     excess = np.where(mixed, difference, after - distance) / (distance + scale)
     torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
     return np.stack([first, second], axis=1)[torn[np.argsort(-excess[torn], kind="stable")]]
@@ -390,16 +391,16 @@ def overshoot(
     """
     points = np.asarray(plan.points)
     moving = np.asarray(plan.moving)
-    size = np.linalg.norm(u, axis=1)
+    size = row_lengths(u)
     inner = np.flatnonzero(~mark(len(points), moving, plan.fixed))
     if not size.max() or not inner.size:
         return 0.0, 0.0
     moved = np.asarray(deform(plan, u)) if moved is None else moved
-    share = np.linalg.norm((moved - points)[inner], axis=1) / size.max()
+    share = row_lengths((moved - points)[inner]) / size.max()
     base = points[moving]
     active = np.flatnonzero(size > size.max() / 2)
     rows = np.flatnonzero(share > RESTS)
-    reach = np.ptp(base, axis=0).max()
+    reach = extent_of(base)
     far, nearest = map(
         np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=reach)
     )
@@ -408,7 +409,7 @@ def overshoot(
     far = far[np.isfinite(far)]
     away = points[inner[rows]] - base[nearest]
     towards = base[active[np.asarray(Tree(base[active]).query(base[nearest])[1])]] - base[nearest]
-    is_opposite = np.sum(away * towards, axis=1) < -far * np.linalg.norm(towards, axis=1) / 2
+    is_opposite = dot_rows(away, towards) < -far * row_lengths(towards) / 2
     behind = (size[nearest] <= RESTS * size.max()) & is_opposite
     return float(share.max()), float(share[rows[behind]].max(initial=0.0))
 
@@ -418,7 +419,7 @@ def measure_missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> fl
     relative to the largest displacement, and zero without one. The interpolation is that by
     distances, and a constant; SciPy's `RBFInterpolator` takes a tenth of a second to import.
     """
-    largest = np.linalg.norm(u, axis=1).max(initial=0)
+    largest = row_lengths(u).max(initial=0)
     rows = drop_close(points, sources, roundoff(points))
     if largest == 0 or not len(rows):
         return 0.0
@@ -433,7 +434,7 @@ def measure_missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> fl
         u[block] - weights[-1] + cdist(points[block], points[rows]) @ weights[:-1]
         for block in blocks
     ]
-    return float(np.linalg.norm(np.concatenate(off), axis=1).max() / largest)
+    return float(row_lengths(np.concatenate(off)).max() / largest)
 
 
 def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:

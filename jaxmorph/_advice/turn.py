@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 from scipy.spatial.transform import Rotation
 
+from .._host.linear.products import row_lengths
 from .._host.package.arguments import checked, finite_array, whole
 from .._host.tolerances import ROUND_PATCH, SAME
 
@@ -87,7 +88,7 @@ class Turn:
             return False
         arms = in_space(points) - self.centre
         height = arms @ self.axis
-        radius = np.linalg.norm(arms - height[:, None] * self.axis, axis=1)
+        radius = row_lengths(arms - height[:, None] * self.axis)
         slack = ROUND_PATCH * radius.max()
         return bool(np.ptp(radius) <= slack or (points.shape[1] == 3 and np.ptp(height) <= slack))
 

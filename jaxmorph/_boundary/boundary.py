@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike, Real
 
 from .._host.package.arguments import freeze
 from .._host.package.errors import MeshError, check_none, place_of
+from .._host.package.rounding import extent_of
 from .._host.rows import mark
 from .._mesh.mesh import Mesh
 from .conditions import Conditions
@@ -90,7 +91,7 @@ class Boundary(Conditions):
 def _guides(named: Named, mirrors: Mirrors, mesh: Mesh | None) -> dict[str, Any]:
     """Finds pairs, tracks, nodes that they guide, and `fixed` with corners, which cannot slide."""
     points = named.points
-    size = float(np.ptp(points, axis=0).max())
+    size = float(extent_of(points))
     pairings = merged([paired(*pair, points) for pair in named.pairs], size)
     check_pairings(pairings, mirrors.planes, size)
     lists = {"fixed": named.fixed, "moving": named.moving}

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._host.cells.topology import DIMENSION
-from .._host.linear.products import cofactors, determinant, dot, normals, unit_rows
+from .._host.linear.products import cofactors, determinant, dot, dot_rows, normals, unit_rows
 from .._host.package.arguments import checked, finite_array
 from .._host.rows import Rows, first_of_equals
 from .._host.surface.creases import Creased, cut_faces, with_extent
@@ -263,7 +263,7 @@ def _find_faces(
     if not len(facing):
         return face
     unit = sides if len(sides) else unit_rows(normals(corners))
-    away = np.flatnonzero(np.sum(unit[face] * facing, axis=1) < 0)
+    away = np.flatnonzero(dot_rows(unit[face], facing) < 0)
     # These look for the closest face again, among those that look along the largest component.
     axis = np.abs(facing[away]).argmax(axis=1)
     side = 2 * axis + (facing[away, axis] > 0)

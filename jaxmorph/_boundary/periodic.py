@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.linear.products import row_lengths
 from .._host.package.arguments import between, check_patch, whole
 from .._host.package.errors import check_none, worst_first
-from .._host.package.rounding import Tree, spacing
+from .._host.package.rounding import Tree, extent_of, spacing
 from .._host.tolerances import ALIGNED, MISMATCH, NO_TURN, SAME, SAME_TRANSFORM
 from .._kernels.values import Either
 from .outer_faces import Ids, Points
@@ -157,9 +158,7 @@ class Pairing(eqx.Module):
 
     def misses(self, points: Points) -> Float[np.ndarray, " q"]:
         """Distances of second nodes from their partners' images, on the host."""
-        return np.linalg.norm(
-            points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1
-        )
+        return row_lengths(points[self.first] @ self.matrix.T + self.shift - points[self.second])
 
     def matched(self, base: Nodal, points: Nodal) -> Nodal:
         """Makes pairs match bit for bit if a translation does so at `base`. Traced."""
@@ -323,7 +322,7 @@ def _partners(
 ) -> np.ndarray:
     exact = points[second].astype(float)
     distance, nearest = map(np.asarray, Tree(exact).query(images))
-    gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
+    gaps = np.minimum(spacing(exact), extent_of(points.astype(float)))
     allowed = np.maximum(MISMATCH * gaps[nearest], 2 * tolerance(points))
     check_none(
         first[worst_first(distance, allowed)],

@@ -11,10 +11,10 @@ from scipy.spatial import Delaunay, QhullError
 
 from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import linear_cells
-from .._host.linear.products import normals, unit_rows
+from .._host.linear.products import dot_rows, normals, row_lengths, unit_rows
 from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
-from .._host.package.rounding import canonical_order
+from .._host.package.rounding import canonical_order, extent_of
 from .._host.rows import Rows
 from .._host.surface.walls import sort_faces
 from .._host.tolerances import (
@@ -162,7 +162,7 @@ def walls_of_patch(
             f"{dimension} dimensions."
         )
     off = np.abs(np.asarray(wall.height(jnp.asarray(exact[nodes]))[0]))
-    allowed = ON_SURFACE * np.ptp(exact[nodes], axis=0).max()
+    allowed = ON_SURFACE * extent_of(exact[nodes])
     check_none(
         nodes[worst_first(off, allowed)],
         f"{slide.name} does not lie on its surface: {{count}} of {len(nodes)} nodes are off, the "
@@ -207,9 +207,9 @@ def _line_or_profile(
     if given is not None:
         return (None if len(given) > 1 else np.array([0, 1, given[0, 1]])), given
     arm = patch - origin
-    size = np.ptp(patch, axis=0).max()
+    size = extent_of(patch)
     along = arm @ axis
-    profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
+    profile = np.stack([along, row_lengths(arm - along[:, None] * axis)], axis=1)
     middle = profile.mean(axis=0)
     normal = np.array([0.0, 1.0])
     if axis.any() and np.ptp(profile[:, 1]) > SAME * size:
@@ -242,7 +242,7 @@ def _of_faces(
         raise ValueError(
             f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on."
         )
-    if not np.ptp(points[nodes], axis=0).max() > 0:
+    if not extent_of(points[nodes]) > 0:
         place = place_of(points[nodes[0]])
         raise MeshError(
             f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.",
@@ -256,7 +256,7 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     by more than 60 degrees. Faces that fold back, the two sides of a thin plate, are one part.
     """
     area = normals(points[nodes[elements]])
-    size = np.linalg.norm(area, axis=1)
+    size = row_lengths(area)
     has_area = (
         size > NO_AREA * size.max()
     )  # a quad that ends in a point has a triangle without area
@@ -266,7 +266,7 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     faces = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(faces.size), (elements.ravel(), faces)))
     beside = (touch.T @ touch).tocoo()
-    cosine = np.sum(unit[beside.row] * unit[beside.col], axis=1)
+    cosine = dot_rows(unit[beside.row], unit[beside.col])
     joined = (cosine > CONTINUES - ALIGNED) | (cosine < -NO_EDGE)
     part = parts_of(beside.row[joined], beside.col[joined], len(elements))
     if len(np.unique(elements)) < len(nodes):  # nodes of no face belong to all parts

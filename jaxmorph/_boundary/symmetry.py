@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._host.linear.products import normals, unit_rows
+from .._host.linear.products import dot_rows, normals, unit_rows
 from .._host.package.arguments import checked, finite_array, freeze, rows_of
 from .._host.package.errors import MeshError, check_none, worst_first
-from .._host.package.rounding import roundoff
+from .._host.package.rounding import extent_of, roundoff
 from .._host.rows import mark
 from .._host.tolerances import (
     ALIGNED,
@@ -156,10 +156,10 @@ def _list_candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) ->
         np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *sides])
     ].astype(float)
     area = normals(corners)
-    extent = np.ptp(points, axis=0).max()
+    extent = extent_of(points)
     corners = corners[area.any(axis=1), 0]
     normal = unit_rows(area[area.any(axis=1)])
-    height = np.sum(normal * (corners - points.mean(axis=0)), axis=1) / extent
+    height = dot_rows(normal, corners - points.mean(axis=0)) / extent
     keys = np.round(np.column_stack([normal, height]), 4) + 0.0
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
     planes: list[Plane] = []
@@ -178,7 +178,7 @@ def optional(name: str, value: Any, *shapes: tuple[int | None, ...]) -> np.ndarr
 
 
 def tolerance(points: np.ndarray) -> float:
-    return max(ON_PLANE * float(np.ptp(points, axis=0).max()), roundoff(points))
+    return max(ON_PLANE * float(extent_of(points)), roundoff(points))
 
 
 NARROWEST = 180  # mirrors at an angle of 180 / n degrees have 2 n images

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.linear.products import dot_rows
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.tolerances import NO_EDGE
 from .._kernels.values import Either
@@ -130,7 +131,7 @@ def tracks_of(
 def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
     first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
     check_none(
-        nodes[worst_first(np.abs(np.sum(first * second, axis=1)), NO_EDGE)],
+        nodes[worst_first(np.abs(dot_rows(first, second)), NO_EDGE)],
         "two sliding patches, or a sliding patch and a symmetry plane, meet at {count} nodes "
         "without an edge, the worst "
         "is node {node} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or "

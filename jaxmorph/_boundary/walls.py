@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.linear.products import row_lengths
+from .._host.package.rounding import extent_of
 from .._host.tolerances import ALONG_AXIS, END
 from .._kernels.module import Module
 from .._kernels.values import Either, area_vectors, norm
@@ -85,7 +87,7 @@ class Flat(AbstractWall):
         if self.own is None:
             return super().has_end(x)
         normal = np.asarray(self.normal)
-        extent = np.ptp(np.asarray(self.own.vertices), axis=0).max()
+        extent = extent_of(np.asarray(self.own.vertices))
         inside = x - ((x - np.asarray(self.origin)) @ normal)[:, None] * normal
         return np.asarray(self.own.find(inside).distance > END * extent)
 
@@ -132,8 +134,8 @@ class Round(AbstractWall):
     def is_apex(self, x):
         axis = np.asarray(self.axis)
         arm = x - np.asarray(self.origin)
-        radius = np.linalg.norm(arm - (arm @ axis)[:, None] * axis, axis=1)
-        return np.asarray(axis.any() & (radius <= ALONG_AXIS * np.ptp(x, axis=0).max()))
+        radius = row_lengths(arm - (arm @ axis)[:, None] * axis)
+        return np.asarray(axis.any() & (radius <= ALONG_AXIS * extent_of(x)))
 
 
 class OnFaces(AbstractWall):

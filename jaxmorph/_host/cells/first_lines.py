@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from ..linear.products import dot_rows, row_lengths
 from ..rows import mark
 from ..tolerances import NO_WEIGHT
 from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, shape_values
@@ -85,8 +86,8 @@ def first_lines(cells: ByType, sides: Mapping[str, Pair], points: ndarray, wall:
     largest = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
     start, end, cell_nodes, weights = _candidates(largest, on_wall & (beside >= 0), on_wall)
     along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
-    size = np.linalg.norm(along, axis=1)
-    steepness = np.round(np.sum(along * normal[start], axis=1) / np.where(size > 0, size, 1), 12)
+    size = row_lengths(along)
+    steepness = np.round(dot_rows(along, normal[start]) / np.where(size > 0, size, 1), 12)
     order = np.lexsort((end, -steepness, start))
     nodes, first = np.unique(start[order], return_index=True)
     chosen = order[first]
@@ -115,7 +116,7 @@ def _wall_sides(kind: str, ids: ndarray, inside: ndarray, points: ndarray) -> Wa
     if SHAPES[kind] == kind:  # of a linear side their mean, the whole face's
         slopes = np.broadcast_to(slopes.mean(axis=0), slopes.shape)
     area = _node_areas(points[ids], slopes).mean(axis=1)
-    is_outward = np.sum(area * (inside - _centres(kind, ids, points)), axis=1) < 0
+    is_outward = dot_rows(area, inside - _centres(kind, ids, points)) < 0
     size = 0.5 if SHAPES[kind] == "triangle" else 1
     return WallSides(ids, ids, np.where(is_outward, -size, size), slopes)
 

@@ -36,6 +36,14 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
     return [cross(b, c), cross(c, a), cross(a, b)]
 
 
+def row_lengths(vectors: Any) -> Any:
+    return np.linalg.norm(vectors, axis=1)
+
+
+def dot_rows(a: Any, b: Any) -> Any:
+    return np.sum(a * b, axis=1)
+
+
 def edges_of(corners: ndarray) -> list[ndarray]:
     """Edges, each (k, d), from the first corner of simplices (k, c, d) to the others."""
     return list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
@@ -46,7 +54,7 @@ def smallest_height(corners: ndarray) -> ndarray:
     edges = edges_of(corners)
     # area vectors of all sides but the first, whose area vector is minus their sum
     rows = cofactor_rows(edges)
-    largest = np.max([np.linalg.norm(side, axis=1) for side in (*rows, sum(rows))], axis=0)
+    largest = np.max([row_lengths(side) for side in (*rows, sum(rows))], axis=0)
     return np.abs(np.einsum("kd,kd->k", rows[0], edges[0])) / np.where(largest > 0, largest, 1)
 
 

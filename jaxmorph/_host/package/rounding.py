@@ -42,6 +42,11 @@ class Tree(KDTree):
         return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
+def extent_of(points: Any) -> Any:
+    """The largest extent of points along an axis."""
+    return np.ptp(points, axis=0).max()
+
+
 def roundoff(points: ndarray) -> float:
     return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))
 
@@ -130,7 +135,7 @@ def morton_order(points: ndarray) -> ndarray:
     table = np.array([int(f"{i:b}", 2**dimension) for i in range(1024)], dtype=np.uint64)
     words = 6 // dimension  # of ten bits, for each axis
     low = points.min(axis=0)
-    extent = np.ptp(points, axis=0).max() or 1.0
+    extent = extent_of(points) or 1.0
     key = np.zeros(len(points), dtype=np.uint64)
     for axis in range(dimension):
         grid = ((points[:, axis] - low[axis]) / extent * (1024**words - 2) + BETWEEN).astype(

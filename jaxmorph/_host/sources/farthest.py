@@ -6,6 +6,7 @@ import numpy as np
 from numpy import ndarray
 
 from ..cells.topology import Pair
+from ..linear.products import row_lengths
 from ..package.arguments import between, check_fields, whole
 from ..package.rounding import (
     Tree,
@@ -115,7 +116,7 @@ def farthest(
     least *= 1 + SAME
     noise = roundoff(points) * np.sqrt(np.broadcast_to(weight, len(points)))
     chosen = []
-    away = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    away = row_lengths(points - points.mean(axis=0))
     outermost = first_largest(away, resolution(points))
     for node in [outermost] if first is None else first.tolist():
         if distance[node] > least and len(chosen) < count:

@@ -8,6 +8,7 @@ from scipy import sparse
 from scipy.spatial.distance import cdist
 
 from ..cells.topology import Pair
+from ..linear.products import row_lengths
 from ..package.arguments import between
 from ..package.rounding import (
     Tree,
@@ -42,7 +43,7 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
 
     def approach(near: ndarray, node: ndarray) -> None:
         """Updates distances and nearest nodes of nodes `near` that are nearer to `node`."""
-        gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        gap = row_lengths(ordered[near] - ordered[node])
         closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
         np.minimum.at(distance, near[closer], gap[closer])
         closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
@@ -53,8 +54,8 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
     approach(*_pair_equals(images[rank]))
     start = place[earlier]
     if not len(earlier):
-        start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])
-        away = np.linalg.norm(ordered - ordered[start], axis=1)
+        start = np.array([first_largest(row_lengths(ordered - ordered.mean(axis=0)))])
+        away = row_lengths(ordered - ordered[start])
         if nearest[start] == start:
             distance[start] = away.max()
             nearest[start] = first_largest(away)

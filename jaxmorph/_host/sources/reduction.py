@@ -15,6 +15,7 @@ from ..package.arguments import between, check_fields, finite_array, whole
 from ..package.rounding import (
     Tree,
     canonical_order,
+    extent_of,
     first_largest,
     nearest_of,
     resolution,
@@ -180,7 +181,7 @@ class KDTree(AbstractSeparated):
         """Returns the tree to build near the `others`: leaves are `crowded` near another point."""
         if self.crowded is None or not len(points) or not len(others):
             return self
-        near = (1 - SAME) * float(np.ptp(points, axis=0).max())
+        near = (1 - SAME) * float(extent_of(points))
         distance = Tree(others).query(points, distance_upper_bound=near)[0]
         return (
             dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self

@@ -7,7 +7,7 @@ from numpy import ndarray
 
 from ..cells.adjacency import handedness, neighbours, parts_of
 from ..cells.topology import Pair
-from ..linear.products import normals, unit_rows
+from ..linear.products import normals, row_lengths, unit_rows
 from ..package.arguments import as_array, rows_of
 from ..package.rounding import canonical_order, roundoff
 from ..rows import first_of_equals
@@ -97,9 +97,7 @@ def _cut_quads(ids: ndarray, points: ndarray) -> ndarray:
     rank = np.argsort(canonical_order(points))
     start = rank[ids].argmin(axis=1)[:, None] + np.arange(4)
     ids = np.take_along_axis(ids, start % 4, axis=1)
-    first, second = (
-        np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1)
-    )
+    first, second = (row_lengths(points[ids[:, k + 2]] - points[ids[:, k]]) for k in (0, 1))
     is_longer = first > second * (1 + SAME) + roundoff(points)
     ids = np.where(is_longer[:, None], np.roll(ids, -1, axis=1), ids)
     return np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from ..cells.topology import Pair
-from ..linear.products import cofactor_rows, cross_rows, edges_of, outward
+from ..linear.products import cofactor_rows, cross_rows, edges_of, outward, row_lengths
 from ..package.rounding import Tree, canonical_order, morton_order, roundoff
 from ..tolerances import ALIGNED, MEETS, MET_BEFORE, SAME
 
@@ -323,7 +323,7 @@ def _find_side(corners: ndarray, x: ndarray, slack: float = MET_BEFORE) -> ndarr
     height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
     if not slack:
         return np.sign(height)
-    size = np.linalg.norm(normal, axis=1) * np.ptp(corners, axis=1).max(axis=1)
+    size = row_lengths(normal) * np.ptp(corners, axis=1).max(axis=1)
     return np.where(np.abs(height) > slack * size, np.sign(height), 0)
 
 
@@ -345,9 +345,7 @@ def _measure_share(start: ndarray, along: ndarray, corners: ndarray, slack: floa
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
     rows = cofactor_rows([along, *edges_of(corners)])
     volume = np.einsum("kd,kd->k", rows[0], along)
-    is_steep = np.abs(volume) > ALIGNED * np.linalg.norm(along, axis=1) * np.linalg.norm(
-        rows[0], axis=1
-    )
+    is_steep = np.abs(volume) > ALIGNED * row_lengths(along) * row_lengths(rows[0])
     share, *places = np.einsum("rkd,kd->rk", rows, corners[:, 0] - start) / np.where(
         is_steep, volume, 1
     )

@@ -14,10 +14,10 @@ from numpy import ndarray
 from scipy.spatial import Delaunay, QhullError
 
 from ..cells.topology import Pair
-from ..linear.products import cofactor_rows, normals, smallest_height, unit_rows
+from ..linear.products import cofactor_rows, normals, row_lengths, smallest_height, unit_rows
 from ..package.cores import over_blocks
 from ..package.errors import MeshError, place_of, worst_first
-from ..package.rounding import BETWEEN, canonical_order, morton_order, roundoff, spacing
+from ..package.rounding import BETWEEN, canonical_order, extent_of, morton_order, roundoff, spacing
 from ..sources.reduction import drop_close
 from ..tolerances import JITTER, OUTSIDE_WEIGHT, SNAP
 
@@ -63,7 +63,7 @@ def graph_of(surface: ndarray) -> Graph:
     slack = roundoff(surface)
     surface = surface.astype(np.float64, copy=False)
     centre = surface.min(axis=0)
-    size = np.ptp(surface, axis=0).max() or 1.0
+    size = extent_of(surface) or 1.0
     unit = (surface - centre) / size
     # of coincident nodes a moving one
     unique = drop_close(unit, np.arange(len(unit)), roundoff(surface) / size)
@@ -214,7 +214,7 @@ def _measure_beyond_hull(graph: Graph, targets: ndarray) -> ndarray:
     """
     corners = graph.nodes[graph.delaunay.convex_hull]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    height = np.linalg.norm(normals(corners), axis=1) / longest ** (graph.delaunay.ndim - 2)
+    height = row_lengths(normals(corners)) / longest ** (graph.delaunay.ndim - 2)
     corners, longest, height = (
         values[height > graph.flat] for values in (corners, longest, height)
     )

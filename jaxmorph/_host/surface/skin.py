@@ -7,11 +7,12 @@ from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
 from ..cells.topology import ByType, Pair
-from ..linear.products import outward
+from ..linear.products import dot_rows, outward, row_lengths
 from ..package.rounding import (
     Tree,
     canonical_order,
     distinct_places,
+    extent_of,
     first_largest,
     morton_order,
     nearest_few,
@@ -46,7 +47,7 @@ def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
     sides = np.unique(
         np.sort(sides if len(sides) else _pair_nearest(points[:moving]), axis=1), axis=0
     )
-    length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
+    length = row_lengths(points[sides[:, 1]] - points[sides[:, 0]])
     return sides[length > roundoff(points)]
 
 
@@ -88,7 +89,7 @@ def chords(points: ndarray, wall: ndarray, faces: ByType | None = None) -> Pair:
         for k in range(2):
             ends[label, k] = members[first_largest(((points[members] - start) ** 2).sum(axis=1))]
             start = points[ends[label, k]]
-    span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+    span = row_lengths(points[ends[:, 0]] - points[ends[:, 1]])
     safe = np.where(span > 0, span, 1)
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
@@ -100,7 +101,7 @@ def _measure_shares(points: ndarray, faces: ByType | None) -> ndarray:
         np.add.at(
             share,
             corners,
-            np.linalg.norm(outward(points[corners]), axis=1)[:, None] / corners.shape[1],
+            row_lengths(outward(points[corners]))[:, None] / corners.shape[1],
         )
     left = np.flatnonzero(share == 0)
     count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
@@ -133,8 +134,8 @@ def drawn_in(surface: ndarray, moving: ndarray, fixed: ndarray, images: ndarray)
     way begins at the middle of the moving sources.
     """
     centre = surface[moving].mean(axis=0)
-    rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
-    way = np.linalg.norm(surface - centre, axis=1)
+    rings = np.array(RINGS)[:, None] * row_lengths(surface[moving] - centre).max()
+    way = row_lengths(surface - centre)
     # one moving node has no size, and no rings
     far = fixed[
         (images[fixed] == fixed)
@@ -160,7 +161,7 @@ def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
         return False
     # Facets of one plane have equal rounded equations. Their areas add up to a side's, and only the
     # largest sides are looked at, by the equation of their largest facet.
-    size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
+    size = row_lengths(outward(surface[hull.simplices]))
     order = np.argsort(-size, kind="stable")
     equations = hull.equations[order]
     size = size[order]
@@ -169,7 +170,7 @@ def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
     )[1:]
     area = np.bincount(plane.ravel(), size)
     largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:HULL_SIDES]]
-    slack = ON_PLANE * float(np.ptp(surface, axis=0).max())
+    slack = ON_PLANE * float(extent_of(surface))
     free = points[is_free]
     return any(
         (free @ np.array(normal) + offset > -slack).sum() > 1
@@ -181,7 +182,7 @@ def has_free_faces(points: ndarray, faces: ByType, is_held: ndarray) -> bool:
     """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
-    return len(middles) > 0 and bool((spacing(middles) > SAME * np.ptp(points, axis=0).max()).any())
+    return len(middles) > 0 and bool((spacing(middles) > SAME * extent_of(points)).any())
 
 
 # distances of sources from a tip over the mean chord: waves invert cells at tips
@@ -240,7 +241,7 @@ def sharp_tips(points: ndarray, pairs: ndarray) -> Tips:
     beside = directed[np.minimum(first[:-1, None] + [0, 1], len(directed) - 1), 1]
     count = np.diff(first)
     arms = place[beside] - place[:, None]
-    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP_TIP * (1 + SAME) * np.linalg.norm(
+    is_sharp = dot_rows(arms[:, 0], arms[:, 1]) > SHARP_TIP * (1 + SAME) * np.linalg.norm(
         arms, axis=2
     ).prod(axis=1)
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))
@@ -257,7 +258,7 @@ def behind_tips(walls: Tips, length: ndarray, closest: float, room: ndarray) -> 
         sides = walls.sides(tip, walls.lengths(tip, length).min())
         image = 2 * place[tip] - place[sides].mean(axis=0)
         step = np.linalg.norm(image - place[tip])
-        is_free = np.linalg.norm(place - image, axis=1).min() > AWAY * (1 + SAME) * step
+        is_free = row_lengths(place - image).min() > AWAY * (1 + SAME) * step
         if closest * (1 + SAME) < step < walls.lengths(tip, room).min() * (1 - SAME) and is_free:
             found.append([tip, *sides])
     return walls.rows[np.array(found, dtype=np.int64).reshape(-1, 3)]
@@ -267,7 +268,7 @@ def beside_tips(walls: Tips, chord: ndarray) -> ndarray:
     """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
     Distances shorter than the wall's edges at the tip are left out.
     """
-    length = np.linalg.norm(np.subtract(*walls.points[walls.ends.T]), axis=1)
+    length = row_lengths(np.subtract(*walls.points[walls.ends.T]))
     places = [
         place
         for tip in walls.tips.tolist()
