@@ -12,7 +12,7 @@ from .._host.cells.adjacency import parts_of
 from .._host.cells.topology import solid
 from .._host.linear.products import outward, row_lengths
 from .._host.package.rounding import Tree, extent_of
-from .._host.rows import Rows
+from .._host.rows import Rows, join_ids
 from .._host.surface.gaps import Passages, TooManyPairs, crossing_faces, passages
 from .._host.tolerances import FLAT_CORNER, PLANAR, SAME
 from .._mesh.mesh import Mesh
@@ -259,17 +259,17 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     outer = _outer_of(mesh)
     rows = Rows(nodes)
-    faces = [np.zeros((0, mesh.points.shape[1]), int)]
-    ids = [np.zeros(0, int)]
+    faces = []
+    ids = []
     for kind, corners in outer.corners.items():
         triangles = (
             [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]
         )
-        faces.append(rows.of(corners[:, triangles]).reshape(-1, mesh.points.shape[1]))
+        faces.append(rows.of(corners[:, triangles]))
         ids.append(np.repeat(outer.ids[kind], len(triangles)))
-    joined = np.concatenate(faces)
+    joined = join_ids(faces).reshape(-1, mesh.points.shape[1])
     known = (joined >= 0).all(axis=1)
-    return joined[known], np.concatenate(ids)[known]
+    return joined[known], join_ids(ids)[known]
 
 
 def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:

@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike, Real
 from .._host.package.arguments import freeze
 from .._host.package.errors import MeshError, check_none, place_of
 from .._host.package.rounding import extent_of
-from .._host.rows import mark
+from .._host.rows import join_ids, mark
 from .._mesh.mesh import Mesh
 from .conditions import Conditions
 from .names import Named, Nodes
@@ -136,12 +136,8 @@ def _list_guided(
                 f"{words[role[second[worst]]]}. Name both nodes, or none.",
                 first[odd],
             )
-    parts = [
-        np.zeros(0, dtype=np.int64),
-        *(pairing.nodes for pairing in pairings),
-        *(track.rows for track in tracks),
-    ]
-    nodes = np.unique(np.concatenate(parts))
+    parts = [pairing.nodes for pairing in pairings] + [track.rows for track in tracks]
+    nodes = np.unique(join_ids(parts))
     return nodes[role[nodes] == 0]
 
 

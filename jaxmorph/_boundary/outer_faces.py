@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._host.package.arguments import checked
-from .._host.rows import Rows, mark
+from .._host.rows import Rows, join_ids, mark
 from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
 
@@ -68,7 +68,7 @@ class FreeFaces:
 
 def free_faces(patches: Faces, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
     """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
-    ids = np.concatenate([np.zeros(0, int), *faces.ids.values()])
+    ids = join_ids(faces.ids.values())
 
     def inside(is_in: np.ndarray) -> np.ndarray:
         return np.concatenate(

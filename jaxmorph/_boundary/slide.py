@@ -15,7 +15,7 @@ from .._host.linear.products import dot_rows, normals, row_lengths, unit_rows
 from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
 from .._host.package.rounding import canonical_order, extent_of
-from .._host.rows import Rows
+from .._host.rows import Rows, join_ids
 from .._host.surface.walls import sort_faces
 from .._host.tolerances import (
     ALIGNED,
@@ -230,14 +230,14 @@ def _of_faces(
             "jm.Slide(nodes, jm.Plane(normal, origin))."
         )
     dimension = points.shape[1]
-    pieces = [np.zeros((0, dimension), dtype=np.int64)]
+    pieces = []
     for corners in Rows(nodes).renumbered(faces).values():
         # quads are cut into triangles about the node that comes first by place
         of_patch = sort_faces(corners[(corners >= 0).all(axis=1)])
         pieces += [
             of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))
         ]
-    elements = np.concatenate(pieces)
+    elements = join_ids(pieces).reshape(-1, dimension)
     if not len(elements):
         raise ValueError(
             f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on."

@@ -12,7 +12,7 @@ from .._boundary.tracks import Track, check_repeated, smoothed, tracks_of
 from .._boundary.walls import Flat
 from .._host.cells.topology import solid
 from .._host.linear.hessians import Pattern, pattern
-from .._host.rows import mark
+from .._host.rows import join_ids, mark
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
@@ -78,7 +78,7 @@ def _held_sides(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarra
     sides += [ids for ids, _ in mesh.linear.topology.sides.values()]
     for is_led in ways:
         sides = [ids[~is_led[ids].all(axis=1)] for ids in sides]
-    return np.concatenate([np.zeros(0, int), *map(np.ravel, sides)])
+    return join_ids(sides)
 
 
 @compiled

@@ -7,7 +7,7 @@ import numpy as np
 from .._host.cells.topology import Pair
 from .._host.package.rounding import canonical_order
 from .._host.ragged import Ragged
-from .._host.rows import mark
+from .._host.rows import join_ids, mark
 from .._host.tolerances import LEAST_PIECE, SAME
 from .faces import CELLS_OF_BLOCK, Faces, open_cells, standard_cells
 
@@ -107,8 +107,8 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
     else the node whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
-    parts = [np.zeros((0, 4), faces.labels.dtype)]
-    owners = [np.zeros(0, np.int64)]
+    parts = []
+    owners = []
     for at in range(0, len(cells), CELLS_OF_BLOCK):
         block = cells[at : at + CELLS_OF_BLOCK]
         sides = Ragged(ordered, starts).take(block)
@@ -116,7 +116,7 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
         corners, cell = pieces.tetrahedra(pieces.best_apex())
         parts.append(corners)
         owners.append(block[cell])
-    return np.concatenate(parts), np.concatenate(owners)
+    return join_ids(parts).reshape(-1, 4), join_ids(owners)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from ..package.rounding import (
     roundoff,
     spacing,
 )
+from ..rows import join_ids
 from ..sources.farthest import farthest
 from ..tolerances import ON_PLANE, SAME, SHARP_TIP
 
@@ -39,11 +40,11 @@ def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
     Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
-    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    pairs = []
     for corners in (faces or {}).values():
         inside = corners[(corners < moving).all(axis=1)]
-        pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2).reshape(-1, 2))
-    sides = np.concatenate(pairs)
+        pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2))
+    sides = join_ids(pairs).reshape(-1, 2)
     sides = np.unique(
         np.sort(sides if len(sides) else _pair_nearest(points[:moving]), axis=1), axis=0
     )
