@@ -21,9 +21,9 @@ from .._host.tolerances import (
     ALIGNED,
     ALONG_AXIS,
     CONTINUES,
+    DEVIATION,
     NO_AREA,
     NO_EDGE,
-    ON_SURFACE,
     SAME,
     SAME_STATION,
 )
@@ -162,7 +162,7 @@ def walls_of_patch(
             f"{dimension} dimensions."
         )
     off = np.abs(np.asarray(wall.height(jnp.asarray(exact[nodes]))[0]))
-    allowed = ON_SURFACE * extent_of(exact[nodes])
+    allowed = DEVIATION * extent_of(exact[nodes])
     check_none(
         nodes[worst_first(off, allowed)],
         f"{slide.name} does not lie on its surface: {{count}} of {len(nodes)} nodes are off, the "
@@ -214,7 +214,7 @@ def _line_or_profile(
     normal = np.array([0.0, 1.0])
     if axis.any() and np.ptp(profile[:, 1]) > SAME * size:
         normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
-    is_line = not axis.any() or np.abs((profile - middle) @ normal).max() <= ON_SURFACE * size
+    is_line = not axis.any() or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
     profile = profile[np.argsort(profile[:, 0], kind="stable")]
     profile = profile[np.append(True, np.diff(profile[:, 0]) > SAME_STATION * size)]
     return np.array([*normal, middle @ normal]) if is_line else None, profile

@@ -11,8 +11,6 @@ import numpy as np
 # Relative difference up to which numbers are equal, and share of an extent up to which two places
 # are one: lengths and areas of a regular mesh, components of a shift. Equal ones go by place.
 SAME = 1e-9
-# Distance of a surface node in a piece from its place in the whole: the same, written twice.
-SAME_MESH = 1e-12
 # What zero becomes where XLA's programs flush smaller numbers to zero; its square is zero.
 NEAR_ZERO = 1e-290
 # Divisor in the place of zero, of ratios whose numerator is then zero too.
@@ -30,7 +28,7 @@ NEAR_PLANE = 1e-3
 PLANAR = 1e-6
 # Distance of a patch's nodes from the surface they slide on, of new base points from their plane:
 # files have few digits.
-ON_SURFACE = 1e-5
+DEVIATION = 1e-5
 # Component of a unit normal that is zero: the plane is at right angles to an axis. Also the radius
 # that is none, over a patch's extent: the apex of a cone.
 ALONG_AXIS = 1e-7

@@ -19,7 +19,6 @@ from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
 from .._host.rows import Rows
 from .._host.surface.skin import has_free_sides
-from .._host.tolerances import SAME_MESH
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
@@ -30,6 +29,9 @@ from .._methods.reconstruction import sees_free_sides
 from .._methods.surface import ByKind, Surface
 from .plan import Plan, SurfacePart, VolumePart
 from .prepare import default_for, plan_of, refuse_cells
+
+# largest difference of a surface node's place in piece and half, as a share of the extent
+SAME = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,7 +185,7 @@ class SurfaceHalf:
         base = np.asarray(self.plan.points)
         distance = np.abs(points[present] - base[rows]).max(axis=1, initial=0.0)
         wrong = np.flatnonzero(
-            distance > max(4 * roundoff(base), SAME_MESH * np.ptp(base, axis=0).max())
+            distance > max(4 * roundoff(base), SAME * np.ptp(base, axis=0).max())
         )
         if wrong.size:
             worst = wrong[distance[wrong].argmax()]

@@ -10,13 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
-from .._boundary.periodic import Pairing
+from .._boundary.periodic import MISMATCH, Pairing
 from .._boundary.symmetry import tolerance
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import spacing
-from .._host.tolerances import MISMATCH, ON_SURFACE
 from .._kernels.compile import Constant, compiled
 from .._kernels.values import is_readable
 from .._methods.blocks import place_points, with_tables_of, without_tables
@@ -70,6 +69,9 @@ def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
         )
     return points
 
+
+# largest distance of new base points from a plane or wall, relative to its nodes' extent
+DEVIATION = 1e-5
 
 ANEW = "Call `prepare` with the new mesh and its boundaries."
 WORDS = {
@@ -150,7 +152,7 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
             extent = np.ptp(points[nodes if name == "off_plane" else sliding], axis=0).max(
                 initial=0.0
             )
-            allowed = np.full(len(nodes), max(ON_SURFACE * extent, tolerance(points)))
+            allowed = np.full(len(nodes), max(DEVIATION * extent, tolerance(points)))
         wrong = worst_first(distance, allowed)
         if wrong.size:
             raise MeshError(

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from jaxmorph._host.package.text import read_text
+from jaxmorph._host.package.text import read
 
 from ._parser import (
     Parser,
@@ -138,9 +138,7 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 
 def read_job(path: Path) -> tuple[argparse.Namespace, dict[str, str]]:
     """Reads the values of a job, and its mesh files; paths are relative to the job's folder."""
-    job = known_keys(
-        path, "a job", read_text(str(path), path.read_bytes()), (*JOB, "set", "moving")
-    )
+    job = known_keys(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
     files = {
         name: str(path.parent / str(job.pop(name))) for name in ("file", "output") if name in job
     }

@@ -16,7 +16,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._host.package.files import complete, input_path, output_path
-from jaxmorph._host.package.text import LATTICES, read_text
+from jaxmorph._host.package.text import LATTICES, read
 from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import gathered
 
@@ -64,7 +64,7 @@ def read_box(
     table = (
         dict(source)
         if isinstance(source, Mapping)
-        else read_text(where, input_path(source).read_bytes())
+        else read(where, input_path(source).read_bytes())
     )
     with faults_of(Path(where)):
         box = _make_box(table, dimensions)
@@ -177,7 +177,7 @@ def boxes(mesh: Mesh) -> tuple[Box, ...]:
 
     **Arguments:**
 
-    - `mesh`: what `read_text` returned, moved or not.
+    - `mesh`: what `read` returned, moved or not.
 
     **Returns:** its boxes; none for other formats, and for files without boxes.
 
