@@ -57,7 +57,7 @@ def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays |
     else:
         new = old.NewInstance()
         new.ShallowCopy(old)
-        was = vtk.points_in(old)
+        was = vtk.coordinates(old)
         new.SetPoints(
             vtk.points_of(
                 _points_to_write(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)

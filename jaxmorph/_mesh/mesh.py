@@ -321,7 +321,7 @@ class Mesh(Module):
                     "blocks has `combine`."
                 )
             grid = grid.cast_to_unstructured_grid()
-        return Mesh(*vtk.parts_of_grid(grid))
+        return Mesh(*vtk.mesh_of(grid))
 
     @checked
     def to_pyvista(

@@ -52,7 +52,7 @@ def _lists_of(cells: Any) -> Ragged:
     return Ragged(_as_numpy(cells.GetConnectivityArray()), _as_numpy(cells.GetOffsetsArray()))
 
 
-def double(data: Any) -> Any:
+def in_double(data: Any) -> Any:
     """Returns a shallow copy of a data set, of which no array is in single precision."""
     core = vtk("vtkCommonCore")
     copy = data.NewInstance()
@@ -89,7 +89,7 @@ def data_of(attributes: Any) -> dict[str, np.ndarray]:
     return found
 
 
-def points_in(grid: Any) -> np.ndarray:
+def coordinates(grid: Any) -> np.ndarray:
     return _as_numpy(grid.GetPoints().GetData()) if grid.GetNumberOfPoints() else np.zeros((0, 3))
 
 
@@ -139,7 +139,7 @@ def of_vtk(grid: Any) -> Grid:
     are cut. It raises `ValueError` for cells that no mesh has, and for ids of nodes that are not
     there.
     """
-    points = points_in(grid)
+    points = coordinates(grid)
     _check_ids("a cell", _lists_of(grid.GetCells()).values, len(points))
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
@@ -267,7 +267,7 @@ def _inward(faces: Faces, points: np.ndarray) -> np.ndarray:
     return np.where(balance[cell] != 0, volume < 0, 2 * (most < 0).sum() > len(most))
 
 
-def parts_of_grid(grid: Any) -> Parts:
+def mesh_of(grid: Any) -> Parts:
     return checked_parts(*parts(of_vtk(grid)))
 
 

@@ -65,8 +65,8 @@ class VTKContent(NamedTuple):
 
 def read(path: Path) -> Parts:
     content = _read(path)
-    mesh = vtk.parts_of_grid(vtk.unstructured(content.data))
-    places = vtk.points_in(content.data)
+    mesh = vtk.mesh_of(vtk.unstructured(content.data))
+    places = vtk.coordinates(content.data)
     points = FilePoints(
         np.asarray(places, float), singles=EVERYTHING if places.dtype == np.float32 else ()
     )
@@ -120,7 +120,7 @@ def file_bytes(data: Any, encoding: Encoding) -> bytes:
     text = _text(data, encoding)
     if not encoding.is_legacy or encoding.mode != "ascii" or b" float" not in text:
         return text
-    exact = _text(vtk.double(data), encoding).split(b"\n")
+    exact = _text(vtk.in_double(data), encoding).split(b"\n")
     lines = zip(text.split(b"\n"), exact, strict=True)
     return b"\n".join(own if b" float" in own else line for own, line in lines)
 
@@ -225,10 +225,10 @@ def _join_grids(named: list[tuple[str, Any]]) -> Any:
     whole = joined.GetOutput()
     whole.RemoveGhostCells()
     whole.GetFieldData().ShallowCopy(grids[is_solid.argmax()][1].GetFieldData())
-    place = {point.tobytes(): k for k, point in enumerate(vtk.points_in(whole))}
+    place = {point.tobytes(): k for k, point in enumerate(vtk.coordinates(whole))}
     for at in np.flatnonzero(~is_solid):
         name, grid = grids[at]
-        nodes = [place.get(point.tobytes(), -1) for point in vtk.points_in(grid)]
+        nodes = [place.get(point.tobytes(), -1) for point in vtk.coordinates(grid)]
         if min(nodes, default=-1) >= 0:
             inside = np.isin(np.arange(whole.GetNumberOfPoints()), nodes).astype(np.uint8)
             vtk.add_arrays(whole.GetPointData(), {f"{PREFIX}{urllib.parse.quote(name)}": inside})

@@ -150,24 +150,6 @@ def _search_nearest(
     place = np.zeros(len(points), dtype=np.int32)
     slack = max(roundoff(points), roundoff(surface))
 
-    def search(k: int, rows: ndarray) -> None:
-        members, bound = bounded[k]
-        several = range(1, min(2, len(members)) + 1)
-        found, row = trees[k].query(points[rows], k=several, distance_upper_bound=bound, workers=1)
-        equal = np.flatnonzero(
-            (found[:, -1] <= (1 + SAME) * found[:, 0]) & (row[:, -1] < len(members))
-        )
-        least = found[:, 0]
-        row = np.minimum(row[:, 0], len(members) - 1)
-        row[equal] = few_by(trees[k], points[rows[equal]], 1, slack)[:, 0]
-        node = members[row]
-        closer = (least < distance[rows]) | ((least == distance[rows]) & (k < place[rows]))
-        closer &= least < (np.inf if reach is None else reach[node])
-        better = rows[closer]
-        distance[better] = least[closer]
-        nearest[better] = node[closer]
-        place[better] = k
-
     def search_all(part: slice) -> None:
         # A tree is searched only for points whose answer so far is farther than the tree's box. The
         # tree with the nearest box comes first: it holds the answer of most points.
@@ -176,12 +158,31 @@ def _search_nearest(
         first = away.argmin(axis=0)
         for is_first, k in itertools.product((True, False), range(len(trees))):
             is_near = (away[k] <= (1 + SAME) * distance[part]) & (away[k] < np.inf)
-            rows = np.flatnonzero(((first == k) == is_first) & is_near)
-            if len(rows):
-                search(k, part.start + rows)
+            rows = part.start + np.flatnonzero(((first == k) == is_first) & is_near)
+            least, node = _query(trees[k], *bounded[k], points[rows], slack)
+            closer = (least < distance[rows]) | ((least == distance[rows]) & (k < place[rows]))
+            closer &= least < (np.inf if reach is None else reach[node])
+            better = rows[closer]
+            distance[better] = least[closer]
+            nearest[better] = node[closer]
+            place[better] = k
 
     over_blocks(search_all, len(points) if bounded else 0)
     return distance, nearest
+
+
+def _query(tree: Tree, members: ndarray, bound: float, points: ndarray, slack: float) -> Pair:
+    """Each point's distance from the nearest of the `members` within the bound, else infinite, and
+    this one; ties go to the first.
+    """
+    if not len(points):
+        return np.zeros(0), members[:0]
+    several = range(1, min(2, len(members)) + 1)
+    found, row = tree.query(points, k=several, distance_upper_bound=bound, workers=1)
+    is_equal = (found[:, -1] <= (1 + SAME) * found[:, 0]) & (row[:, -1] < len(members))
+    row = np.minimum(row[:, 0], len(members) - 1)
+    row[is_equal] = few_by(tree, points[is_equal], 1, slack)[:, 0]
+    return found[:, 0], members[row]
 
 
 def _measure_to_box(points: ndarray, tree: Tree) -> ndarray:

@@ -164,7 +164,7 @@ def _at_tips(
     each with a node on either side. Also the places (h, 2) of all tips. `pairs` are all edges of
     the moving walls, `chord` (e,) is that of each edge's wall.
     """
-    held = skin.nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
+    held = skin.nearest_held(surface.points, surface.moving, surface.walls.number, pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
     room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
     walls = skin.sharp_tips(surface.points, pairs)
@@ -175,7 +175,7 @@ def _at_tips(
 def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
     """Adds sources until each of several moving walls has enough, with their images."""
     rows = np.arange(surface.moving)
-    wall = surface.walls[0][rows]
+    wall = surface.walls.number[rows]
     images = surface.images[rows]
     labels = np.unique(wall[images == rows])
     if len(labels) < 2:
