@@ -27,6 +27,8 @@ from .._quality.proof import proof
 from .._quality.quality import places, signs_of, standards_of
 from .._quality.vector import corner_points
 
+Points = Float[np.ndarray, "n d"]
+
 
 @dataclasses.dataclass(frozen=True)
 class LargestStep:
@@ -168,9 +170,7 @@ class CornerBounds:
             ]
             self.parts.append(dataclasses.replace(every, judged=judged))
 
-    def largest_share(
-        self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]
-    ) -> LargestStep:
+    def largest_share(self, start: Points, end: Points) -> LargestStep:
         """Finds the share of the way, at most 1, that keeps all bounds, and the cell there."""
         best = LargestStep(1.0, -1)
         for part in self.parts:
@@ -184,9 +184,7 @@ class CornerBounds:
         proven = self.proven_share(start, start + best.step * (np.asarray(end, float) - start))
         return LargestStep(best.step * proven.step, proven.cell) if proven.step < 1 else best
 
-    def proven_share(
-        self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]
-    ) -> LargestStep:
+    def proven_share(self, start: Points, end: Points) -> LargestStep:
         """Finds the share of the straight way on which whole cells keep their bound, at most 1. At
         each instant the least coefficient is a lower bound on det J, so the step ends where the
         first coefficient falls below. Only cells that would end it are cut.

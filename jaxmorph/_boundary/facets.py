@@ -23,6 +23,7 @@ from .face_search import on_simplex, smooth_normals
 from .outer_faces import boundary_faces
 
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
+Places = Float[Array, "m d"]
 
 SHARP = np.pi / 3
 NEWTON = 12
@@ -124,9 +125,7 @@ class Facets(Module):
         )
 
     @checked
-    def closest(
-        self, x: Numbers, facing: Numbers | None = None, *, along: bool = False
-    ) -> Float[Array, "m d"]:
+    def closest(self, x: Numbers, facing: Numbers | None = None, *, along: bool = False) -> Places:
         """Finds the closest place to each of `x` (m, d). Traced.
 
         The host finds the face, so that a derivative is that of the closest place on it. With
@@ -144,7 +143,7 @@ class Facets(Module):
         x = self._like("x", x)
         none = jnp.zeros((0, self.points.shape[1]))
         facing = None if facing is None else self._like("facing", facing, len(x))
-        given = (x, facing, jnp.asarray(self.points), jnp.asarray(self.faces), self.sides)
+        given = (x, facing, self.points, self.faces, self.sides)
         given = jax.lax.stop_gradient(
             [none if each is None else jnp.asarray(each) for each in given]
         )
@@ -156,7 +155,7 @@ class Facets(Module):
         x = self._like("x", x)
         return norm(x - self.closest(x))
 
-    def _like(self, name: str, values: Any, count: int | None = None) -> Float[Array, "m d"]:
+    def _like(self, name: str, values: Any, count: int | None = None) -> Places:
         values = jnp.asarray(values)
         d = self.points.shape[1]
         if values.ndim != 2 or values.shape[1] != d or (count is not None and len(values) != count):
@@ -182,7 +181,7 @@ def _normals_of(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v 
 
 
 @eqx.filter_jit
-def _place(facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool) -> Float[Array, "m d"]:
+def _place(facets: Facets, x: Places, facing: Any, along: bool) -> Places:
     points = jnp.asarray(facets.points)
     face = facets.face(x, facing)
     flat = jax.vmap(on_simplex)(x, points[jnp.asarray(facets.faces)[face]])

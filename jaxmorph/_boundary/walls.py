@@ -15,6 +15,8 @@ from .._kernels.module import Module
 from .._kernels.values import Either, area_vectors, norm
 from .face_search import FaceSearch, Places
 
+Vector = Float[Either, " d"]
+
 
 class AbstractWall(Module):
     """A surface (a curve in 2-D) on which nodes stay."""
@@ -50,8 +52,8 @@ class AbstractWall(Module):
 class Flat(AbstractWall):
     """A plane (a line in 2-D) that stays, or that of a patch's `own` faces, which it follows."""
 
-    normal: Float[Either, " d"]
-    origin: Float[Either, " d"]
+    normal: Vector
+    origin: Vector
     own: FaceSearch | None = None
 
     def height(self, x):
@@ -95,8 +97,8 @@ class Flat(AbstractWall):
 class Round(AbstractWall):
     """A circle in 2-D, a surface of revolution in 3-D: radii are cubic in places along the axis."""
 
-    axis: Float[Either, " d"]  # direction, zero in 2-D
-    origin: Float[Either, " d"]  # a point on the axis
+    axis: Vector  # direction, zero in 2-D
+    origin: Vector  # a point on the axis
     knots: Float[
         Either, " l"
     ]  # places along the axis; of one straight piece without ends 0 and infinity

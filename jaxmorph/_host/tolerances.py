@@ -106,5 +106,7 @@ ROUGH = 1e-2
 SOLVED_EXACTLY = 1e-10
 # Residual over the right side above which a system counts as singular.
 SOLVED = 1e-6
+# Least eigenvalue of a node's block, of order one, that its inverse takes.
+LEAST_CURVATURE = 1e-8
 # Added to a Hessian's diagonal (order one): it may be singular where cells are inverted.
 SHIFT = 1e-12

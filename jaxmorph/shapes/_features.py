@@ -15,13 +15,13 @@ from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module
 
 from ._arguments import Column, Positions, rows_like, shown_place
+from ._tolerances import ON_SYMMETRY
 
 NodeIds = Int[ndarray | Array, " _"]
 Planes = Plane | Sequence[Plane]
 Borders = tuple[tuple[Plane, NodeIds], ...]
 
-# shares of the extent: distance of points that are on a plane, and of the farthest edge or corner
-ON_SYMMETRY = 1e-6
+# share of the extent: distance of the farthest edge or corner
 FARTHEST = 0.25
 
 

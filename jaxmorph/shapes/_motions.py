@@ -29,6 +29,7 @@ from ._arguments import (
     vector,
 )
 from ._shape import AbstractShape
+from ._tolerances import LEVEL, RIGHT_ANGLE
 
 
 @checked
@@ -131,7 +132,7 @@ def bend(
     along = direction("along", along, x)
     span = above_zero("length", length, x)
     normal = axis_for(axis, x)
-    if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
+    if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > RIGHT_ANGLE:
         raise ValueError(
             "`axis` and `along` must be at right angles; their cosine is "
             f"{float(normal @ along):.3g}."
@@ -209,7 +210,7 @@ class ReferenceAxis(AbstractShape):
         known = finite_array("points", points, (None, 3))
         along = _unit_vector("chordwise", chordwise)
         across = _unit_vector("spanwise", spanwise)
-        if not abs(along @ across) <= 1e-9:
+        if not abs(along @ across) <= LEVEL:
             raise ValueError(
                 "`chordwise` and `spanwise` must be directions at right angles; their cosine is "
                 f"{along @ across:.3g}."

@@ -20,7 +20,6 @@ from jaxmorph.extend import Module, area_vectors, between, checked, closest, hos
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
 from ._features import (
-    ON_SYMMETRY,
     Borders,
     Clip,
     Planes,
@@ -31,6 +30,7 @@ from ._features import (
     height_of,
 )
 from ._smooth import stiffness_of
+from ._tolerances import ON_SYMMETRY, RESTED, SAME_LENGTH
 
 Target = Facets | Callable
 Motion = tuple[ndarray, ndarray]
@@ -331,10 +331,10 @@ def _fitted(y, off, normals, motions, turn, shift):
     axes = [ahead, *(np.broadcast_to(WHOLE * axis, arm.shape) for axis in np.eye(3))]
     matrix = np.concatenate([np.concatenate([np.cross(arm, axis), axis], axis=1) for axis in axes])
     right = np.concatenate([np.sum(axis * to, axis=1) for axis in axes])
-    change = motions @ np.linalg.lstsq(matrix @ motions, right, rcond=1e-9)[0]
+    change = motions @ np.linalg.lstsq(matrix @ motions, right, rcond=SAME_LENGTH)[0]
     step = Rotation.from_rotvec(change[:3]).as_matrix()[:d, :d]
     new = step @ turn, step @ (shift - middle) + middle + change[3 : 3 + d]
-    is_done = np.linalg.norm(change[:3]) + np.linalg.norm(change[3:]) / np.linalg.norm(arm) < 1e-6
+    is_done = np.linalg.norm(change[:3]) + np.linalg.norm(change[3:]) / np.linalg.norm(arm) < RESTED
     return *new, is_done
 
 
@@ -392,7 +392,7 @@ def _check_one_to_one(made: Onto, x: ndarray, moved: ndarray) -> None:
     if target is not None and made.is_exact and min(len(target.rim), len(inner)) and not len(bad):
         rim = np.broadcast_to(target.rim, (len(target.rim), 2))
         off = closest(np.asarray(target.points)[rim], moved[inner]).distance
-        bad = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None]
+        bad = inner[off < SAME_LENGTH * np.ptp(x, axis=0).max()][:, None]
         what = "end on the border of the target"
     if len(bad):
         many = (

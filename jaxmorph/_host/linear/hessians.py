@@ -7,7 +7,7 @@ import numpy as np
 from numpy import ndarray
 from scipy import sparse
 
-from ..tolerances import ROUGH, SOLVED, SOLVED_EXACTLY
+from ..tolerances import LEAST_CURVATURE, ROUGH, SOLVED, SOLVED_EXACTLY
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
 # damping terms of the diagonal, tried in turn until a matrix is positive
@@ -100,7 +100,9 @@ def _solve_by_iterations(matrix: Any, right: ndarray, accuracy: float) -> ndarra
     d = matrix.blocksize[0]
     rows = np.repeat(np.arange(len(right) // d), np.diff(matrix.indptr))
     values, vectors = np.linalg.eigh(matrix.data[matrix.indices == rows])
-    inverses = np.einsum("nip,np,njp->nij", vectors, 1 / np.maximum(np.abs(values), 1e-8), vectors)
+    inverses = np.einsum(
+        "nip,np,njp->nij", vectors, 1 / np.maximum(np.abs(values), LEAST_CURVATURE), vectors
+    )
     enough = accuracy**2 * inner_product(right, right)
 
     def inverse(residual):
