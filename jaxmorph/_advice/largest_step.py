@@ -84,8 +84,9 @@ def largest_step(
         moved = deform(plan, jnp.asarray(u) + step * jnp.asarray(direction))
         return np.asarray(places(mesh, moved))
 
+    start = at(0.0)
     bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
-    found = bounds.largest_share(at(0.0), at(max_step))
+    found = bounds.largest_share(start, at(max_step))
     found = LargestStep(found.step * max_step, found.cell)
     return _proven_back(bounds, at, found, plan.points.dtype) if proven else found
 
