@@ -107,7 +107,7 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], verdict
         # ImportError: a solver for large 3-D meshes is not installed
         with warnings.catch_warnings(), contextlib.suppress(ValueError, ImportError):
             warnings.simplefilter("ignore")
-            moved = _move(plan, mesh, u, cure)
+            moved = _carry_out(plan, mesh, u, cure)
             is_cured = not judge(mesh, moved, before=verdict.before).spoilt
         if is_cured:
             how = ""
@@ -123,7 +123,7 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], verdict
     return f"{said}: {last}."
 
 
-def _move(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
+def _carry_out(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
     moving = np.asarray(plan.moving)
     fixed = np.asarray(plan.fixed)
     points = np.asarray(mesh.points)

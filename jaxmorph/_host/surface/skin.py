@@ -135,8 +135,8 @@ def drawn_in(surface: ndarray, moving: ndarray, fixed: ndarray, images: ndarray)
     way begins at the middle of the moving sources.
     """
     centre = surface[moving].mean(axis=0)
-    rings = np.array(RINGS)[:, None] * row_lengths(surface[moving] - centre).max()
-    way = row_lengths(surface - centre)
+    rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
+    way = np.linalg.norm(surface - centre, axis=1)
     # one moving node has no size, and no rings
     far = fixed[
         (images[fixed] == fixed)
