@@ -207,10 +207,9 @@ def distortion(
 ) -> DistortionOfCells:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
-    It is 0 for a cell like its target, and finite on inverted cells, with a derivative that turns
-    them round again. Traced in `points`. The target of a cell that is folded on the undeformed mesh
-    is the nearest parallelogram, parallelepiped or the like, else the equilateral cell of the size
-    around. A curved cell has the mean of its linear pieces, see `Mesh.linear`.
+    It is 0 for a cell like its target, and finite on inverted cells. Traced in `points`. The target
+    of a cell that is folded on the undeformed mesh is the nearest parallelogram or parallelepiped,
+    else the equilateral cell of the size around. A curved cell has the mean of its linear pieces.
 
     **Arguments:**
 

@@ -29,10 +29,9 @@ ROW_WIDTH = 8  # entries in a row of a sweep's table
 
 def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
     """Orders nodes so that the next is always the farthest from its predecessors; also finds the
-    nearest of these. `earlier` nodes are predecessors of all, and so are mirror images of a node,
-    of its number in `images` (b,). Without earlier ones, the first node is the farthest from the
-    middle, and the node farthest from it counts as its nearest. Duplicates of a predecessor are
-    left out. They and earlier nodes are their own nearest.
+    nearest of these. `earlier` nodes are predecessors of all, and so are images of a node, of its
+    number in `images` (b,). Without earlier ones, the first is the farthest from the middle, and
+    the node farthest from it its nearest. Duplicates are left out; they are their own nearest.
     """
     rank = canonical_order(points)
     place = np.argsort(rank)
