@@ -45,8 +45,8 @@ def near_walls(
     nearest node of another wall within eight times the reach, or the first entry again. A point
     nearer to another wall is left out. `once(key, make)` caches what depends on the surface alone.
     """
-    # A search finds the nearest node of a point within reach. The `count` nearest are among twice as
-    # many neighbours of that node on its wall, found once a node. Then come nodes of other walls.
+    # A search finds the nearest node of a point within reach. The `count` nearest ones are among
+    # twice as many neighbours of that node on its wall, found once a node. Then come other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     # a tree is searched three times faster for neighbours one after the other
