@@ -103,6 +103,7 @@ from ._plan.save import load as load, save as save
 from ._plan.steps import march as march, replay as replay
 from ._quality.distortion import distortion as distortion
 from ._quality.face_quality import FaceQuality as FaceQuality, face_quality as face_quality
+from ._quality.limits import Limits as Limits
 from ._quality.proof import Proof as Proof, proof as proof, proven_margin as proven_margin
 from ._quality.quality import inverted as inverted, quality as quality
 from ._quality.report import QualityReport as QualityReport
@@ -111,7 +112,7 @@ from ._quality.smooth_quality import (
     smooth_quality as smooth_quality,
     soft_maximum as soft_maximum,
 )
-from ._quality.verdict import Limits as Limits, Verdict as Verdict, judge as judge
+from ._quality.verdict import Verdict as Verdict, judge as judge
 from ._quality.wall_quality import WallQuality as WallQuality, wall_quality as wall_quality
 
 __version__: str

@@ -7,7 +7,7 @@ import pytest
 
 from jaxmorph import cases
 from jaxmorph._host.cells import adjacency
-from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.cells.pieces import outer_pieces
 from jaxmorph._host.cells.topology import CORNERS, EDGES, FACES, FRAMES
 from jaxmorph._quality.distortion import IDEAL
 
@@ -44,10 +44,10 @@ def test_no_faces():
 def test_boundary_of_mixed_cells():
     """A pyramid on a hexahedron: all faces but the shared one, each as its cell sees it."""
     cells = {"hexahedron": np.arange(8)[None], "pyramid": np.array([[4, 5, 6, 7, 8]])}
-    outer = boundary_faces(cells, 9)
+    outer = outer_pieces(cells, 9)
     assert {kind: len(ids) for kind, ids in outer.items()} == {"triangle": 4, "quad": 5}
     assert [4, 5, 6, 7] not in np.sort(outer["quad"], axis=1).tolist()
-    wall = boundary_faces(cells, 9, np.array([0, 1, 2, 3, 4, 5]))
+    wall = outer_pieces(cells, 9, np.array([0, 1, 2, 3, 4, 5]))
     assert wall["triangle"].tolist() == []
     assert np.sort(wall["quad"], axis=1).tolist() == [[0, 1, 2, 3], [0, 1, 4, 5]]
 
@@ -66,7 +66,7 @@ def test_faces_that_are_there_twice_are_dropped_early_or_late(kind):
         for side in FACES[kind]
         for corner in ids
     )
-    outer = boundary_faces(chosen, int(1 + max(ids.max() for ids in chosen.values())))
+    outer = outer_pieces(chosen, int(1 + max(ids.max() for ids in chosen.values())))
     found = [frozenset(ids) for faces in outer.values() for ids in faces.tolist()]
     assert len(set(found)) == len(found)
     assert set(found) == {ids for ids, times in count.items() if times == 1}

@@ -7,7 +7,7 @@ from runs import over
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.cells.lagrange import lagrange_types, values
+from jaxmorph._host.cells.lagrange import lagrange_types, shape_values
 
 gmsh = pytest.importorskip("gmsh")
 
@@ -131,7 +131,7 @@ def test_cells_are_the_curved_cells_that_gmsh_evaluates(tmp_path, kind, order):
     number = gmsh.model.mesh.getElementType(names.get(kind, kind.capitalize()), order)
     x = local(cell.dimension)
     _, _, places = gmsh.model.mesh.getJacobians(number, of_gmsh(kind, x).ravel())
-    evaluated = np.einsum("sn,knd->ksd", values(name, x), mesh.points[mesh.cells[name]])
+    evaluated = np.einsum("sn,knd->ksd", shape_values(name, x), mesh.points[mesh.cells[name]])
     expected = places.reshape(-1, len(x), 3)[:, :, : cell.dimension]
     np.testing.assert_allclose(evaluated, expected, atol=1e-12)
     # volume and validity of the curved cells

@@ -11,7 +11,7 @@ from runs import all_refused, over
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.cells.lagrange import derivatives, lagrange_types, values
+from jaxmorph._host.cells.lagrange import derivatives, lagrange_types, shape_values
 from jaxmorph._host.cells.orders import CGNS_ORDER, GMSH
 
 TYPES = lagrange_types()
@@ -41,7 +41,7 @@ def test_cells_are_the_curved_cells_that_vtk_evaluates(name):
         place, at = np.array([*place[:2], 0]), [*place[:2], 0.0]
     grid.GetCell(0).EvaluateLocation(vtk.reference(0), at, evaluated, [0.0] * len(mesh.points))
     np.testing.assert_allclose(
-        evaluated[:d], values(name, place[None])[0] @ mesh.points, atol=1e-12
+        evaluated[:d], shape_values(name, place[None])[0] @ mesh.points, atol=1e-12
     )
 
 
@@ -124,7 +124,7 @@ def test_shape_functions_give_derivatives_and_linear_fields(name):
         at_place[:, :2] *= (
             1 - at_place[:, 2:]
         )  # places of a pyramid are x / (1 - z), y / (1 - z), z
-    np.testing.assert_allclose(values(name, place) @ cell.reference, at_place, atol=1e-12)
+    np.testing.assert_allclose(shape_values(name, place) @ cell.reference, at_place, atol=1e-12)
     slopes = np.einsum("snd,ne->sed", derivatives(name, place), cell.reference)
     np.testing.assert_allclose(
         slopes, np.broadcast_to(np.eye(cell.dimension), slopes.shape), atol=1e-11

@@ -8,7 +8,6 @@ from meshes import ring
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.walls import CurvedFaces
 
 
 def wall_of(mesh, patch):
@@ -123,13 +122,13 @@ def test_nodes_slide_on_the_polynomials_of_curved_faces():
     for n in (6, 12):
         mesh = circles(n, 3)
         wall, nodes = wall_of(mesh, "far")
-        assert type(wall) is CurvedFaces
+        assert wall.own.sides is not None
         np.testing.assert_allclose(
-            wall.nearest(jnp.asarray(mesh.points[nodes]))[0], mesh.points[nodes], atol=1e-13
+            wall.own.closest(jnp.asarray(mesh.points[nodes]))[0], mesh.points[nodes], atol=1e-13
         )
         angle = np.linspace(0, 2 * np.pi, 97)[:-1] + 0.01
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        places, normals = map(np.asarray, wall.nearest(jnp.asarray(2.02 * circle)))
+        places, normals = map(np.asarray, wall.own.closest(jnp.asarray(2.02 * circle)))
         errors.append(np.abs(np.linalg.norm(places, axis=1) - 2).max())
         assert np.abs(np.sum(normals * circle, axis=1)).min() > 1 - 4 * (np.pi / n) ** 6
         # the place is the foot of the point: what is left is normal to the polynomial
@@ -144,9 +143,9 @@ def test_the_slide_of_a_node_has_the_derivative_of_the_tangent():
     mesh = circles(8, 2)
     wall, nodes = wall_of(mesh, "far")
     x = jnp.asarray(mesh.points[nodes][:3])
-    slope = jax.jacfwd(lambda x: wall.nearest(x)[0])(x)
+    slope = jax.jacfwd(lambda x: wall.own.closest(x)[0])(x)
     for k in range(3):
-        normal = np.asarray(wall.nearest(x)[1])[k]
+        normal = np.asarray(wall.own.closest(x)[1])[k]
         np.testing.assert_allclose(slope[k, :, k], np.eye(2) - np.outer(normal, normal), atol=1e-8)
 
 
@@ -158,12 +157,12 @@ def test_nodes_slide_on_curved_faces_in_3d(kind):
     plane = np.asarray(mesh.points)
     mesh = mesh.moved(bent(plane))
     wall, _ = wall_of(mesh, "floor")
-    assert type(wall) is CurvedFaces
+    assert wall.own.sides is not None
     s = np.random.default_rng(0).uniform(0.05, 0.95, (40, 3)) * [1, 1, 0]
     on = bent(s)
     normal = np.linalg.inv(slopes(s)).swapaxes(1, 2) @ [0, 0, 1.0]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    places, normals = map(np.asarray, wall.nearest(jnp.asarray(on + 0.01 * normal)))
+    places, normals = map(np.asarray, wall.own.closest(jnp.asarray(on + 0.01 * normal)))
     np.testing.assert_allclose(places, on, atol=1e-10)
     np.testing.assert_allclose(np.abs(np.sum(normals * normal, axis=1)), 1, atol=1e-10)
 

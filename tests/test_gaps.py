@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._host.surface.gaps import gaps, share_left
+from jaxmorph._host.surface.gaps import closest, gaps, share_left
 
 
 def closing(base, left, lift=0.1):
@@ -146,3 +146,25 @@ def test_bodies_are_cut_from_a_box():
         cases.bodies({"c": (0.0, 0.01, 0.0, 1.0)})
     with pytest.raises(ValueError, match="from least to largest"):
         cases.bodies({}, box=(1.0, 0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_of_equally_near_faces_the_first_by_place_is_the_closest(d):
+    """Whatever the order of the faces: from the middle of a box, from its nodes, and off its edges."""
+    points = lattice(*[[0.0, 1.0]] * d)
+    if d == 2:
+        faces = np.array([[0, 1], [1, 3], [3, 2], [2, 0]])
+    else:
+        quads = np.array(
+            [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
+        )
+        faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    x = np.concatenate([np.full((1, d), 0.5), points, points + 0.1 * (2 * points - 1)])
+    expected = closest(points[faces], x)
+    middles = points[faces].mean(axis=1)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        order = rng.permutation(len(faces))
+        found = closest(points[faces[order]], x + 1e-17)
+        np.testing.assert_array_equal(middles[order[found.face]], middles[expected.face])
+        np.testing.assert_allclose(found.distance, expected.distance, rtol=0, atol=1e-15)

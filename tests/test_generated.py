@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.cells.pieces import outer_pieces
 
 FLAT = {
     "sharp_o_grid": lambda: faults.sharp_o_grid(around=96, layers=40),
@@ -97,7 +97,7 @@ def test_a_blade_has_a_passage_around_it():
 def check_solid(mesh):
     """Checks cells, and that the patches hold the boundary, so that all inner faces are shared; returns its nodes."""
     assert mesh.to_pyvista().cell_quality(["scaled_jacobian"])["scaled_jacobian"].min() > 0
-    faces = boundary_faces(mesh.cells, len(mesh.points)).values()
+    faces = outer_pieces(mesh.cells, len(mesh.points)).values()
     surface = np.unique(np.concatenate([face.ravel() for face in faces]))
     np.testing.assert_array_equal(surface, mesh.patch(*mesh.patches))
     return surface

@@ -17,7 +17,7 @@ from jaxmorph._host.linear.hessians import solve
 from jaxmorph._improve.constraints import problem_of
 from jaxmorph._quality.distortion import IDEAL, energy, samples, target
 from jaxmorph._quality.smooth_quality import positive_part
-from jaxmorph._quality.vector import corners
+from jaxmorph._quality.vector import corner_points
 
 
 def cell(kind, points=None):
@@ -31,8 +31,8 @@ KINDS = runs(["quad", "tetra"], nightly=[kind for kind in IDEAL if kind not in (
 def mean_energy(mesh, points, softness=0.0, size_weight=0.5, ideal=False):
     """Of the first cell."""
     kind, ids = next(iter(mesh.cells.items()))
-    of = target(kind, corners(jnp.asarray(mesh.points), ids), ideal)
-    squared, tau = samples(kind, corners(jnp.asarray(points), ids), of)
+    of = target(kind, corner_points(jnp.asarray(mesh.points), ids), ideal)
+    squared, tau = samples(kind, corner_points(jnp.asarray(points), ids), of)
     values = of.counts * energy(squared, tau, softness, size_weight, mesh.points.shape[1])
     return float(jnp.sum(values) / jnp.sum(of.counts))
 

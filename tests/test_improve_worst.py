@@ -14,7 +14,7 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.cells.lagrange import lagrange_types
 from jaxmorph._quality.distortion import IDEAL, Bounds, energy, energy_of_cells, stiffened, target
-from jaxmorph._quality.vector import corners
+from jaxmorph._quality.vector import corner_points
 
 
 def smallest_ratio(mesh, points):
@@ -56,8 +56,8 @@ def test_the_stiffened_energy_is_infinite_at_the_bound_on_size():
 def test_a_cell_without_stiffness_and_with_none_is_the_same(kind):
     ideal = np.array(IDEAL[kind], dtype=float)
     bent = ideal + 0.05 * np.cos(np.arange(ideal.size)).reshape(ideal.shape)
-    x = corners(jnp.asarray(bent), np.arange(len(ideal))[None])
-    goal = target(kind, corners(jnp.asarray(ideal), np.arange(len(ideal))[None]), False)
+    x = corner_points(jnp.asarray(bent), np.arange(len(ideal))[None])
+    goal = target(kind, corner_points(jnp.asarray(ideal), np.arange(len(ideal))[None]), False)
     plain, none, some = (
         energy_of_cells(kind, x, goal, 1e-3, 0.5, s) for s in (None, Bounds(0.0), Bounds(3.0))
     )

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._advice.inspect import missed
+from jaxmorph._advice.inspect import measure_missed
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +41,10 @@ def test_offset_is_what_the_sources_miss(mesh):
     nodes = np.concatenate([moving, fixed])
     target = np.zeros_like(mesh.points)
     target[moving] = u
-    missed = np.linalg.norm(
+    measure_missed = np.linalg.norm(
         (np.asarray(jm.deform(coarse, u)) - mesh.points - target)[nodes], axis=1
     )
-    assert found.offset == pytest.approx(missed.max(), rel=1e-9)
+    assert found.offset == pytest.approx(measure_missed.max(), rel=1e-9)
     assert not found.warnings
     graph = jm.prepare(
         mesh.points, moving, fixed, method=jm.DelaunayGraph()
@@ -479,4 +479,4 @@ def test_what_sources_miss_is_what_scipys_interpolation_by_distances_misses(coun
     u, rows = np.sin(5 * points), np.sort(rng.choice(count, some, replace=False))
     field = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
     expected = np.linalg.norm(field - u, axis=1).max() / np.linalg.norm(u, axis=1).max()
-    np.testing.assert_allclose(missed(points, u, rows), expected, rtol=1e-9)
+    np.testing.assert_allclose(measure_missed(points, u, rows), expected, rtol=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxmorph._host.cells.lagrange import lagrange_types
-from jaxmorph._host.cells.pieces import boundary_faces, linear_cells, owned_sides, owners
+from jaxmorph._host.cells.pieces import linear_cells, outer_pieces, owned_sides, owners
 from jaxmorph._host.cells.topology import CORNERS, DIMENSION, EDGES, FRAMES, NODES, SHAPES
 
 TYPES = lagrange_types()
@@ -62,9 +62,9 @@ def test_pieces_fill_the_cell_and_meet_in_equal_faces(name):
     assert set(np.concatenate([ids.ravel() for ids in cells.values()])) == set(range(n))
     sides = set().union(*(_sets(linear_cells({kind: rows[None]})) for kind, rows in cell.sides))
     if cell.is_complete or cell.dimension == 2:
-        assert _sets(boundary_faces(cells, n)) == sides
+        assert _sets(outer_pieces(cells, n)) == sides
     whole = {name: np.arange(n)[None]}
-    assert _sets(boundary_faces(whole, n)) == sides
+    assert _sets(outer_pieces(whole, n)) == sides
     assert _sets({kind: ids for kind, (ids, _) in owned_sides(whole, n).items()}) == {
         frozenset(rows.tolist()) for _, rows in cell.sides
     }

@@ -176,7 +176,7 @@ def test_an_affine_cell_has_one_coefficient(kind):
 def test_parts_are_the_same_polynomial(factor):
     m, _ = factor
     rng = np.random.default_rng(0)
-    coefficients = rng.normal(size=(bernstein.count((factor,)), 1))
+    coefficients = rng.normal(size=(bernstein.count_coefficients((factor,)), 1))
     parts = bernstein.halved((factor,), coefficients)
     weights = rng.dirichlet(np.ones(m + 1), size=5)
     for part, corners in zip(parts.T, bernstein.children(m), strict=True):

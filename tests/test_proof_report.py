@@ -221,7 +221,7 @@ def test_curved_cells_of_a_mesh_are_judged_whole(kind):
     )
     assert bent.upper[0] == pytest.approx(value, abs=1e-6)
     assert value < 0
-    near = lagrange.values(kind, collapsed(cell.shape, bent.reference)) @ points
+    near = lagrange.shape_values(kind, collapsed(cell.shape, bent.reference)) @ points
     np.testing.assert_allclose(bent.near, near, atol=1e-9)
     margin = jm.proof(mesh, points, depth=0).margin
     np.testing.assert_allclose(jm.proven_margin(mesh, points, depth=0), margin, rtol=1e-6)

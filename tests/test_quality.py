@@ -480,7 +480,7 @@ def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
         return jm.quality(mesh), jm.quality(mesh, moved), jm.smooth_quality(mesh, moved), slope
 
     whole = found()
-    monkeypatch.setattr(vector, "BLOCK", 10)
+    monkeypatch.setattr(vector, "VALUES_OF_BLOCK", 10)
     monkeypatch.setattr(vector, "CACHED", 10)
     jax.clear_caches()
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(found()), strict=True):

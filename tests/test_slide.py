@@ -16,7 +16,7 @@ import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph._boundary.slide import walls_of_patch
 from jaxmorph._boundary.tracks import tracks_of
-from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.cells.pieces import outer_pieces
 from jaxmorph._host.surface.gaps import closest
 from jaxmorph._kernels.compile import UNTUNED
 
@@ -184,7 +184,7 @@ def test_a_polygon_and_a_circle():
 def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
     """Elsewhere a cone has one normal; a disc has one at its middle, too."""
     mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
-    around, lines = mesh.patch(*sides), boundary_faces(mesh.cells, len(mesh.points))
+    around, lines = mesh.patch(*sides), outer_pieces(mesh.cells, len(mesh.points))
     parts = walls_of_patch(jm.Slide("around"), around, mesh.points, lines)
     assert {frozenset(nodes) for _, nodes in parts} == {
         frozenset(mesh.patch(name)) for name in sides

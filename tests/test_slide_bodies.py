@@ -8,7 +8,7 @@ import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
 from jaxmorph._boundary.slide import filled
-from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.cells.pieces import outer_pieces
 from jaxmorph._host.surface.gaps import closest
 
 pytestmark = pytest.mark.nightly
@@ -38,7 +38,7 @@ def test_a_wing_moves_along_a_fuselage_of_faces():
         np.abs(around - 1).max() < 5e-3
     )  # a chord across the wing's thickness is 0.002 below the surface
     cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
-    quads = boundary_faces(cells, len(points))["quad"]
+    quads = outer_pieces(cells, len(points))["quad"]
     quads = quads[np.isin(quads, body).all(axis=1)]
     diagonals = [[0, 1, 2], [0, 2, 3], [1, 2, 3], [1, 3, 0]]
     off = closest(points[np.concatenate([quads[:, each] for each in diagonals])], moved[body])[2]

@@ -7,8 +7,9 @@ import pytest
 from meshes import blocks, lattice
 from scipy.interpolate import CubicSpline
 
+from jaxmorph._boundary.face_search import FaceSearch
 from jaxmorph._boundary.tracks import Track
-from jaxmorph._boundary.walls import Faceted, Flat, Round
+from jaxmorph._boundary.walls import Flat, OnFaces, Round
 from jaxmorph._host.surface.gaps import closest
 
 ROWS = np.arange(12)
@@ -84,28 +85,30 @@ def faceted(d):
             blocks(np.arange(12).reshape(3, 4)),
         )
         faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return Faceted.of(np.arange(len(vertices)), vertices, faces)
+    return OnFaces(FaceSearch.of(np.arange(len(vertices)), vertices, faces))
 
 
 @pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_faces_are_reached_at_their_nearest_point(d):
     """It is that of a search over all faces, with weights of their corners."""
     wall = faceted(d)
-    vertices, faces = np.asarray(wall.vertices), np.asarray(wall.faces)
+    vertices, faces = np.asarray(wall.own.vertices), np.asarray(wall.own.faces)
     x = np.concatenate(
         [vertices[:7] + 0.1 * np.random.default_rng(0).normal(size=(7, d)), vertices]
     )
-    places, normals = (np.asarray(each) for each in eqx.filter_jit(wall.nearest)(jnp.asarray(x)))
+    places, normals = (
+        np.asarray(each) for each in eqx.filter_jit(wall.own.closest)(jnp.asarray(x))
+    )
     chosen, weights, nearest = closest(vertices[faces], x)
     np.testing.assert_allclose(np.linalg.norm(x - places, axis=1), nearest, rtol=0, atol=1e-13)
     np.testing.assert_allclose(
         places, np.einsum("kc,kcd->kd", weights, vertices[faces][chosen]), rtol=0, atol=1e-12
     )
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-13)
-    assert (np.asarray(wall.at(jnp.asarray(vertices + 5.0)).vertices) == vertices + 5.0).all()
+    assert (np.asarray(wall.at(jnp.asarray(vertices + 5.0)).own.vertices) == vertices + 5.0).all()
     assert wall.has_end(np.stack([vertices[0], vertices[faces[0]].mean(axis=0)])).tolist() == [
         True,
         False,
     ]
-    order = np.argsort(wall.renumbered(np.arange(len(vertices))[::-1]).nodes)
+    order = np.argsort(wall.renumbered(np.arange(len(vertices))[::-1]).own.nodes)
     assert (order == np.arange(len(vertices))[::-1]).all()

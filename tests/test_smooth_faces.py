@@ -9,12 +9,12 @@ from meshes import ball, blocks, lattice, on_circle, ring
 from runs import over
 
 import jaxmorph as jm
-from jaxmorph._boundary.walls import Faceted, SmoothFaces
+from jaxmorph._boundary.face_search import FLAT_FACES, SMOOTH_FACES, FaceSearch
 
 
 def wall(kind, vertices, faces):
     faces = np.asarray(faces, dtype=np.int32)
-    return kind.of(np.arange(len(vertices)), vertices, faces)
+    return FaceSearch.of(np.arange(len(vertices)), vertices, faces, kind)
 
 
 def arc(count):
@@ -25,7 +25,7 @@ def arc(count):
 
 
 def reached(surface, x):
-    return map(np.asarray, eqx.filter_jit(surface.nearest)(jnp.asarray(x)))
+    return map(np.asarray, eqx.filter_jit(surface.closest)(jnp.asarray(x)))
 
 
 @pytest.mark.nightly
@@ -37,12 +37,12 @@ def test_an_arc_is_met_to_the_fourth_order():
         s = np.linspace(t[0], t[-1], 200)
         circle = on_circle(s)
         x = circle * (1 + 0.01 * np.sin(9 * s))[:, None]
-        places, normals = reached(wall(SmoothFaces, vertices, lines), x)
+        places, normals = reached(wall(SMOOTH_FACES, vertices, lines), x)
         errors.append(np.abs(np.linalg.norm(places, axis=1) - 1).max())
         assert np.abs(np.abs(np.sum(normals * circle, axis=1)) - 1).max() < 1e-4
-        chords = next(reached(wall(Faceted, vertices, lines), x))
+        chords = next(reached(wall(FLAT_FACES, vertices, lines), x))
         assert errors[-1] < np.abs(np.linalg.norm(chords, axis=1) - 1).max() / 10
-        on_nodes = next(reached(wall(SmoothFaces, vertices, lines), vertices))
+        on_nodes = next(reached(wall(SMOOTH_FACES, vertices, lines), vertices))
         np.testing.assert_allclose(on_nodes, vertices, rtol=0, atol=1e-14)
     assert errors[2] < errors[0] / 50
 
@@ -53,7 +53,7 @@ def test_a_plane_stays_a_plane_and_a_thin_plate_its_faces():
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     x = np.random.default_rng(0).uniform(0.1, 0.9, (20, 3)) * [1, 1, 0.1]
     for parts in (faces, np.concatenate([faces, faces[:, ::-1]])):
-        places, normals = reached(wall(SmoothFaces, flat, parts), x)
+        places, normals = reached(wall(SMOOTH_FACES, flat, parts), x)
         np.testing.assert_allclose(places, x * [1, 1, 0], rtol=0, atol=1e-15)
         np.testing.assert_allclose(
             np.abs(normals), np.broadcast_to([0, 0, 1], x.shape), rtol=0, atol=1e-14
@@ -68,9 +68,9 @@ def test_spheres_and_cylinders_are_met():
         vertices, faces = ball(count)
         x = np.random.default_rng(1).normal(size=(200, 3))
         x /= np.linalg.norm(x, axis=1)[:, None]
-        places = next(reached(wall(SmoothFaces, vertices, faces), x))
+        places = next(reached(wall(SMOOTH_FACES, vertices, faces), x))
         errors.append(np.abs(np.linalg.norm(places, axis=1) - 1).max())
-        chords = next(reached(wall(Faceted, vertices, faces), x))
+        chords = next(reached(wall(FLAT_FACES, vertices, faces), x))
         assert errors[-1] < np.abs(np.linalg.norm(chords, axis=1) - 1).max() / 10
     assert errors[1] < errors[0] / 8
     angle, z = lattice(np.linspace(0, 1.5, 7), np.linspace(0, 1, 4)).T
@@ -78,7 +78,7 @@ def test_spheres_and_cylinders_are_met():
     tube = np.stack([np.cos(angle), np.sin(angle), z], axis=1)
     s = np.random.default_rng(2).uniform(0, 1, (100, 2)) * [1.5, 1]
     x = np.stack([np.cos(s[:, 0]), np.sin(s[:, 0]), s[:, 1]], axis=1)
-    surface = wall(SmoothFaces, tube, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+    surface = wall(SMOOTH_FACES, tube, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
     places = next(reached(surface, x))
     off, sagitta = np.abs(np.linalg.norm(places[:, :2], axis=1) - 1), 1 - np.cos(0.125)
     inside = (np.abs(s[:, 0] - 0.75) < 0.5) & (
@@ -129,9 +129,9 @@ def test_improve_follows_a_circle_given_by_faces_alone(order):
 def test_derivatives_across_an_edge_of_the_faces():
     """Where a node passes from a chord of half angle a to one of b, its direction turns by sin(a)^3 + sin(b)^3 at most."""
     vertices, lines, angles = arc(8)
-    surface = wall(SmoothFaces, vertices, lines)
+    surface = wall(SMOOTH_FACES, vertices, lines)
     along = vertices[4] - vertices[3]
-    places = jax.jit(lambda t: surface.nearest((jnp.asarray(vertices[4]) + t * along)[None])[0][0])
+    places = jax.jit(lambda t: surface.closest((jnp.asarray(vertices[4]) + t * along)[None])[0][0])
     before, after = (jax.jvp(places, (t,), (1.0,))[1] for t in (-1e-6, 1e-6))
     turn = np.sum(np.sin(np.diff(angles[3:6]) / 2) ** 3)
     np.testing.assert_allclose(before, after, rtol=0, atol=turn * np.linalg.norm(along))

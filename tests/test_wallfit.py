@@ -14,7 +14,14 @@ from meshes import circle
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._host.surface.skin import behind_tips, beside_tips, chords, edges, sharp_tips, thinned
+from jaxmorph._host.surface.skin import (
+    behind_tips,
+    beside_tips,
+    chords,
+    edges,
+    sharp_tips,
+    thinned,
+)
 
 
 @functools.cache

@@ -16,6 +16,7 @@ from jaxtyping import ArrayLike, Float, Real
 
 from .._boundary.boundary import Boundary
 from .._host.package.arguments import checked, finite_array, shown
+from .._host.package.rounding import extent_of
 from .._host.sources.reduction import KDTree
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
@@ -90,12 +91,6 @@ def compare(
 ) -> Comparison:
     """Compares methods on a family of motions: inverted cells, Jacobian ratio, wall angle, time.
 
-    ```python
-    compared = jm.compare(jm.Boundary(mesh, "airfoil", "farfield"), motions)
-    print(compared)
-    plan = compared.plans[0]
-    ```
-
     **Arguments:**
 
     - `boundary`: the boundary of a mesh.
@@ -125,19 +120,8 @@ def compare(
         raise ValueError(
             "`motions` is zero: no method moves a node. Give what the mesh is to bear, (s, m, d)."
         )
-    pairs = []
-    for name, make in _makers(boundary, methods).items():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
-            try:
-                plan = plan_of(boundary, make())
-            except (
-                ValueError,
-                ImportError,
-            ) as error:  # ImportError: a solver for large 3-D meshes is not installed
-                pairs.append((Trial(name, refused=str(error) or repr(error)), None))
-                continue
-        pairs.append((_trial(mesh, plan, motions, name), plan))
+    makers = _makers(boundary, methods)
+    pairs = [_try(boundary, make, mesh, motions, name) for name, make in makers.items()]
     rows, plans = zip(*sorted(pairs, key=lambda pair: pair[0].badness), strict=True)
     if plans[0] is None:
         raise ValueError(f"every method is refused. {rows[0].method}: {rows[0].refused}")
@@ -146,7 +130,7 @@ def compare(
 
 def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) -> dict[str, Any]:
     if methods is None:
-        size = float(np.ptp(boundary.points[boundary.moving], axis=0).max())
+        size = float(extent_of(boundary.points[boundary.moving]))
         listed = {name: entry.make for name, entry in METHODS.items() if entry.is_tried}
         makers = {
             name: functools.partial(_small_enough, make, size, boundary)
@@ -185,7 +169,21 @@ def _small_enough(make: Any, size: float, boundary: Boundary) -> AbstractMethod:
     return method
 
 
-def _trial(mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str) -> Trial:
+def _try(
+    boundary: Boundary, make: Any, mesh: Mesh, motions: np.ndarray, name: str
+) -> tuple[Trial, Plan | None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
+        try:
+            plan = plan_of(boundary, make())
+        except (ValueError, ImportError) as error:  # or a solver for large meshes is not installed
+            return Trial(name, refused=str(error) or repr(error)), None
+    return _measure_motions(mesh, plan, motions, name), plan
+
+
+def _measure_motions(
+    mesh: Mesh, plan: Plan, motions: Float[np.ndarray, "s m d"], name: str
+) -> Trial:
     vectors = [jnp.asarray(u, plan.points.dtype) for u in motions]
     moved = [deform(plan, u) for u in vectors]
     jax.block_until_ready(moved)

@@ -8,20 +8,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._boundary.outer_faces import mask, row_of
 from .._host.cells.adjacency import parts_of
 from .._host.cells.topology import solid
-from .._host.linear.products import FLAT, outward
-from .._host.package.rounding import Tree
+from .._host.linear.products import outward, row_lengths
+from .._host.package.rounding import Tree, extent_of
+from .._host.rows import Rows, join_ids
 from .._host.surface.gaps import Passages, TooManyPairs, crossing_faces, passages
+from .._host.tolerances import FLAT_CORNER, PLANAR, SAME
 from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
 from .._plan.plan import Plan
 from .turn import Turn
 
-# distance of nodes at one place, relative to the extent: two sides of a cut or of a sharp edge
-SAME = 1e-9
-PLANAR = 1e-6  # distance of a plane's nodes from it, relative to the extent
 STRIDE = np.deg2rad(20)  # angle of a turn that is taken for a straight way
 
 UNKNOWN = (
@@ -65,7 +63,7 @@ class Crossings:
             return "" if self.is_known else UNKNOWN
         place = ", ".join(f"{x:.4g}" for x in self.places[0])
         pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
-        between = ", ".join(_between(*pair) for pair in pairs)
+        between = ", ".join(_and(*pair) for pair in pairs)
         count = f"{len(self)} {'pair' if len(self) == 1 else 'pairs'}"
         said = f"{count} of boundary faces cross each other after the motion"
         if not self.crosses:
@@ -83,7 +81,7 @@ class Crossings:
         )
 
 
-def _between(first: str, second: str) -> str:
+def _and(first: str, second: str) -> str:
     one, other = (repr(name) if name else "faces of no patch" for name in (first, second))
     return f"{one} and itself" if first == second else f"{one} and {other}"
 
@@ -105,13 +103,13 @@ def wall_crossings(
     points = np.asarray(mesh.points, dtype=float)
     cut = simplices(mesh, ids)
     inner = cut[0][(cut[0] < plan.n_moving).all(axis=1)]
-    bodies = _bodies(inner, plan.n_moving)
+    bodies = _number_bodies(inner, plan.n_moving)
     states = [
         np.asarray(plan.of_surface(u.astype(plan.points.dtype)), float)
         for u in turned_path(points[ids[: plan.n_moving]], np.asarray(path, float), bodies)
     ]
     if nodes is None and moved is not None:
-        corners = [rows.ravel() for rows in _faces_of(mesh).corners.values()]
+        corners = [rows.ravel() for rows in _outer_of(mesh).corners.values()]
         rest = np.setdiff1d(np.concatenate([ids, *corners]), ids)
         way = np.asarray(moved, float)[rest] - points[rest]
         states = [np.concatenate([u, (k + 1) / len(states) * way]) for k, u in enumerate(states)]
@@ -119,7 +117,7 @@ def wall_crossings(
         cut = simplices(mesh, ids)
     is_held = np.arange(len(ids)) < len(surface)
     for plane in plan.images.planes:
-        is_held |= np.abs(plane.height(points[ids])) <= PLANAR * np.ptp(points, axis=0).max()
+        is_held |= np.abs(plane.height(points[ids])) <= PLANAR * extent_of(points)
     return crossings(cut, mesh, ids, np.stack(states), len(surface), is_held)
 
 
@@ -162,7 +160,7 @@ def crossings(
     before = points[nodes]
     ways = [before, *(before + vectors for vectors in states.reshape(-1, *before.shape))]
     is_solid = np.arange(len(nodes)) < (len(nodes) if walls is None else walls)
-    close = Tree(before).query_pairs(SAME * np.ptp(points, axis=0).max(), output_type="ndarray")
+    close = Tree(before).close_pairs(SAME * extent_of(points))
     place = parts_of(close[:, 0], close[:, 1], len(before))  # nearly coincident nodes are at one
     here = np.flatnonzero(is_solid[faces].all(axis=1))
     passed = Passages.none(points.shape[1])
@@ -172,36 +170,41 @@ def crossings(
     with contextlib.suppress(TooManyPairs):
         pairs, places = crossing_faces(before, ways[-1], faces[here], place)
         pairs = here[pairs]
-        passed = _passages(ways, faces, place, is_solid)
+        passed = _join_passages(ways, faces, place, is_solid)
         is_known = True
     if is_held is not None:
-        sheet = _bodies(faces, len(nodes))
+        sheet = _number_bodies(faces, len(nodes))
         face = faces[passed.pairs[:, 1]]
         follows = ~is_held[face].all(axis=1) & (sheet[face[:, 0]] == sheet[passed.nodes])
         passed = passed.at(np.flatnonzero(~follows))
-    if len(pairs):
+    crosses = len(pairs) > 0
+    if crosses:
         single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
         pairs = pairs[single]
         places = places[single]
         both = faces[pairs, 0]
     else:
-        both = np.stack([passed.nodes, faces[passed.pairs[:, 1], 0]], axis=1)
-    facts: dict[str, Any] = {"crosses": len(pairs) > 0, "is_known": is_known}
-    if len(passed.nodes):
-        faced = ways[-1][faces[passed.pairs[:, 1]]].mean(axis=1)
-        facts |= {
-            "share": float(passed.shares.min()),
-            "beyond": float(np.linalg.norm(ways[-1][passed.nodes] - faced, axis=1).max()),
-            "leaves": bool((np.bincount(passed.nodes, passed.senses) > 0).any()),
-        }
-    if not len(pairs):
         pairs = passed.pairs
         places = passed.places
+        both = np.stack([passed.nodes, faces[pairs[:, 1], 0]], axis=1)
     first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
+    facts = _facts_of(passed, faces, ways[-1]) | {"crosses": crosses, "is_known": is_known}
     return Crossings(nodes[both], tuple(zip(first, second, strict=True)), places, **facts)
 
 
-def _passages(
+def _facts_of(passed: Passages, faces: np.ndarray, end: np.ndarray) -> dict[str, Any]:
+    """When nodes first pass faces, how far beyond they are at the end, whether they leave."""
+    if not len(passed.nodes):
+        return {}
+    faced = end[faces[passed.pairs[:, 1]]].mean(axis=1)
+    return {
+        "share": float(passed.shares.min()),
+        "beyond": float(row_lengths(end[passed.nodes] - faced).max()),
+        "leaves": bool((np.bincount(passed.nodes, passed.senses) > 0).any()),
+    }
+
+
+def _join_passages(
     ways: list[np.ndarray], faces: np.ndarray, place: np.ndarray, is_solid: np.ndarray
 ) -> Passages:
     """Joins the passages of all steps, the first to come first. A body may graze itself on a way
@@ -210,18 +213,18 @@ def _passages(
     steps = []
     for k, (start, end) in enumerate(itertools.pairwise(ways)):
         step = passages(start, end, faces, place, is_solid)
-        steps.append(dataclasses.replace(step, shares=(k + step.shares) / (len(ways) - 1)))
+        steps.append(step._replace(shares=(k + step.shares) / (len(ways) - 1)))
     every = Passages.joined(steps)
     moves = np.any([way != ways[0] for way in ways[1:]], axis=(0, 2))
     inner = faces[moves[faces].all(axis=1)]
-    body = _bodies(inner, len(moves))
+    body = _number_bodies(inner, len(moves))
     other = faces[every.pairs[:, 1], 0]
     is_own = (body[every.nodes] == body[other]) & moves[every.nodes] & moves[other]
     kept = ~is_own | (_turned_out(ways, inner, body) < 0)[body[other]]
     return every.at(np.flatnonzero(kept)[np.argsort(every.shares[kept], kind="stable")])
 
 
-def _bodies(faces: np.ndarray, count: int) -> np.ndarray:
+def _number_bodies(faces: np.ndarray, count: int) -> np.ndarray:
     """Numbers the connected parts of so many rows, joined by faces."""
     first = np.repeat(faces[:, 0], faces.shape[1] - 1)
     return parts_of(first, faces[:, 1:].ravel(), count)
@@ -239,10 +242,10 @@ def _turned_out(ways: list[np.ndarray], faces: np.ndarray, body: np.ndarray) -> 
         height = np.einsum("kd,kd->k", outward(x[faces]), arms)
         volumes.append((np.bincount(of, height, count), np.bincount(of, np.abs(height), count)))
     (start, size), (end, _) = volumes
-    return np.where(np.abs(start) > FLAT * size, end / np.where(start == 0, 1, start), 1.0)
+    return np.where(np.abs(start) > FLAT_CORNER * size, end / np.where(start == 0, 1, start), 1.0)
 
 
-def _faces_of(mesh: Mesh) -> OuterFaces:
+def _outer_of(mesh: Mesh) -> OuterFaces:
     outer = mesh.outer_faces
     if outer is None:
         return OuterFaces.numbered(solid(mesh.linear.cells, mesh.points.shape[1] - 1))
@@ -254,24 +257,24 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     from outside. Also returns the number (f,) of the file's face of each. A
     mesh of a surface alone has its cells for faces.
     """
-    outer = _faces_of(mesh)
-    rows = row_of(nodes, len(mesh.points))
-    faces = [np.zeros((0, mesh.points.shape[1]), int)]
-    ids = [np.zeros(0, int)]
+    outer = _outer_of(mesh)
+    rows = Rows(nodes)
+    faces = []
+    ids = []
     for kind, corners in outer.corners.items():
         triangles = (
             [[0, 1, 2], [0, 2, 3]] if corners.shape[1] == 4 else [[*range(corners.shape[1])]]
         )
-        faces.append(rows[corners[:, triangles]].reshape(-1, mesh.points.shape[1]))
+        faces.append(rows.of(corners[:, triangles]))
         ids.append(np.repeat(outer.ids[kind], len(triangles)))
-    joined = np.concatenate(faces)
+    joined = join_ids(faces).reshape(-1, mesh.points.shape[1])
     known = (joined >= 0).all(axis=1)
-    return joined[known], np.concatenate(ids)[known]
+    return joined[known], join_ids(ids)[known]
 
 
 def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
     """Names the smallest patch with all nodes of each face (k, corners); "" without any."""
     names = np.full(len(faces), "", dtype=object)
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: -len(item[1])):
-        names[mask(len(mesh.points), nodes)[faces].all(axis=1)] = name
+        names[Rows(nodes).mask(faces).all(axis=1)] = name
     return names.tolist()

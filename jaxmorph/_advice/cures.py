@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Float, Real
 from .._boundary.boundary import Boundary
 from .._boundary.conditions import Conditions
 from .._host.package.arguments import checked, finite_array
+from .._host.package.rounding import extent_of
 from .._mesh.mesh import Mesh
 from .._methods.inverse_distance import InverseDistance
 from .._plan.deform import deform
@@ -106,7 +107,7 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], verdict
         # ImportError: a solver for large 3-D meshes is not installed
         with warnings.catch_warnings(), contextlib.suppress(ValueError, ImportError):
             warnings.simplefilter("ignore")
-            moved = _moved(plan, mesh, u, cure)
+            moved = _carry_out(plan, mesh, u, cure)
             is_cured = not judge(mesh, moved, before=verdict.before).spoilt
         if is_cured:
             how = ""
@@ -122,7 +123,7 @@ def advice_on_folds(plan: Plan, mesh: Mesh, u: Float[np.ndarray, "m d"], verdict
     return f"{said}: {last}."
 
 
-def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
+def _carry_out(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
     moving = np.asarray(plan.moving)
     fixed = np.asarray(plan.fixed)
     points = np.asarray(mesh.points)
@@ -135,6 +136,6 @@ def _moved(plan: Plan, mesh: Mesh, u: np.ndarray, cure: Cure) -> np.ndarray:
             mesh, moving, others, method=plan.method, symmetry=planes, sliding=cure.sliding
         )
     else:
-        method = METHODS[cure.method].make(float(np.ptp(points[moving], axis=0).max()))
+        method = METHODS[cure.method].make(float(extent_of(points[moving])))
         cured = plan_of(plan.boundary.with_mesh(mesh), method)
     return np.asarray(deform(cured, u))

@@ -1,8 +1,8 @@
 """The fewest steps in which a large motion leaves no cell inverted."""
 
 import dataclasses
-import itertools
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -74,13 +74,9 @@ def fewest_steps(
 
     A number of steps is good when `judge` finds no cell that they spoil, and the smallest corner
     Jacobian stays above `min_jacobian_ratio` of its initial value. When even `max_steps` steps are
-    not good, the result has the largest fraction of the motion that they reach, by bisection to
-    1/1000.
-
-    With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
-    are the cells of `mesh`; nodes slide and repeat as the plan has them. If that is not good
-    either, the largest fraction is sought beyond the one of steps alone, to 1/100. Each trial then
-    costs a march and an improvement: seconds for 10,000 cells.
+    not good, the result has the largest fraction of the motion that they reach, to 1/1000. With
+    `improve`, `jm.improve` then mends the mesh at their end, and if that is not good either, the
+    largest fraction is sought again, to 1/100: seconds a trial for 10,000 cells.
 
     **Arguments:**
 
@@ -88,11 +84,7 @@ def fewest_steps(
     - `mesh`: the mesh whose cells are judged.
     - `motion`: the displacement (m, d) of the moving nodes, on the way that turns as it
       does (`Turn`). Or a function: `motion(t)` for t from 0 to 1 is the total displacement.
-    - `min_jacobian_ratio`: the least corner Jacobian, relative to its initial value, default 0.05.
     - `max_steps`: the most steps to try, default 16.
-    - `improve`: whether to improve a mesh that even `max_steps` steps tangle, default False.
-
-    **Returns:** a `Steps`.
 
     **Raises:** `ValueError` when `max_steps` is less than 1, `min_jacobian_ratio` is not from 0 to
     1, or `plan` and `mesh` differ in their points. Also for a `motion(t)` that is not (m, d) or not
@@ -107,37 +99,56 @@ def fewest_steps(
             np.asarray(plan.moving_points), finite_array("motion", motion, expected)
         ).at
 
-    before = judge(mesh)
+    trials = _Trials(plan, mesh, motion, judge(mesh), min_jacobian_ratio)
+    for count in range(1, max_steps + 1):
+        if trials.is_good(steps := trials.march(count)):
+            return steps
+    if improve and trials.is_good(steps := trials.march(max_steps, mend=True)):
+        return steps
+    best = trials.farthest(trials.march(max_steps, 0.0), 1e-3)
+    return trials.farthest(best, 1e-2, mend=True) if improve else best
 
-    def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Trials:
+    """Marches of a motion, by numbers of steps and fractions, with the verdict on each."""
+
+    plan: Plan
+    mesh: Mesh
+    motion: Callable[[float], Any]
+    before: Verdict
+    min_jacobian_ratio: float
+
+    def march(self, count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
+        expected = (self.plan.n_moving, self.plan.points.shape[1])
         parts = [
-            finite_array("motion(t)", motion(fraction * (j + 1) / count), expected)
+            finite_array("motion(t)", self.motion(fraction * (j + 1) / count), expected)
             for j in range(count)
         ]
         path = jnp.stack(list(map(jnp.asarray, parts)))
         improvement = None
-        plans, points = march(plan, path)
+        plans, points = march(self.plan, path)
         if mend:
-            improvement = improved(plan.boundary.altered(mesh=mesh), points)
+            improvement = improved(self.plan.boundary.altered(mesh=self.mesh), points)
             points = improvement.points
-        verdict = judge(mesh, points, before=before)
+        verdict = judge(self.mesh, points, before=self.before)
         return Steps(count, fraction, points, verdict, plans, path, improvement)
 
-    def is_good(steps: Steps) -> bool:
+    def is_good(self, steps: Steps) -> bool:
         judged = steps.verdict.judged
-        return not steps.verdict.spoilt and judged is not None and judged.ratio > min_jacobian_ratio
+        if steps.verdict.spoilt or judged is None:
+            return False
+        return judged.ratio > self.min_jacobian_ratio
 
-    counts = range(1, max_steps + 1)
-    for count, mend in [*zip(counts, itertools.repeat(False)), *[(max_steps, True)] * improve]:
-        if is_good(steps := tried(count, mend=mend)):
-            return steps
-    best = tried(max_steps, 0.0)
-    for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
+    def farthest(self, best: Steps, width: float, mend: bool = False) -> Steps:
+        """Bisects the fraction between that of `best` and the whole motion to a `width`."""
         low = best.fraction
         high = 1.0  # on the host: a motion may be NumPy's
         while high - low > width:
-            steps = tried(max_steps, (low + high) / 2, mend)
-            best, low, high = (
-                (steps, steps.fraction, high) if is_good(steps) else (best, low, steps.fraction)
-            )
-    return best
+            steps = self.march(best.count, (low + high) / 2, mend)
+            if self.is_good(steps):
+                best = steps
+                low = steps.fraction
+            else:
+                high = steps.fraction
+        return best

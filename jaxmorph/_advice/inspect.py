@@ -10,33 +10,30 @@ from jaxtyping import ArrayLike, Float, Integer, Real
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
-from .._boundary.outer_faces import mask
+from .._host.linear.products import dot_rows, row_lengths
 from .._host.package.arguments import checked, finite_array, rows_of
 from .._host.package.cores import beside
 from .._host.package.errors import check_none
-from .._host.package.rounding import Tree, roundoff
+from .._host.package.rounding import Tree, extent_of, roundoff
+from .._host.rows import mark
 from .._host.sources.reduction import KDTree, drop_close
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls
+from .._host.tolerances import PUT_BACK, RESTS, SAME
 from .._mesh.mesh import Mesh
 from .._methods.rbf.fitted import FittedRBF
 from .._plan.deform import deform
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
 from .._quality.verdict import judge
-from .crossings import SAME, Crossings, names_of, simplices, wall_crossings
+from .crossings import Crossings, names_of, simplices, wall_crossings
 from .cures import advice_on_folds
 
 STEEP = 0.5  # slope of a displacement along the wall above which a fitted field strains cells more
 NARROW = 0.2  # share of a gap, left after a motion, below which one step folds cells in it
-# share of the largest motion by which planes, surfaces and pairs may change a moving node's
-PUT_BACK = 0.01
-# distance of a node from another wall, relative to the surface's extent: no gap there
-TOUCHING = 1e-9
-RESTS = 1e-3  # share of the largest displacement below which a part of the surface rests
 UNRESOLVED = 1 / 3  # share of the largest displacement that sources may miss between them
-ROWS = 4096  # points whose distances are held together
+DISTANCES_TOGETHER = 4096  # points whose distances are held together
 LEAVES = (64, 128, 256, 512, 1024, 2048)  # numbers of leaves of a k-d tree that are tried
 
 
@@ -111,7 +108,7 @@ class _Motion:
 
     @functools.cached_property
     def size(self) -> np.ndarray:
-        return np.linalg.norm(self.displacement, axis=1)
+        return row_lengths(self.displacement)
 
     @functools.cached_property
     def is_fixed(self) -> np.ndarray:
@@ -146,7 +143,7 @@ class _Motion:
             return None
         before = self.points.astype(float)
         wall = walls(before, self.plan.n_moving, {"simplex": self.faces})
-        scale = TOUCHING * np.ptp(before, axis=0).max()
+        scale = SAME * extent_of(before)
         share = share_left(before, before + self.vectors.astype(float), wall, self.faces, scale)
         if not np.isfinite(share).any():
             return None
@@ -158,12 +155,29 @@ class _Motion:
         sources = np.flatnonzero(np.isin(self.plan.moving, self.plan.sources))
         if base.shape[1] < 3 or not len(sources):
             return 0.0
-        return missed(base, self.displacement, sources)
+        return measure_missed(base, self.displacement, sources)
 
     @functools.cached_property
     def slope(self) -> float:
         n = self.plan.n_moving
         return _slope(self.points[:n], self.vectors[:n])
+
+    def check_finite(self) -> None:
+        is_finite = np.isfinite(self.displacement).all(axis=1)
+        check_none(
+            np.asarray(self.plan.moving)[~is_finite],
+            f"{{count}} of {self.plan.n_moving} displacements are not finite, first that of node "
+            f"{{node}} (row {int(np.argmin(is_finite))}).",
+        )
+
+    def advice_on_cells(self, moved: Any, is_hopeless: bool) -> tuple[str, ...]:
+        """Cures of cells that one step folds, unless walls cross, and cells folded before."""
+        assert self.mesh is not None
+        verdict = judge(self.mesh, moved)
+        folds = ""
+        if verdict.spoilt and not is_hopeless:
+            folds = advice_on_folds(self.plan, self.mesh, self.displacement, verdict)
+        return tuple(filter(None, (folds, verdict.note)))
 
     def warnings(self, crossings: str) -> Iterator[str]:
         """What no method moves well; `crossings` is what is said of walls that cross, or empty."""
@@ -181,7 +195,7 @@ class _Motion:
             )
         if crossings:
             yield crossings
-        changed = np.linalg.norm(self.vectors[: self.plan.n_moving] - self.displacement, axis=1)
+        changed = row_lengths(self.vectors[: self.plan.n_moving] - self.displacement)
         count = int(np.sum(changed > PUT_BACK * self.size.max()))
         if count:
             yield (
@@ -264,12 +278,10 @@ def inspect(
 
     Two neighbouring surface nodes contradict each other in two cases. One moves, the other is
     fixed, and the displacement is larger than their distance: a wall slides along a fixed boundary.
-    Or both move, and their distance more than doubles. No method moves such a mesh well. With the
-    mesh, it measures how much is left of gaps between walls, and finds moved walls that cross
-    another boundary or themselves. Faces that crossed before do not count, nor do faces that share
-    a node or touch in coincident nodes, as at a sharp trailing edge. Faces with a node that is
-    neither moving nor fixed are left out. If one step folds cells, it tries cures: round walls that
-    slide, 2, 4 and 8 steps, methods on cells.
+    Or both move, and their distance more than doubles. With the mesh, it measures how much is left
+    of gaps between walls, and finds moved walls that come to cross another boundary or themselves.
+    If one step folds cells, it tries cures: round walls that slide, 2, 4 and 8 steps, methods on
+    cells.
 
     **Arguments:**
 
@@ -284,16 +296,11 @@ def inspect(
     that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
     plan.check_surface("inspect")
-    ids = _ids(plan, mesh, nodes)
+    ids = _ids_of_points(plan, mesh, nodes)
     whole = mesh if nodes is None else None
     motion = _Motion(plan, u, ids, mesh)
-    offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
-    is_finite = np.isfinite(motion.displacement).all(axis=1)
-    check_none(
-        np.asarray(plan.moving)[~is_finite],
-        f"{{count}} of {plan.n_moving} displacements are not finite, first that of node {{node}} "
-        f"(row {int(np.argmin(is_finite))}).",
-    )
+    offset = row_lengths(np.asarray(plan.offset(u)))
+    motion.check_finite()
     if moved is not None or whole is not None:
         moved = deform(plan, u) if moved is None else moved
         moved = finite_array("moved", moved, plan.points.shape)
@@ -302,16 +309,9 @@ def inspect(
         part = None if np.array_equal(ids, np.arange(len(mesh.points))) else ids
         crossing = beside(wall_crossings, plan, mesh, motion.displacement[None], moved, part)
     anywhere, behind = overshoot(plan, motion.displacement, moved)
-    gap_left = None if motion.gap is None else motion.gap[0]
     crossings = None if crossing is None else crossing.result()
     hopeless = bool(crossings) and not motion.touches.any()
-    of_cells: tuple[str, ...] = ()
-    if whole is not None:
-        verdict = judge(whole, moved)
-        folds = ""
-        if verdict.spoilt and not hopeless:
-            folds = advice_on_folds(plan, whole, motion.displacement, verdict)
-        of_cells = tuple(filter(None, (folds, verdict.note)))
+    of_cells = () if whole is None else motion.advice_on_cells(moved, hopeless)
     return Inspection(
         warnings=tuple(motion.warnings("" if crossings is None else str(crossings))),
         advice=(*of_cells, *motion.advice()),
@@ -322,12 +322,12 @@ def inspect(
         overshoot=anywhere,
         overshoot_behind=behind,
         slope=motion.slope,
-        gap_left=gap_left,
+        gap_left=motion.gap and motion.gap[0],
         missed=motion.missed,
     )
 
 
-def _ids(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
+def _ids_of_points(plan: Plan, mesh: Mesh | None, nodes: Any) -> np.ndarray:
     count = len(plan.points)
     if mesh is not None and nodes is None:
         plan.check_mesh(mesh)
@@ -350,7 +350,7 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
     first, second = pairs.T
     rest = u - terms @ np.linalg.lstsq(terms, u, rcond=None)[0]
     distance, length = (
-        np.linalg.norm(positions[second] - positions[first], axis=1) for positions in (rest, points)
+        row_lengths(positions[second] - positions[first]) for positions in (rest, points)
     )
     return float(np.quantile(distance / length, 0.98))
 
@@ -361,10 +361,10 @@ def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) ->
     first = np.repeat(np.arange(len(points)), count)
     second = nearest[:, 1:].ravel()
     distance = distance[:, 1:].ravel()
-    difference = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
-    after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
+    difference = row_lengths(vectors[first] - vectors[second])
+    after = row_lengths((points + vectors)[first] - (points + vectors)[second])
     mixed = is_fixed[first] != is_fixed[second]
-    scale = SAME * np.ptp(points, axis=0).max()
+    scale = SAME * extent_of(points)
     excess = np.where(mixed, difference, after - distance) / (distance + scale)
     torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
     return np.stack([first, second], axis=1)[torn[np.argsort(-excess[torn], kind="stable")]]
@@ -391,16 +391,16 @@ def overshoot(
     """
     points = np.asarray(plan.points)
     moving = np.asarray(plan.moving)
-    size = np.linalg.norm(u, axis=1)
-    inner = np.flatnonzero(~mask(len(points), moving, plan.fixed))
+    size = row_lengths(u)
+    inner = np.flatnonzero(~mark(len(points), moving, plan.fixed))
     if not size.max() or not inner.size:
         return 0.0, 0.0
     moved = np.asarray(deform(plan, u)) if moved is None else moved
-    share = np.linalg.norm((moved - points)[inner], axis=1) / size.max()
+    share = row_lengths((moved - points)[inner]) / size.max()
     base = points[moving]
     active = np.flatnonzero(size > size.max() / 2)
     rows = np.flatnonzero(share > RESTS)
-    reach = np.ptp(base, axis=0).max()
+    reach = extent_of(base)
     far, nearest = map(
         np.asarray, Tree(base).query(points[inner[rows]], distance_upper_bound=reach)
     )
@@ -409,36 +409,39 @@ def overshoot(
     far = far[np.isfinite(far)]
     away = points[inner[rows]] - base[nearest]
     towards = base[active[np.asarray(Tree(base[active]).query(base[nearest])[1])]] - base[nearest]
-    is_opposite = np.sum(away * towards, axis=1) < -far * np.linalg.norm(towards, axis=1) / 2
+    is_opposite = dot_rows(away, towards) < -far * row_lengths(towards) / 2
     behind = (size[nearest] <= RESTS * size.max()) & is_opposite
     return float(share.max()), float(share[rows[behind]].max(initial=0.0))
 
 
-def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
+def measure_missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
     """Measures the residual of an interpolation of `u` (m, d) from `sources` at `points` (m, d),
     relative to the largest displacement, and zero without one. The interpolation is that by
     distances, and a constant; SciPy's `RBFInterpolator` takes a tenth of a second to import.
     """
-    largest = np.linalg.norm(u, axis=1).max(initial=0)
+    largest = row_lengths(u).max(initial=0)
     rows = drop_close(points, sources, roundoff(points))
     if largest == 0 or not len(rows):
         return 0.0
     system = np.pad(-cdist(points[rows], points[rows]), (0, 1), constant_values=1.0)
     system[-1, -1] = 0
     weights = np.linalg.solve(system, np.pad(u[rows], ((0, 1), (0, 0))))
-    blocks = [slice(start, start + ROWS) for start in range(0, len(points), ROWS)]
+    blocks = [
+        slice(start, start + DISTANCES_TOGETHER)
+        for start in range(0, len(points), DISTANCES_TOGETHER)
+    ]
     off = [
         u[block] - weights[-1] + cdist(points[block], points[rows]) @ weights[:-1]
         for block in blocks
     ]
-    return float(np.linalg.norm(np.concatenate(off), axis=1).max() / largest)
+    return float(row_lengths(np.concatenate(off)).max() / largest)
 
 
 def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:
     """The least of `LEAVES` whose sources miss less than a third of `u`, or None."""
     for leaves in LEAVES:
         sources = KDTree(leaves, extremes=True)(points)
-        if missed(points, u, sources) <= UNRESOLVED:
+        if measure_missed(points, u, sources) <= UNRESOLVED:
             return leaves
         if len(sources) == len(points):
             break

@@ -25,7 +25,9 @@ from .._quality.bounds import DEPTH, blocks
 from .._quality.jacobian_form import form_of, nodes_of
 from .._quality.proof import proof
 from .._quality.quality import places, signs_of, standards_of
-from .._quality.vector import corners
+from .._quality.vector import corner_points
+
+Points = Float[np.ndarray, "n d"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,18 +70,10 @@ def largest_step(
       that is proven of the undeformed cell.
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already. **Raises:**
-    `ValueError` for wrong shapes, a bound outside of 0 to 1, and a `max_step` that is not above 0.
-    Also for a plan that is not linear: its nodes leave the straight lines on which roots are
-    sought. With `proven`, also for undeformed cells that are not proven valid.
+    `ValueError` for wrong shapes, a bound outside of 0 to 1, a `max_step` that is not above 0, and
+    a plan that is not linear. With `proven`, also for undeformed cells that are not proven valid.
     """
-    if not plan.is_linear:
-        raise ValueError(
-            f"this plan is not linear in `u`: {_nonlinear(plan)}. Its nodes leave straight lines, "
-            "so a cell may invert before the "
-            "step that straight lines give. jm.fewest_steps(plan, mesh, motion) finds how much "
-            "of a motion keeps a bound. "
-            "jm.ValidSteps judges each step of a line search where it ends."
-        )
+    _check_linear(plan)
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
     between("max_step", max_step, 0)
     shape = plan.n_moving, plan.points.shape[1]
@@ -87,20 +81,38 @@ def largest_step(
     direction = finite_array("direction", direction, shape)
 
     def at(step: float) -> np.ndarray:
-        return np.asarray(
-            places(mesh, deform(plan, jnp.asarray(u) + step * jnp.asarray(direction)))
-        )
+        moved = deform(plan, jnp.asarray(u) + step * jnp.asarray(direction))
+        return np.asarray(places(mesh, moved))
 
     start = at(0.0)
-    end = at(max_step)
     bounds = CornerBounds(mesh, plan.points.dtype, min_jacobian_ratio, proven)
-    found = bounds.largest_share(start, end)
-    step = found.step * max_step
-    less = float(np.finfo(plan.points.dtype).eps)
-    # the points at the step have a round-off of their own
-    while step > 0 and proven and (broken := bounds.proven_share(at(step), at(step)).cell) >= 0:
-        step, found, less = step * max(1 - less, 0.0), LargestStep(step, broken), 4 * less
-    return LargestStep(step, found.cell)
+    found = bounds.largest_share(start, at(max_step))
+    found = LargestStep(found.step * max_step, found.cell)
+    return _proven_back(bounds, at, found, plan.points.dtype) if proven else found
+
+
+def _proven_back(
+    bounds: "CornerBounds", at: Callable[[float], np.ndarray], found: LargestStep, dtype: Any
+) -> LargestStep:
+    """Goes back from a step until its points, which have a round-off of their own, are proven."""
+    step = found.step
+    cell = found.cell
+    less = float(np.finfo(dtype).eps)
+    while step > 0 and (broken := bounds.proven_share(at(step), at(step)).cell) >= 0:
+        step = step * max(1 - less, 0.0)
+        cell = broken
+        less = 4 * less
+    return LargestStep(step, cell)
+
+
+def _check_linear(plan: Plan) -> None:
+    if not plan.is_linear:
+        raise ValueError(
+            f"this plan is not linear in `u`: {_nonlinear(plan)}. Its nodes leave straight lines, "
+            "so a cell may invert before the step that straight lines give. "
+            "jm.fewest_steps(plan, mesh, motion) finds how much of a motion keeps a bound. "
+            "jm.ValidSteps judges each step of a line search where it ends."
+        )
 
 
 def _nonlinear(plan: Plan) -> str:
@@ -130,7 +142,7 @@ class _Corners:
     scale: Float[np.ndarray, " k"]
 
     def jacobians(self, points: Any) -> Any:
-        relative = measures.relative_corners(corners(points, self.ids))[0]
+        relative = measures.relative_corners(corner_points(points, self.ids))[0]
         return self.sign[None] * measures.jacobians(self.kind, relative)[0]
 
     def polynomials(self, start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "4 s k"]:
@@ -159,9 +171,7 @@ class CornerBounds:
             ]
             self.parts.append(dataclasses.replace(every, judged=judged))
 
-    def largest_share(
-        self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]
-    ) -> LargestStep:
+    def largest_share(self, start: Points, end: Points) -> LargestStep:
         """Finds the share of the way, at most 1, that keeps all bounds, and the cell there."""
         best = LargestStep(1.0, -1)
         for part in self.parts:
@@ -175,9 +185,7 @@ class CornerBounds:
         proven = self.proven_share(start, start + best.step * (np.asarray(end, float) - start))
         return LargestStep(best.step * proven.step, proven.cell) if proven.step < 1 else best
 
-    def proven_share(
-        self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]
-    ) -> LargestStep:
+    def proven_share(self, start: Points, end: Points) -> LargestStep:
         """Finds the share of the straight way on which whole cells keep their bound, at most 1. At
         each instant the least coefficient is a lower bound on det J, so the step ends where the
         first coefficient falls below. Only cells that would end it are cut.
@@ -190,7 +198,7 @@ class CornerBounds:
                 continue
             form = form_of(part.kind, True)
             space = form_of(part.kind).space
-            for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count(space)):
+            for rows in blocks(np.arange(len(part.ids)), 4 * bernstein.count_coefficients(space)):
                 x = nodes_of(part.ids[rows].T, *ends)
                 cell = part.first + rows
                 columns = form.columns(x)
@@ -198,7 +206,7 @@ class CornerBounds:
                     x, columns
                 )
                 excess = (excess - self.of_cells[cell]).reshape(
-                    -1, bernstein.count(space), len(rows)
+                    -1, bernstein.count_coefficients(space), len(rows)
                 )
                 best = _search(space, excess, cell, best)
         return best

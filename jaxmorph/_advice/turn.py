@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 from scipy.spatial.transform import Rotation
 
+from .._host.linear.products import row_lengths
 from .._host.package.arguments import checked, finite_array, whole
+from .._host.tolerances import ROUND_PATCH, SAME
 
-# largest change of radius, or of place along the axis, over the radius, of a round patch
-ROUND = 1e-3
 # angle of a motion in radians from which on its path turns, and round patches may slide
-TURNS = 0.1
+TURNS_FROM = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,10 +54,10 @@ class Turn:
         mean = way.mean(axis=0)
         vector = _rotation(points - middle, points - middle + way - mean)
         angle = float(np.linalg.norm(vector))
-        if angle <= TURNS:
+        if angle <= TURNS_FROM:
             return Turn(u, points - middle, middle, np.array([0.0, 0.0, 1.0]), 0.0)
         change = np.eye(3) - Rotation.from_rotvec(vector).as_matrix()
-        centre = middle + np.linalg.lstsq(change, mean, rcond=1e-9)[0]
+        centre = middle + np.linalg.lstsq(change, mean, rcond=SAME)[0]
         return Turn(u, points - centre, centre, vector / angle, angle)
 
     def at(self, share: Any) -> Float[Array, "m d"]:
@@ -88,8 +88,8 @@ class Turn:
             return False
         arms = in_space(points) - self.centre
         height = arms @ self.axis
-        radius = np.linalg.norm(arms - height[:, None] * self.axis, axis=1)
-        slack = ROUND * radius.max()
+        radius = row_lengths(arms - height[:, None] * self.axis)
+        slack = ROUND_PATCH * radius.max()
         return bool(np.ptp(radius) <= slack or (points.shape[1] == 3 and np.ptp(height) <= slack))
 
 

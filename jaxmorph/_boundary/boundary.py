@@ -10,6 +10,8 @@ from jaxtyping import ArrayLike, Real
 
 from .._host.package.arguments import freeze
 from .._host.package.errors import MeshError, check_none, place_of
+from .._host.package.rounding import extent_of
+from .._host.rows import join_ids, mark
 from .._mesh.mesh import Mesh
 from .conditions import Conditions
 from .names import Named, Nodes
@@ -82,14 +84,14 @@ class Boundary(Conditions):
         if patches is not None:
             known = known.with_mesh(patches)
         mirrors.check(known.points, known.loose)
-        found = vars(known) | _between(known)
+        found = vars(known) | _guide_between(known)
         super().__init__(**jax.tree.map(freeze, found | {"mesh": None}) | {"mesh": patches})
 
 
 def _guides(named: Named, mirrors: Mirrors, mesh: Mesh | None) -> dict[str, Any]:
     """Finds pairs, tracks, nodes that they guide, and `fixed` with corners, which cannot slide."""
     points = named.points
-    size = float(np.ptp(points, axis=0).max())
+    size = float(extent_of(points))
     pairings = merged([paired(*pair, points) for pair in named.pairs], size)
     check_pairings(pairings, mirrors.planes, size)
     lists = {"fixed": named.fixed, "moving": named.moving}
@@ -102,17 +104,15 @@ def _guides(named: Named, mirrors: Mirrors, mesh: Mesh | None) -> dict[str, Any]
         "them from `moving`, or slide along fewer patches.",
         points,
     )
-    is_free = np.ones(len(points), bool)
-    is_free[named.fixed] = False
-    check_repeated(tracks, corners, pairings, points, is_free)
+    check_repeated(tracks, corners, pairings, points, ~mark(len(points), named.fixed))
     fixed = np.append(named.fixed, corners[~np.isin(corners, named.fixed)])
     left = (Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in left if len(track.rows))
-    guided = _guided(pairings, tracks, named.moving, fixed, points)
+    guided = _list_guided(pairings, tracks, named.moving, fixed, points)
     return {"pairings": pairings, "tracks": tracks, "guided": guided, "fixed": fixed}
 
 
-def _guided(
+def _list_guided(
     pairings: Sequence[Pairing],
     tracks: Sequence[Track],
     moving: np.ndarray,
@@ -136,16 +136,12 @@ def _guided(
                 f"{words[role[second[worst]]]}. Name both nodes, or none.",
                 first[odd],
             )
-    parts = [
-        np.zeros(0, dtype=np.int64),
-        *(pairing.nodes for pairing in pairings),
-        *(track.rows for track in tracks),
-    ]
-    nodes = np.unique(np.concatenate(parts))
+    parts = [pairing.nodes for pairing in pairings] + [track.rows for track in tracks]
+    nodes = np.unique(join_ids(parts))
     return nodes[role[nodes] == 0]
 
 
-def _between(known: Conditions) -> dict[str, Any]:
+def _guide_between(known: Conditions) -> dict[str, Any]:
     """Guides nodes of parallel planes in no list, and pairs them around one layer of cells.
 
     Two parallel mirrors have endless images. A field with some of them has a step beside the plane,

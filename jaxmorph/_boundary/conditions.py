@@ -9,10 +9,11 @@ from jaxtyping import Bool, Int
 
 from .._host.cells.topology import solid
 from .._host.package.errors import warn
+from .._host.rows import Rows, mark
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
-from .outer_faces import Faces, FreeFaces, Ids, free_faces, mask, row_of
+from .outer_faces import Faces, FreeFaces, Ids, free_faces
 from .periodic import Pairing
 from .symmetry import Plane
 from .tracks import Track
@@ -73,8 +74,7 @@ class Conditions:
         """Faces with all nodes on the surface, as rows of `nodes`; None without known faces."""
         if self.faces is None:
             return None
-        row = row_of(self.nodes, len(self.points))
-        rows = {kind: row[corners] for kind, corners in self.faces.items()}
+        rows = Rows(self.nodes).renumbered(self.faces)
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
     def warn_of_free_faces(self) -> None:
@@ -101,11 +101,11 @@ class Conditions:
             return here
         cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, d).items()}
         hidden = nothing()
-        is_moving = mask(n, self.moving)
-        inside = is_moving & mask(n, *cells.values()) & ~mask(n, *outer.corners.values())
+        is_moving = mark(n, self.moving)
+        inside = is_moving & mark(n, *cells.values()) & ~mark(n, *outer.corners.values())
         if mesh.polyhedra is None and inside.any():  # of bodies whose nodes all move
             left = {kind: ids[~is_moving[ids].all(axis=1)] for kind, ids in cells.items()}
-            hidden = np.flatnonzero(inside & ~mask(n, *left.values()))
+            hidden = np.flatnonzero(inside & ~mark(n, *left.values()))
             if len(hidden):
                 outer = Mesh(mesh.points, left).outer_faces or outer
         # in no cell stand, for example, gmsh's points of the geometry with `SaveAll`
@@ -115,18 +115,18 @@ class Conditions:
     def with_faces(self, outer: OuterFaces, **of_cells: Any) -> "Conditions":
         """Returns the conditions with these boundary faces."""
         n = len(self.points)
-        is_listed = mask(n, self.nodes, np.flatnonzero(self.on.any(axis=1)))
+        is_listed = mark(n, self.nodes, np.flatnonzero(self.on.any(axis=1)))
         patches = {} if self.mesh is None else self.mesh.patches
         return self.altered(
             faces=outer.corners,
-            left=free_faces(patches, outer, is_listed | mask(n, self.free)),
+            left=free_faces(patches, outer, is_listed | mark(n, self.free)),
             is_open=has_free_faces(self.points, outer.corners, is_listed),
             **of_cells,
         )
 
     def part(self, nodes: np.ndarray) -> "Conditions":
         """Restricts the conditions to nodes (k,) in this order, those of the surface among them."""
-        place = row_of(nodes, len(self.points))
+        place = Rows(nodes).of(np.arange(len(self.points)))
         faces = self.surface_faces
         if faces is not None:
             faces = {kind: place[self.nodes[rows]] for kind, rows in faces.items()}

@@ -9,20 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
-from .._host.cells.adjacency import handedness, neighbours, parts_of
 from .._host.cells.topology import DIMENSION
-from .._host.linear.products import cofactors, determinant, dot, normals, unit_rows
-from .._host.package.arguments import as_array, checked, finite_array, rows_of
-from .._host.package.rounding import SAME, canonical_order, roundoff
+from .._host.linear.products import cofactors, determinant, dot, dot_rows, normals, unit_rows
+from .._host.package.arguments import checked, finite_array
+from .._host.rows import Rows, first_of_equals
+from .._host.surface.creases import Creased, cut_faces, with_extent
 from .._host.surface.gaps import closest
 from .._kernels.callback import host_call
 from .._kernels.module import Module
 from .._kernels.values import Either, area_vectors, array, is_known, norm
 from .._mesh.mesh import Mesh
-from .outer_faces import boundary_faces, row_of
-from .walls import SmoothFaces, nearest_of
+from .face_search import on_simplex, smooth_normals
+from .outer_faces import boundary_faces
 
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
+Places = Float[Array, "m d"]
 
 SHARP = np.pi / 3
 NEWTON = 12
@@ -55,16 +56,14 @@ class Facets(Module):
     """
 
     points: Float[Either, "n d"]
-    faces: Int[Either, "k c"]
-    beside: Int[
-        Either, "k c"
-    ]  # the face beyond each edge (2-D: end) that is not sharp, else the face
-    corners: Int[Either, "k c"]  # as `faces`, numbered apart on the sides of sharp edges
-    origins: Int[Either, " v"]  # the point of each number in `corners`
     welded: Int[Either, " n"]  # the vertex of each point: the first point at its place
+    faces: Int[Either, "k c"]  # and its edges, as in `Creased`
+    beside: Int[Either, "k c"]
+    corners: Int[Either, "k c"]
+    origins: Int[Either, " v"]
     part: Int[Either, " k"]
-    sharp: Int[Either, "s e"]  # edges (2-D: vertices) between faces that turn
-    rim: Int[Either, "r e"]  # edges (2-D: vertices) of one face
+    sharp: Int[Either, "s e"]
+    rim: Int[Either, "r e"]
     sides: Float[Either, "k d"] | None
     smooth: bool = eqx.field(static=True)
     angle: float = eqx.field(static=True)
@@ -80,41 +79,26 @@ class Facets(Module):
         sides: Any = None,
     ):
         known = finite_array("points", points, (None, 2), (None, 3))
-        self.points, self.sides = points if isinstance(points, jax.Array) else array(known), None
-        self.smooth, self.angle = smooth, angle
+        self.points = points if isinstance(points, jax.Array) else array(known)
+        self.smooth = smooth
+        self.angle = angle
         exact = known.astype(float) + 0.0  # no -0.0
-        _, first, place = np.unique(exact, axis=0, return_index=True, return_inverse=True)
-        self.welded = first[place.ravel()]
-        faces = _simplices(faces, exact)
-        if sides is not None:
+        first, place = first_of_equals(exact)
+        self.welded = first[place]
+        faces = cut_faces(faces, exact)
+        if sides is None:
+            self.sides = None
+            found = Creased.of(with_extent(faces, self.welded), exact, self.welded, angle)
+        else:
             self.sides = finite_array("sides", sides, faces.shape[:1] + exact.shape[1:])
-            self.faces = self.corners = self.beside = faces
-            self.origins, self.part, self.sharp, self.rim = (np.zeros(0, int),) * 2 + (
-                np.zeros((0, 1), int),
-            ) * 2
-            return
-        count = len(faces)
-        faces = faces[np.diff(np.sort(self.welded[faces], axis=1), axis=1).all(axis=1)]
-        if not len(faces):
-            raise ValueError(
-                f"each of the {count} `faces` has two corners at one place: the surface has no "
-                "extent."
-            )
-        _, sign, self.part = _beside(self.welded[faces])
-        sign = sign * _sense(sign, self.part, exact[faces])
-        self.faces = np.where(sign[:, None] < 0, faces[:, ::-1], faces)
-        vertices = self.welded[self.faces]
-        beside = _beside(vertices)[0]
-        unit = (
-            unit_rows(normals(exact[vertices]))
-            if vertices.shape[1] == exact.shape[1]
-            else np.ones((len(faces), 1))
-        )
-        turns = np.sum(unit[:, None] * unit[beside], axis=2) < np.cos(angle)
-        self.sharp, self.rim = _borders(vertices, beside, turns)
-        is_smooth = (beside >= 0) & ~turns
-        self.beside = np.where(is_smooth, beside, np.arange(len(beside))[:, None])
-        self.corners, self.origins = _split(vertices, beside, is_smooth)
+            found = Creased.none(faces)
+        self.faces = found.faces
+        self.beside = found.beside
+        self.corners = found.corners
+        self.origins = found.origins
+        self.part = found.part
+        self.sharp = found.sharp
+        self.rim = found.rim
 
     @staticmethod
     @checked
@@ -127,9 +111,8 @@ class Facets(Module):
         **Raises:** `ValueError` for no faces.
         """
         nodes = mesh.patch(*patches) if patches else np.arange(len(mesh.points))
-        faces = _faces_of(mesh, patches)
-        place = row_of(nodes, len(mesh.points))
-        rows = [place[ids][(place[ids] >= 0).all(axis=1)] for ids in faces]
+        faces = _facets_of(mesh, patches)
+        rows = [ids[(ids >= 0).all(axis=1)] for ids in map(Rows(nodes).of, faces)]
         return Facets(
             mesh.points[nodes], [ids for ids in rows if len(ids)], smooth=smooth, angle=angle
         )
@@ -142,9 +125,7 @@ class Facets(Module):
         )
 
     @checked
-    def closest(
-        self, x: Numbers, facing: Numbers | None = None, *, along: bool = False
-    ) -> Float[Array, "m d"]:
+    def closest(self, x: Numbers, facing: Numbers | None = None, *, along: bool = False) -> Places:
         """Finds the closest place to each of `x` (m, d). Traced.
 
         The host finds the face, so that a derivative is that of the closest place on it. With
@@ -154,7 +135,7 @@ class Facets(Module):
         """
         x = self._like("x", x)
         facing = None if facing is None else self._like("facing", facing, len(x))
-        return _closest(self, x, facing, along and self.sides is None)
+        return _place(self, x, facing, along and self.sides is None)
 
     @checked
     def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
@@ -162,11 +143,11 @@ class Facets(Module):
         x = self._like("x", x)
         none = jnp.zeros((0, self.points.shape[1]))
         facing = None if facing is None else self._like("facing", facing, len(x))
-        given = (x, facing, jnp.asarray(self.points), jnp.asarray(self.faces), self.sides)
+        given = (x, facing, self.points, self.faces, self.sides)
         given = jax.lax.stop_gradient(
             [none if each is None else jnp.asarray(each) for each in given]
         )
-        return host_call(_found, jax.ShapeDtypeStruct(x.shape[:1], np.int32), *given)
+        return host_call(_find_faces, jax.ShapeDtypeStruct(x.shape[:1], np.int32), *given)
 
     @checked
     def distance(self, x: Numbers) -> Float[Array, " m"]:
@@ -174,7 +155,7 @@ class Facets(Module):
         x = self._like("x", x)
         return norm(x - self.closest(x))
 
-    def _like(self, name: str, values: Any, count: int | None = None) -> Float[Array, "m d"]:
+    def _like(self, name: str, values: Any, count: int | None = None) -> Places:
         values = jnp.asarray(values)
         d = self.points.shape[1]
         if values.ndim != 2 or values.shape[1] != d or (count is not None and len(values) != count):
@@ -189,33 +170,27 @@ class Facets(Module):
 
     def normals(self) -> Float[Array, "n d"]:
         """Computes unit normals at the points; at a sharp edge, the mean of its sides. Traced."""
-        above = _above(self, jnp.asarray(self.points))
+        above = _normals_of(self, jnp.asarray(self.points))
         total = jnp.zeros_like(self.points, above.dtype).at[self.origins].add(above)
         length = norm(total)
         return (total / jnp.where(length > 0, length, 1)[:, None])[self.welded]
 
 
-def _above(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v d"]:
-    vertices = points[jnp.asarray(facets.origins)]
-    corners = jnp.asarray(facets.corners)
-    return SmoothFaces(
-        np.arange(len(vertices)), vertices, corners, np.zeros((len(vertices), 1), int)
-    ).normals(vertices)
+def _normals_of(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v d"]:
+    return smooth_normals(points[jnp.asarray(facets.origins)], jnp.asarray(facets.corners))
 
 
 @eqx.filter_jit
-def _closest(
-    facets: Facets, x: Float[Array, "m d"], facing: Any, along: bool
-) -> Float[Array, "m d"]:
+def _place(facets: Facets, x: Places, facing: Any, along: bool) -> Places:
     points = jnp.asarray(facets.points)
     face = facets.face(x, facing)
-    flat = jax.vmap(nearest_of)(x, points[jnp.asarray(facets.faces)[face]])
+    flat = jax.vmap(on_simplex)(x, points[jnp.asarray(facets.faces)[face]])
     if not (facets.smooth or along):
         return flat
     faces, beside, numbers = (
         jnp.asarray(ids, np.int32) for ids in (facets.faces, facets.beside, facets.corners)
     )
-    above = _above(facets, points)
+    above = _normals_of(facets, points)
 
     def shares(x, face, steps):
         return _along_normals(x, points[faces[face]], above[numbers[face]], steps)
@@ -266,7 +241,7 @@ def _along_normals(
     return jnp.concatenate([1 - jnp.sum(at, keepdims=True), at])
 
 
-def _faces_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
+def _facets_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
     d = mesh.points.shape[1]
     cells = mesh.linear.cells
     faces = [
@@ -278,111 +253,7 @@ def _faces_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:
     return [ids[:, ::-1] for ids in boundary_faces(mesh, *patches).values()]
 
 
-def _simplices(faces: Any, points: np.ndarray) -> Int[np.ndarray, "k c"]:
-    several = isinstance(faces, list | tuple) and len(faces) and np.ndim(faces[0]) == 2
-    found = [
-        _triangles(as_array("faces", given), points) for given in (faces if several else [faces])
-    ]
-    if not sum(map(len, found)) or len({ids.shape[1] for ids in found}) > 1:
-        raise ValueError(
-            f"`faces` holds {[ids.shape for ids in found]}; expected triangles and quads, or "
-            "segments."
-        )
-    return np.concatenate(found)
-
-
-def _triangles(ids: np.ndarray, points: np.ndarray) -> Int[np.ndarray, "k c"]:
-    """Cuts quads along the shorter diagonal; leaves triangles and segments.
-
-    Of equal diagonals it is the one from the corner that comes first by place.
-    """
-    if ids.ndim != 2 or ids.shape[1] not in ((2,) if points.shape[1] == 2 else (2, 3, 4)):
-        raise ValueError(
-            f"`faces` has shape {ids.shape}; expected (k, 2) in 2-D, (k, 3) or (k, 4) in 3-D."
-        )
-    ids = rows_of("faces` of `points", ids.ravel(), len(points)).reshape(*ids.shape)
-    if ids.shape[1] < 4:
-        return ids
-    rank = np.argsort(canonical_order(points))
-    start = rank[ids].argmin(axis=1)[:, None] + np.arange(4)
-    ids = np.take_along_axis(ids, start % 4, axis=1)
-    first, second = (
-        np.linalg.norm(points[ids[:, k + 2]] - points[ids[:, k]], axis=1) for k in (0, 1)
-    )
-    is_longer = first > second * (1 + SAME) + roundoff(points)
-    ids = np.where(is_longer[:, None], np.roll(ids, -1, axis=1), ids)
-    return np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
-
-
-def _sense(
-    sign: np.ndarray, part: np.ndarray, corners: Float[np.ndarray, "k c d"]
-) -> Int[np.ndarray, " k"]:
-    """The sense (1 or -1) by which each face's part is as most of its area is listed.
-
-    A tie goes to the sense of the face whose middle comes first by place.
-    """
-    edges = corners[:, 1:] - corners[:, :1]
-    size = np.sqrt(np.linalg.det(edges @ edges.swapaxes(1, 2)).clip(0))
-    votes = np.bincount(part, sign * size)
-    order = canonical_order(corners.mean(axis=1))
-    first = order[np.unique(part[order], return_index=True)[1]]
-    is_tie = np.abs(votes) <= SAME * np.bincount(part, size)
-    return np.sign(np.where(is_tie, sign[first], votes)).astype(int)[part]
-
-
-def _beside(vertices: Int[np.ndarray, "k c"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds the face (k, c) beyond each edge (2-D: corner) or -1, the sense and the part (k,)."""
-    if vertices.shape[1] == 3:
-        cells = {"triangle": vertices}
-        columns = [0, 1, 2]
-    else:  # a segment is a strip of one quad, whose sides are its ends
-        cells = {"quad": np.concatenate([vertices, vertices[:, ::-1] + vertices.max() + 1], axis=1)}
-        columns = [3, 1]
-    neighbour, flipped = neighbours(cells)
-    sign, part = handedness(cells, neighbour, flipped)
-    return (
-        neighbour.reshape(len(vertices), -1)[:, columns],
-        sign,
-        np.unique(part, return_inverse=True)[1],
-    )
-
-
-def _edges(vertices: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c e"]:
-    return np.stack([vertices, np.roll(vertices, -1, axis=1)][: vertices.shape[1] - 1], axis=2)
-
-
-def _borders(
-    vertices: np.ndarray, beside: np.ndarray, turns: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    edges = np.sort(_edges(vertices), axis=2)
-    sharp = np.unique(edges[(beside >= 0) & turns], axis=0)
-    single, count = np.unique(edges[beside < 0], axis=0, return_counts=True)
-    return np.concatenate([sharp, single[count > 1]]), single[count == 1]
-
-
-def _split(
-    vertices: np.ndarray, beside: np.ndarray, smooth: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    # Two faces share a corner where they meet smoothly; corners that hang together are one vertex.
-    face, edge = np.nonzero(smooth)
-    other = beside[face, edge]
-    pairs = []
-    for nodes in _edges(vertices)[face, edge].T:
-        columns = (np.argmax(vertices[rows] == nodes[:, None], axis=1) for rows in (face, other))
-        pairs.append(
-            [
-                rows * vertices.shape[1] + column
-                for rows, column in zip((face, other), columns, strict=True)
-            ]
-        )
-    first, second = np.concatenate(pairs, axis=1)
-    number = parts_of(first, second, vertices.size)
-    origins = np.zeros(number.max() + 1, int)
-    origins[number] = vertices.ravel()
-    return number.reshape(vertices.shape), origins
-
-
-def _found(
+def _find_faces(
     x: np.ndarray, facing: np.ndarray, points: np.ndarray, faces: np.ndarray, sides: np.ndarray
 ) -> np.ndarray:
     corners = points.astype(float)[faces]
@@ -391,7 +262,7 @@ def _found(
     if not len(facing):
         return face
     unit = sides if len(sides) else unit_rows(normals(corners))
-    away = np.flatnonzero(np.sum(unit[face] * facing, axis=1) < 0)
+    away = np.flatnonzero(dot_rows(unit[face], facing) < 0)
     # These look for the closest face again, among those that look along the largest component.
     axis = np.abs(facing[away]).argmax(axis=1)
     side = 2 * axis + (facing[away, axis] > 0)

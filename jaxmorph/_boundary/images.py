@@ -11,6 +11,8 @@ from .._kernels.values import Either
 from .periodic import Pairing
 from .symmetry import Plane
 
+OwnRows = Float[Array, "o d"]
+
 
 class Images(eqx.Module):
     """The own rows of a surface in canonical order, extended by their images.
@@ -45,18 +47,18 @@ class Images(eqx.Module):
             moved.append(dataclasses.replace(old, shift=shift))
         return dataclasses.replace(self, shifts=shifts, pairings=tuple(moved))
 
-    def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
+    def points(self, points: OwnRows) -> Float[Array, "b d"]:
         rows = self.vectors(points)
         return rows if len(self.shifts) == 1 else rows + self.shifts.astype(points.dtype)[self.kind]
 
-    def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
+    def vectors(self, u: OwnRows) -> Float[Array, "b d"]:
         if len(self.matrices) == 1:
             return u[self.rows]
         turns = self.matrices.astype(u.dtype)[self.kind]
         image = jnp.einsum("bij,bj->bi", turns, u[self.rows], precision="highest")
         return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
 
-    def kept(self, u: Float[Array, "o d"]) -> Float[Array, "o d"]:
+    def kept(self, u: OwnRows) -> OwnRows:
         """Projects displacements: rows stay on their planes, and periodic pairs move alike."""
         u = self.within(u, self.on_plane)
         for pairing in self.pairings:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Int, Integer
 
 from .._host.package.arguments import real_array, rows_of, shown
-from .._host.package.errors import MeshError, check_none, warn
+from .._host.package.errors import MeshError, check_all_finite, check_none, warn
 from .._mesh.mesh import Mesh
 from .outer_faces import Ids
 from .periodic import Periodic
@@ -21,16 +21,16 @@ from .symmetry import Mirrors, Plane
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
 # smallest extent of a mesh, relative to the length whose cube is the smallest normal number
-SMALL = 1e4
+LEAST_EXTENT = 1e4
 PAIRS = "pairs such as jm.Periodic('lower', 'upper', translation=(0, 1))"
-PLANES = (
+PLANES_EXAMPLE = (
     "jm.Plane(normal=(0, 1), origin=(0, 0)), jm.Plane.through(points, nodes), or the name of a "
     "patch of the mesh"
 )
 SLIDES = "slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), or names of patches"
 SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
 
-INSIDE = "cyclic", "processor", "empty", "wedge", "overset"
+INNER_KINDS = "cyclic", "processor", "empty", "wedge", "overset"
 """Prefixes of kinds of patches that are no outer boundary; overset grids lie inside others."""
 
 Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
@@ -77,7 +77,7 @@ class Named:
         return cls(
             points=points,
             moving=moves,
-            fixed=_without(moves, nodes("fixed", fixed), fixed),
+            fixed=_leave_out(moves, nodes("fixed", fixed), fixed),
             free=nodes("free", others["free"]),
             planes=planes_named(symmetry, points, patches),
             pairs=[
@@ -88,7 +88,7 @@ class Named:
         )
 
 
-def _without(moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], named: Any) -> Ids:
+def _leave_out(moving: Int[np.ndarray, " m"], fixed: Int[np.ndarray, " f"], named: Any) -> Ids:
     """Lists fixed nodes that do not move, each where it comes first."""
     if names_in(named) and not len(fixed):
         raise ValueError(
@@ -114,7 +114,7 @@ def checked_points(points: Any) -> np.ndarray:
     array = real_array("points", points, (None, 2), (None, 3))
     if array.dtype not in (np.float32, np.float64):
         array = array.astype(np.float64)
-    check_finite(array)
+    check_all_finite(array)
     dtype = jax.dtypes.canonicalize_dtype(array.dtype)  # the precision of the plan
     size = np.abs(array).max(axis=1, initial=0)
     far = np.flatnonzero(size > np.finfo(dtype).max ** (1 / 3))
@@ -126,18 +126,13 @@ def checked_points(points: Any) -> np.ndarray:
             far,
         )
     extent = float(np.ptp(array, axis=0).max(initial=0)) if len(array) else 0.0
-    if 0 < extent < SMALL * float(np.finfo(dtype).tiny) ** (1 / 3):
+    if 0 < extent < LEAST_EXTENT * float(np.finfo(dtype).tiny) ** (1 / 3):
         raise ValueError(
             f"all {len(array)} points lie within {extent:.3g}, too near each other for {dtype}: "
             "volumes underflow. "
             "Choose a smaller unit of length."
         )
     return array
-
-
-def check_finite(points: np.ndarray) -> None:
-    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    check_none(wrong, f"{{count}} of {len(points)} points are not finite, first node {{node}}.")
 
 
 def names_in(values: Any) -> tuple[str, ...] | None:
@@ -183,7 +178,9 @@ def several(name: str, value: Any, kinds: type | tuple[type, ...], example: str)
 
 def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
     planes: list[Plane] = []
-    for entry in several("symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES):
+    for entry in several(
+        "symmetry", symmetry, Plane if mesh is None else (Plane, str), PLANES_EXAMPLE
+    ):
         of_entry = (
             (entry,) if isinstance(entry, Plane) or mesh is None else Plane.of_patch(mesh, entry)
         )
@@ -225,7 +222,7 @@ def by_kinds(
     if clauses:
         alone = "No patches beside `moving` are named. " if is_alone else ""
         warn(f"{alone}By their kinds in the file {clauses}. Name the patches to choose otherwise.")
-    given = several("symmetry", symmetry, (Plane, str), PLANES)
+    given = several("symmetry", symmetry, (Plane, str), PLANES_EXAMPLE)
     return others or fixed, [*given, *itertools.chain(*mirrors.values())]
 
 
@@ -254,7 +251,7 @@ def _outer_kinds(mesh: Mesh, elsewhere: set[str]) -> dict[str, str]:
     return {
         name: kind
         for name, kind in mesh.kinds.items()
-        if not (kind.startswith(INSIDE) or name in elsewhere) and len(mesh.patches[name])
+        if not (kind.startswith(INNER_KINDS) or name in elsewhere) and len(mesh.patches[name])
     }
 
 

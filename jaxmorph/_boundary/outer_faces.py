@@ -5,29 +5,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from .._host.package.arguments import checked
+from .._host.rows import Rows, join_ids, mark
 from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
 
 Points = Float[np.ndarray, "n d"]
 Ids = Int[np.ndarray, " _k"]
 Faces = Mapping[str, Any]  # corners (k, c), or numbers (k,), by type
-
-
-def mask(n: int, *nodes: Any) -> Bool[np.ndarray, " n"]:
-    marked = np.zeros(n, dtype=bool)
-    for ids in nodes:
-        marked[np.asarray(ids)] = True
-    return marked
-
-
-def row_of(nodes: np.ndarray, n: int) -> Int[np.ndarray, " n"]:
-    """Finds the row of each of n nodes in `nodes`; -1 for an absent node."""
-    row = np.full(n, -1, dtype=np.int32)
-    row[nodes] = np.arange(len(nodes))
-    return row
 
 
 @checked
@@ -47,10 +34,8 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
         raise ValueError(
             f"the mesh has no cells of {mesh.points.shape[1]} dimensions, and so no boundary faces."
         )
-    inside = mask(
-        len(mesh.points), mesh.patch(*patches) if patches else np.arange(len(mesh.points))
-    )
-    return {kind: corners[inside[corners].all(axis=1)] for kind, corners in outer.corners.items()}
+    inside = Rows(mesh.patch(*patches) if patches else np.arange(len(mesh.points)))
+    return {kind: ids[inside.mask(ids).all(axis=1)] for kind, ids in outer.corners.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +68,7 @@ class FreeFaces:
 
 def free_faces(patches: Faces, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
     """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
-    ids = np.concatenate([np.zeros(0, int), *faces.ids.values()])
+    ids = join_ids(faces.ids.values())
 
     def inside(is_in: np.ndarray) -> np.ndarray:
         return np.concatenate(
@@ -97,7 +82,7 @@ def free_faces(patches: Faces, faces: OuterFaces, is_listed: np.ndarray) -> Free
     counts = {}
     unnamed = free.copy()
     for name, nodes in patches.items() if free.any() else ():
-        here = free & inside(mask(len(is_listed), nodes))
+        here = free & inside(mark(len(is_listed), nodes))
         unnamed &= ~here
         counts |= {name: count(here)} if here.any() else {}
     return FreeFaces(count(free), count(slice(None)), counts, count(unnamed))

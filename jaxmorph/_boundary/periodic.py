@@ -11,9 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.linear.products import row_lengths
 from .._host.package.arguments import between, check_patch, whole
 from .._host.package.errors import check_none, worst_first
-from .._host.package.rounding import Tree, spacing
+from .._host.package.rounding import Tree, extent_of, spacing
+from .._host.tolerances import ALIGNED, MISMATCH, NO_TURN, SAME, SAME_TRANSFORM
 from .._kernels.values import Either
 from .outer_faces import Ids, Points
 from .symmetry import Plane, facing, optional, tolerance
@@ -94,10 +96,6 @@ class Periodic:
         return not (self.rotation is None and self.about is None and self.axis is None)
 
 
-# component of a translation, relative to the largest component, that counts as zero
-ALONG_AXIS = 1e-9
-
-
 class Pairing(eqx.Module):
     """Pairs of nodes, and the transform x -> `matrix` x + `shift` from `first` to `second`."""
 
@@ -155,14 +153,12 @@ class Pairing(eqx.Module):
         # The median is the value of most pairs, free of round-off; the mean has a smooth
         # derivative.
         shift = mean + jax.lax.stop_gradient(jnp.median(difference, axis=0) - mean)
-        shift = jnp.where(jnp.abs(shift) < ALONG_AXIS * jnp.max(jnp.abs(shift)), 0, shift)
+        shift = jnp.where(jnp.abs(shift) < SAME * jnp.max(jnp.abs(shift)), 0, shift)
         return dataclasses.replace(self, shift=shift)
 
     def misses(self, points: Points) -> Float[np.ndarray, " q"]:
         """Distances of second nodes from their partners' images, on the host."""
-        return np.linalg.norm(
-            points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1
-        )
+        return row_lengths(points[self.first] @ self.matrix.T + self.shift - points[self.second])
 
     def matched(self, base: Nodal, points: Nodal) -> Nodal:
         """Makes pairs match bit for bit if a translation does so at `base`. Traced."""
@@ -194,7 +190,10 @@ def _product(rows: Nodal, matrix: Float[Array, "d d"]) -> Nodal:
 def _differ(first: np.ndarray, second: np.ndarray, size: float) -> bool:
     """Whether affine matrices differ, in lengths of a mesh of this `size`."""
     return bool(
-        ((np.abs(first - second)[:-1] / np.append(np.ones(len(first) - 1), size)) > 1e-6).any()
+        (
+            (np.abs(first - second)[:-1] / np.append(np.ones(len(first) - 1), size))
+            > SAME_TRANSFORM
+        ).any()
     )
 
 
@@ -227,8 +226,8 @@ def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: f
     for pairing, plane in itertools.product(pairings, planes):
         normal = plane.normal
         if (
-            np.abs(pairing.matrix @ normal - normal).max() > 1e-9
-            or abs(normal @ pairing.shift) > 1e-9 * size
+            np.abs(pairing.matrix @ normal - normal).max() > ALIGNED
+            or abs(normal @ pairing.shift) > SAME * size
         ):
             raise ValueError(
                 f"a periodic transform moves the symmetry plane with normal {normal.tolist()}: "
@@ -238,10 +237,6 @@ def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: f
     for first, second in itertools.combinations([pairing.power(1) for pairing in pairings], 2):
         if _differ(first @ second, second @ first, size):
             raise ValueError("two periodic transforms must commute: all rotations need one axis.")
-
-
-# largest allowed distance of a node from its partner's image, relative to the node spacing
-MISMATCH = 1e-4
 
 
 def paired(
@@ -295,7 +290,7 @@ def _paired(
     partner = _partners(periodic, first, second, points, exact[first] @ matrix.T + shift)
     is_alone = first == partner
     sectors = 2 * np.pi / abs(angle) if angle else 0
-    turn = round(sectors) if abs(sectors - round(sectors)) < 1e-6 * sectors else 0
+    turn = round(sectors) if abs(sectors - round(sectors)) < SAME_TRANSFORM * sectors else 0
     copies = (
         periodic.copies
         if turn or not angle
@@ -327,7 +322,7 @@ def _partners(
 ) -> np.ndarray:
     exact = points[second].astype(float)
     distance, nearest = map(np.asarray, Tree(exact).query(images))
-    gaps = np.minimum(spacing(exact), np.ptp(points.astype(float), axis=0).max())
+    gaps = np.minimum(spacing(exact), extent_of(points.astype(float)))
     allowed = np.maximum(MISMATCH * gaps[nearest], 2 * tolerance(points))
     check_none(
         first[worst_first(distance, allowed)],
@@ -374,7 +369,7 @@ def _transform(
             np.cross(axis, np.pad(place - about, (0, 3 - d))) for place in (middle, other)
         )
         angle = float(np.arctan2(axis @ np.cross(start, end), start @ end))
-    if not abs(np.sin(angle / 2)) > 1e-12:
+    if not abs(np.sin(angle / 2)) > NO_TURN:
         raise ValueError(f"{periodic.name}: the angle of the rotation is zero.")
     along = np.outer(axis, axis)[:d, :d]
     across = np.cross(axis, np.eye(3)).T[:d, :d]
@@ -402,4 +397,4 @@ def _check_vectors(periodic: Periodic, dimension: int) -> None:
 
 def _sharp(shift: np.ndarray) -> np.ndarray:
     """Clears components of a translation that are round-off: their coordinates stay bit for bit."""
-    return np.where(np.abs(shift) < ALONG_AXIS * np.abs(shift).max(), 0, shift)
+    return np.where(np.abs(shift) < SAME * np.abs(shift).max(), 0, shift)

@@ -11,32 +11,29 @@ from scipy.spatial import Delaunay, QhullError
 
 from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import linear_cells
-from .._host.linear.products import normals, unit_rows
+from .._host.linear.products import dot_rows, normals, row_lengths, unit_rows
 from .._host.package.arguments import check_patch
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
-from .._host.package.rounding import canonical_order
-from .._host.surface.walls import in_order
-from .._mesh.mesh import Mesh
-from .outer_faces import Faces, Ids, row_of
-from .symmetry import Plane, optional
-from .tracks import SMOOTH
-from .walls import (
+from .._host.package.rounding import canonical_order, extent_of
+from .._host.rows import Rows, join_ids
+from .._host.surface.walls import sort_faces
+from .._host.tolerances import (
+    ALIGNED,
     ALONG_AXIS,
-    AbstractWall,
-    CurvedFaces,
-    Faceted,
-    Flat,
-    FlatFaces,
-    Round,
-    faces_around,
+    CONTINUES,
+    DEVIATION,
+    NO_AREA,
+    NO_EDGE,
+    SAME,
+    SAME_STATION,
 )
+from .._mesh.mesh import Mesh
+from .face_search import FaceSearch
+from .outer_faces import Faces, Ids
+from .symmetry import Plane, optional
+from .walls import AbstractWall, Flat, OnFaces, Round
 
 Walls = list[tuple[AbstractWall, np.ndarray]]
-
-# least cosine (60 degrees) of a hole's faces to those around: a dome's rim is no hole
-CONTINUES = 0.5
-# distance of nodes on a surface, relative to the patch's extent: files have few digits
-DEVIATION = 1e-5
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -165,7 +162,7 @@ def walls_of_patch(
             f"{dimension} dimensions."
         )
     off = np.abs(np.asarray(wall.height(jnp.asarray(exact[nodes]))[0]))
-    allowed = DEVIATION * np.ptp(exact[nodes], axis=0).max()
+    allowed = DEVIATION * extent_of(exact[nodes])
     check_none(
         nodes[worst_first(off, allowed)],
         f"{slide.name} does not lie on its surface: {{count}} of {len(nodes)} nodes are off, the "
@@ -210,16 +207,16 @@ def _line_or_profile(
     if given is not None:
         return (None if len(given) > 1 else np.array([0, 1, given[0, 1]])), given
     arm = patch - origin
-    size = np.ptp(patch, axis=0).max()
+    size = extent_of(patch)
     along = arm @ axis
-    profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
+    profile = np.stack([along, row_lengths(arm - along[:, None] * axis)], axis=1)
     middle = profile.mean(axis=0)
     normal = np.array([0.0, 1.0])
-    if axis.any() and np.ptp(profile[:, 1]) > 1e-9 * size:
+    if axis.any() and np.ptp(profile[:, 1]) > SAME * size:
         normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
     is_line = not axis.any() or np.abs((profile - middle) @ normal).max() <= DEVIATION * size
     profile = profile[np.argsort(profile[:, 0], kind="stable")]
-    profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
+    profile = profile[np.append(True, np.diff(profile[:, 0]) > SAME_STATION * size)]
     return np.array([*normal, middle @ normal]) if is_line else None, profile
 
 
@@ -233,20 +230,19 @@ def _of_faces(
             "jm.Slide(nodes, jm.Plane(normal, origin))."
         )
     dimension = points.shape[1]
-    row = row_of(nodes, len(points))
-    pieces = [np.zeros((0, dimension), dtype=np.int64)]
-    for corners in faces.values():
+    pieces = []
+    for corners in Rows(nodes).renumbered(faces).values():
         # quads are cut into triangles about the node that comes first by place
-        of_patch = in_order(row[corners][(row[corners] >= 0).all(axis=1)])
+        of_patch = sort_faces(corners[(corners >= 0).all(axis=1)])
         pieces += [
             of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))
         ]
-    elements = np.concatenate(pieces)
+    elements = join_ids(pieces).reshape(-1, dimension)
     if not len(elements):
         raise ValueError(
             f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on."
         )
-    if not np.ptp(points[nodes], axis=0).max() > 0:
+    if not extent_of(points[nodes]) > 0:
         place = place_of(points[nodes[0]])
         raise MeshError(
             f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.",
@@ -260,16 +256,18 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     by more than 60 degrees. Faces that fold back, the two sides of a thin plate, are one part.
     """
     area = normals(points[nodes[elements]])
-    size = np.linalg.norm(area, axis=1)
-    has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
+    size = row_lengths(area)
+    has_area = (
+        size > NO_AREA * size.max()
+    )  # a quad that ends in a point has a triangle without area
     elements = elements[has_area]
     unit = area[has_area] / size[has_area, None]
     walls = []
     faces = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(faces.size), (elements.ravel(), faces)))
     beside = (touch.T @ touch).tocoo()
-    cosine = np.sum(unit[beside.row] * unit[beside.col], axis=1)
-    joined = (cosine > CONTINUES - 1e-9) | (cosine < -SMOOTH)
+    cosine = dot_rows(unit[beside.row], unit[beside.col])
+    joined = (cosine > CONTINUES - ALIGNED) | (cosine < -NO_EDGE)
     part = parts_of(beside.row[joined], beside.col[joined], len(elements))
     if len(np.unique(elements)) < len(nodes):  # nodes of no face belong to all parts
         part[:] = 0
@@ -280,9 +278,10 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
         corners = np.searchsorted(rows, corners).astype(np.int32)
         try:
             plane = Plane.through(points, ids)
-            walls.append((FlatFaces(plane.normal, plane.origin, ids, points[ids], corners), ids))
+            own = FaceSearch(ids, points[ids], corners)
+            walls.append((Flat(plane.normal, plane.origin, own), ids))
         except ValueError:
-            walls.append((Faceted.of(ids, points[ids], corners), ids))
+            walls.append((OnFaces(FaceSearch.of(ids, points[ids], corners)), ids))
     return walls
 
 
@@ -294,7 +293,7 @@ def filled(
     a Delaunay triangulation in the rim's mean plane makes the faces. Old faces come first.
     """
     if faces.shape[1] == 2:
-        return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)
+        return np.concatenate([faces, _join_ends(faces, vertices, moves)]).astype(faces.dtype)
     # closed rims of moving vertices: edges (r, 2) against the faces beside them
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     size = int(faces.max()) + 1
@@ -307,7 +306,7 @@ def filled(
     return np.concatenate([faces, *new]).astype(faces.dtype)
 
 
-def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
+def _join_ends(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Lists lines (k, 2) from moving ends to the nearest moving starts that lie ahead."""
     start, end = faces.T
     along = unit_rows(vertices[end] - vertices[start])  # zero for a face of two nodes at one place
@@ -356,21 +355,19 @@ def with_own_curves(walls: Walls, mesh: Mesh | None) -> Walls:
     if mesh is None or not mesh.is_curved:
         return walls
     return [
-        (_curved(wall, mesh) if type(wall) is Faceted else wall, nodes) for wall, nodes in walls
+        (OnFaces(_with_curves(wall.own, mesh)) if isinstance(wall, OnFaces) else wall, nodes)
+        for wall, nodes in walls
     ]
 
 
-def _curved(wall: Faceted, mesh: Mesh) -> AbstractWall:
-    nodes = np.asarray(wall.nodes)
+def _with_curves(own: FaceSearch, mesh: Mesh) -> FaceSearch:
+    nodes = np.asarray(own.nodes)
     sides = {kind: ids for kind, (ids, _) in mesh.topology.outer(nodes).items() if len(ids)}
     pieces = sum(
         len(ids) * (2 if kind == "quad" else 1) for kind, ids in linear_cells(sides).items()
     )
-    if len(sides) != 1 or pieces != len(wall.faces):
-        return wall
+    if len(sides) != 1 or pieces != len(own.faces):
+        return own
     ((kind, ids),) = sides.items()
-    rows = row_of(nodes, len(mesh.points))[ids]
-    rows = rows[np.lexsort(np.sort(rows, axis=1).T)]
-    return CurvedFaces(
-        wall.nodes, wall.vertices, wall.faces, faces_around(rows, len(nodes)), rows, kind
-    )
+    rows = Rows(nodes).of(ids)
+    return own.on_curved(rows[np.lexsort(np.sort(rows, axis=1).T)], kind)

@@ -10,17 +10,15 @@ from jaxtyping import Bool, Float, Int
 
 from .._host.cells.adjacency import parts_of
 from .._host.package.rounding import Tree
-from .._host.rows import Rows
+from .._host.rows import Rows, first_of_equals, mark
 from .._host.surface.walls import ordered_rows
+from .._host.tolerances import OTHER_IMAGE
 from .._kernels.values import as_jax
 from .._methods.surface import Cells, Surface
 from .conditions import Conditions
 from .images import Images
-from .outer_faces import mask, row_of
 from .periodic import Pairing
-from .symmetry import Plane, edges_of, facing, tolerance
-
-DIFFERENT = 1e-3  # difference of two matrices of mirrors; the narrowest angle is a degree
+from .symmetry import Plane, facing, oblique_pairs, tolerance
 
 
 def surface_of(
@@ -38,7 +36,8 @@ def surface_of(
     faces = boundary.surface_faces
     order = ordered_rows(points, moving, faces) if order is None else order
     place = np.argsort(order)
-    own = tuple(pairing.renumbered(row_of(nodes, len(boundary.points))) for pairing in pairings)
+    row = Rows(nodes).of(np.arange(len(boundary.points)))
+    own = tuple(pairing.renumbered(row) for pairing in pairings)
     ordered = tuple(pairing.renumbered(place) for pairing in own)
     copies = _copies_of(on_plane[order], boundary.planes, ordered, points[order], moving)
     rows = order[copies.rows]
@@ -64,14 +63,14 @@ def surface_of(
     return surface, images
 
 
-def _normals(planes: Sequence[Plane], dimension: int) -> Float[np.ndarray, "p d"]:
+def _normals_of_planes(planes: Sequence[Plane], dimension: int) -> Float[np.ndarray, "p d"]:
     return np.reshape([plane.normal for plane in planes], (-1, dimension))
 
 
 def _cells_of(boundary: Conditions) -> Cells | None:
     if boundary.cells is None:
         return None
-    normals = _normals(boundary.planes, boundary.points.shape[1])
+    normals = _normals_of_planes(boundary.planes, boundary.points.shape[1])
     return Cells(boundary.cells, normals, boundary.on)
 
 
@@ -84,7 +83,7 @@ def _images_of(
 ) -> Images:
     d = copies.transforms.shape[1] - 1
     parts = {
-        "normals": _normals(planes, d),
+        "normals": _normals_of_planes(planes, d),
         "origins": np.reshape([plane.origin for plane in planes], (-1, d)),
         "on_plane": on_plane,
         "rows": rows.astype(np.int32),
@@ -94,7 +93,7 @@ def _images_of(
         "powers": copies.powers,
         "pairings": pairings,
     }
-    return Images(**as_jax(parts), edges=edges_of(planes))
+    return Images(**as_jax(parts), edges=oblique_pairs(planes))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,8 +112,8 @@ class Copies:
     @property
     def first(self) -> np.ndarray:
         """The first extended row (b,) that is an image of a row's own row or periodic partner."""
-        _, first, inverse = np.unique(self.roots[self.rows], return_index=True, return_inverse=True)
-        return first[inverse]
+        first, place = first_of_equals(self.roots[self.rows])
+        return first[place]
 
     def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
         """Extends faces between own rows by their images: each once, none on periodic sides."""
@@ -147,16 +146,16 @@ def _copies_of(
     mirrors, after = _mirrors(planes, d)
     powers, mirror = _elements(len(mirrors), pairs)
     elements = zip(powers, mirror, strict=True)
-    transforms = np.stack([mirrors[m] @ _repeated(pairs, power, d) for power, m in elements])
-    places, roots = _numbered(powers, mirror, after, pairs, on_plane)
+    transforms = np.stack([mirrors[m] @ _repeat(pairs, power, d) for power, m in elements])
+    places, roots = _number_places(powers, mirror, after, pairs, on_plane)
     if pairs:
         images = np.einsum("tij,oj->toi", transforms[:, :-1, :-1], points.astype(float))
-        places = _joined(places, images + transforms[:, None, :-1, -1], points)
+        places = _join_images(places, images + transforms[:, None, :-1, -1], points)
     # each place once: moving rows first, own rows before images
     kind, rows = np.divmod(np.sort(np.unique(places, return_index=True)[1]), count)
     first = np.argsort(rows >= moving, kind="stable")
     sides = [
-        mask(count, side, pairing.alone)
+        mark(count, side, pairing.alone)
         for pairing in pairs
         for side in (pairing.first, pairing.second)
     ]
@@ -189,7 +188,7 @@ def _mirrors(
             product = products[number] @ _mirror(planes[k])
             away = np.abs((products - product)[:, :-1, :-1]).max(axis=(1, 2))
             after[-1][k] = int(away.argmin())
-            if away.min() > DIFFERENT:
+            if away.min() > OTHER_IMAGE:
                 after[-1][k] = len(products)
                 products = np.concatenate([products, product[None]])
     return products, np.reshape(after, (len(products), len(planes))).astype(int)
@@ -214,7 +213,7 @@ def _elements(
     return every, mirror
 
 
-def _numbered(
+def _number_places(
     powers: Int[np.ndarray, "t q"],
     mirror: Int[np.ndarray, " t"],
     after: Int[np.ndarray, "g p"],
@@ -238,7 +237,7 @@ def _numbered(
     places = np.reshape(lowest, (len(kinds), radix))[kind.ravel()][:, mirror].T
     for power, pairing in zip(powers.T, pairings, strict=True):
         span = pairing.turn or 2 * pairing.copies + 2
-        steps = (power[:, None] + mask(count, pairing.second)[None] + pairing.copies) % span
+        steps = (power[:, None] + mark(count, pairing.second)[None] + pairing.copies) % span
         steps[:, pairing.alone] = 0
         places = places + radix * steps
         radix = radix * span
@@ -248,7 +247,7 @@ def _numbered(
     return places + radix * roots[None], roots
 
 
-def _joined(
+def _join_images(
     places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], points: np.ndarray
 ) -> np.ndarray:
     """Gives one number to images that coincide, for example where walls meet a periodic side."""
@@ -258,12 +257,8 @@ def _joined(
     numbers, first = np.unique(places, return_index=True)
     first = np.sort(first)  # own rows come before images
     kind = first // len(points)
-    pairs = Tree(at.reshape(-1, at.shape[-1])[first]).query_pairs(
-        tolerance(points), output_type="ndarray"
-    )
-    pairs = np.sort(pairs, axis=1)
+    pairs = Tree(at.reshape(-1, at.shape[-1])[first]).close_pairs(tolerance(points))
     pairs = pairs[kind[pairs[:, 0]] != kind[pairs[:, 1]]]
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     joined = numbers.copy()
     for into, other in np.searchsorted(numbers, places.ravel()[first[pairs]]):
         if joined[other] == numbers[other]:
@@ -271,7 +266,7 @@ def _joined(
     return joined[np.searchsorted(numbers, places)]
 
 
-def _repeated(
+def _repeat(
     pairings: Sequence[Pairing], powers: np.ndarray, dimension: int
 ) -> Float[np.ndarray, "e e"]:
     affine = np.eye(dimension + 1)

@@ -7,16 +7,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._host.linear.products import normals, unit_rows
+from .._host.linear.products import dot_rows, normals, unit_rows
 from .._host.package.arguments import checked, finite_array, freeze, rows_of
 from .._host.package.errors import MeshError, check_none, worst_first
-from .._host.package.rounding import roundoff
+from .._host.package.rounding import extent_of, roundoff
+from .._host.rows import mark
+from .._host.tolerances import (
+    ALIGNED,
+    ALONG_AXIS,
+    NEAR_PLANE,
+    ON_PLANE,
+    SAME_NORMAL,
+    SAME_TRANSFORM,
+)
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .outer_faces import Ids, Points, mask
-
-# distance from a plane, relative to the mesh's extent, within which a node lies on it
-TOLERANCE = 1e-8
+from .outer_faces import Ids, Points
 
 
 class Plane(Module):
@@ -61,7 +67,7 @@ class Plane(Module):
         normal = np.linalg.svd(patch - origin, full_matrices=False)[2][-1]
         axis = np.abs(normal).argmax()
         if (
-            np.abs(np.delete(normal, axis)).max() < 1e-7
+            np.abs(np.delete(normal, axis)).max() < ALONG_AXIS
         ):  # the usual case: keep the coordinate bit for bit
             normal = np.eye(len(normal))[axis]
             origin[axis] = np.median(patch[:, axis])
@@ -98,7 +104,7 @@ class Plane(Module):
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
         if (
             self.normal.shape != other.normal.shape
-            or abs(float(self.normal @ other.normal)) < 1 - 1e-12
+            or abs(float(self.normal @ other.normal)) < 1 - SAME_NORMAL
         ):
             return False
         return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
@@ -112,16 +118,16 @@ class Plane(Module):
         return (points - self.origin) @ self.normal
 
 
-MOST = 6  # most planes of one patch: the sides of a box
+MOST_PLANES = 6  # most planes of one patch: the sides of a box
 
 
 def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> tuple[Plane, ...]:
     """Finds the planes of a patch, such as front and back, by boundary faces (e, corners). The
     plane with most of the nodes comes first, then the plane with most of the remaining nodes. There
-    are none if `MOST` planes do not hold all nodes, or if other planes hold as many nodes. In a
-    duct one cell wide and high, nodes do not decide which sides are meant.
+    are none if `MOST_PLANES` planes do not hold all nodes, or if other planes hold as many nodes.
+    In a duct one cell wide and high, nodes do not decide which sides are meant.
     """
-    planes = _candidates(points, nodes, faces)
+    planes = _list_candidates(points, nodes, faces)
     on = np.array([plane.holds(points)[nodes] for plane in planes], dtype=bool).reshape(
         -1, len(nodes)
     )
@@ -129,7 +135,7 @@ def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> t
     chosen = []
     while (
         left.any()
-        and len(chosen) < MOST
+        and len(chosen) < MOST_PLANES
         and (on & left).sum(axis=1).max(initial=0) >= points.shape[1]
     ):
         chosen.append(int((on & left).sum(axis=1).argmax()))
@@ -139,27 +145,27 @@ def _of_most_nodes(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> t
     return tuple(planes[k] for k in chosen) if is_decided else ()
 
 
-def _candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list[Plane]:
+def _list_candidates(points: Points, nodes: Ids, faces: Iterable[np.ndarray]) -> list[Plane]:
     """Different planes of faces between nodes, those of most faces first."""
     # A face has a key: its unit normal and its height, rounded to four digits, equal for faces of
     # one plane. Equal keys are counted. The plane of one face is tilted by the digits of its
     # corners: it is fitted to all nodes nearby.
-    inside = mask(len(points), nodes)
+    inside = mark(len(points), nodes)
     sides = [ids[inside[ids].all(axis=1)][:, : points.shape[1]] for ids in faces]
     corners = points[
         np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *sides])
     ].astype(float)
     area = normals(corners)
-    extent = np.ptp(points, axis=0).max()
+    extent = extent_of(points)
     corners = corners[area.any(axis=1), 0]
     normal = unit_rows(area[area.any(axis=1)])
-    height = np.sum(normal * (corners - points.mean(axis=0)), axis=1) / extent
+    height = dot_rows(normal, corners - points.mean(axis=0)) / extent
     keys = np.round(np.column_stack([normal, height]), 4) + 0.0
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
     planes: list[Plane] = []
-    for k in first[np.argsort(-count, kind="stable")[: 4 * MOST]]:
+    for k in first[np.argsort(-count, kind="stable")[: 4 * MOST_PLANES]]:
         plane = Plane(normal[k], corners[k])
-        near = nodes[np.abs(plane.height(points[nodes])) <= 1e-3 * extent]
+        near = nodes[np.abs(plane.height(points[nodes])) <= NEAR_PLANE * extent]
         with contextlib.suppress(ValueError):
             plane = Plane.through(points, near)
         if not any(plane.equals(other, points) for other in planes):
@@ -172,12 +178,10 @@ def optional(name: str, value: Any, *shapes: tuple[int | None, ...]) -> np.ndarr
 
 
 def tolerance(points: np.ndarray) -> float:
-    return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
+    return max(ON_PLANE * float(extent_of(points)), roundoff(points))
 
 
-ALIGNED = 1e-9  # difference of a cosine from that of parallel planes, or of a right angle
 NARROWEST = 180  # mirrors at an angle of 180 / n degrees have 2 n images
-ANGLE = 1e-6  # radians by which the angle of two mirrors may be off
 
 
 class Mirrors(NamedTuple):
@@ -205,7 +209,7 @@ class Mirrors(NamedTuple):
         """
         of_cells = np.ones(len(points), bool)
         of_cells[loose] = False
-        edges = edges_of(self.planes)
+        edges = oblique_pairs(self.planes)
         for edge in edges:
             inward = []
             for k in edge:
@@ -213,7 +217,7 @@ class Mirrors(NamedTuple):
                 inward.append(np.sign(height[np.abs(height).argmax()]) * self.planes[k].normal)
             angle = np.arccos(-inward[0] @ inward[1])  # of the mesh between the planes
             sectors = round(np.pi / angle)
-            is_mirror = sectors <= NARROWEST and abs(angle - np.pi / sectors) < ANGLE
+            is_mirror = sectors <= NARROWEST and abs(angle - np.pi / sectors) < SAME_TRANSFORM
             if len(edges) > 1 or not is_mirror:
                 raise ValueError(
                     f"{len(self.planes)} symmetry planes are not all parallel or at right angles, "
@@ -256,7 +260,7 @@ def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     return (_cosines(planes) > 1 - ALIGNED).sum(axis=1) > 1
 
 
-def edges_of(planes: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
+def oblique_pairs(planes: Sequence[Plane]) -> tuple[tuple[int, int], ...]:
     """Lists pairs of planes that are neither parallel nor at right angles: they meet in an edge."""
     cosines = np.triu(_cosines(planes), 1)
     first, second = np.nonzero((cosines > ALIGNED) & (cosines < 1 - ALIGNED))

@@ -1,5 +1,6 @@
 """Tracks: the nodes that slide along one wall, or where two walls meet."""
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 
@@ -9,17 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.linear.products import dot_rows
 from .._host.package.errors import MeshError, check_none, place_of, worst_first
+from .._host.tolerances import NO_EDGE
 from .._kernels.values import Either
+from .face_search import FLAT_FACES, SMOOTH_FACES, Places, solve_small
 from .periodic import Nodal, Pairing
 from .symmetry import Plane
-from .walls import AbstractWall, Faceted, Flat, Places, Round, SmoothFaces, solved
+from .walls import AbstractWall, Flat, OnFaces, Round
 
 # Newton steps to a curved wall, or to the edge between two walls; they converge quadratically
-STEPS = 6
-SMOOTH = np.cos(
-    np.deg2rad(5)
-)  # cosine of the angle below which two sliding patches meet without an edge
+PROJECTIONS = 6
 
 
 class Track(eqx.Module):
@@ -36,7 +37,7 @@ class Track(eqx.Module):
     def off(self, points: Nodal) -> Float[Array, "k d d"]:
         """The projections onto the walls' normals at the rows' places. Traced."""
         normals = self._heights(self.project(points[self.rows]))[1]
-        return jax.vmap(_least, (None, 2), 2)(normals, normals)
+        return jax.vmap(_shortest, (None, 2), 2)(normals, normals)
 
     def along(self, points: Nodal, u: Nodal) -> Nodal:
         """Changes displacements so that the rows keep their distance from the walls. Traced."""
@@ -45,7 +46,7 @@ class Track(eqx.Module):
         if self.is_linear:
             normals = self._heights(start)[1]
             above = jnp.einsum("kwd,kd->kw", normals, displacement, precision="highest")
-            tangential = displacement - _least(normals, above)
+            tangential = displacement - _shortest(normals, above)
         else:
             tangential = self.project(start + displacement) - self.project(start)
         return u.at[self.rows].set(tangential)
@@ -56,15 +57,15 @@ class Track(eqx.Module):
 
     def project(self, x: Places) -> Places:
         only = self.walls[0] if len(self.walls) == 1 else None
-        if isinstance(only, Faceted):
-            return only.nearest(x)[0]
+        if isinstance(only, OnFaces):
+            return only.own.closest(x)[0]
         is_exact = self.is_linear or (isinstance(only, Round) and only.is_straight)
 
         def nearer(x, _):
             above, normals = self._heights(x)
-            return x - _least(normals, above), None
+            return x - _shortest(normals, above), None
 
-        return jax.lax.scan(nearer, x, length=1 if is_exact else STEPS)[0]
+        return jax.lax.scan(nearer, x, length=1 if is_exact else PROJECTIONS)[0]
 
     def at(self, points: Nodal) -> "Track":
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
@@ -76,14 +77,22 @@ class Track(eqx.Module):
 
 
 def smoothed(track: Track) -> Track:
-    walls = (SmoothFaces(**vars(wall)) if type(wall) is Faceted else wall for wall in track.walls)
-    return Track(np.asarray(track.rows), tuple(walls))
+    """Lets the rows of a track slide on the smooth surface instead of flat faces."""
+    return Track(np.asarray(track.rows), tuple(map(_smooth, track.walls)))
 
 
-def _least(normals: Float[Array, "k w d"], above: Float[Array, "k w"]) -> Places:
+def _smooth(wall: AbstractWall) -> AbstractWall:
+    if isinstance(wall, OnFaces) and wall.own.kind == FLAT_FACES:
+        return OnFaces(dataclasses.replace(wall.own, kind=SMOOTH_FACES))
+    return wall
+
+
+def _shortest(normals: Float[Array, "k w d"], above: Float[Array, "k w"]) -> Places:
     """The shortest vectors with the components `above` along one or two normals."""
     gram = jnp.einsum("kvd,kwd->kvw", normals, normals, precision="highest")
-    return jnp.einsum("kw,kwd->kd", jax.vmap(solved)(gram, above), normals, precision="highest")
+    return jnp.einsum(
+        "kw,kwd->kd", jax.vmap(solve_small)(gram, above), normals, precision="highest"
+    )
 
 
 def tracks_of(
@@ -122,7 +131,7 @@ def tracks_of(
 def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
     first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
     check_none(
-        nodes[worst_first(np.abs(np.sum(first * second, axis=1)), SMOOTH)],
+        nodes[worst_first(np.abs(dot_rows(first, second)), NO_EDGE)],
         "two sliding patches, or a sliding patch and a symmetry plane, meet at {count} nodes "
         "without an edge, the worst "
         "is node {node} at ({place}). Let both slide as one patch, jm.Slide((first, second)), or "
@@ -151,7 +160,7 @@ def check_repeated(
     for pairing in pairings:
         first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
         mismatch = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
-        wrong = worst_first(mismatch * (free[first] & free[second]), np.sqrt(2 - 2 * SMOOTH**2))
+        wrong = worst_first(mismatch * (free[first] & free[second]), np.sqrt(2 - 2 * NO_EDGE**2))
         if wrong.size:
             node, partner = (int(side[wrong[0]]) for side in (first, second))
             raise MeshError(

@@ -73,6 +73,14 @@ class Rows:
         return table
 
 
+def mark(count: int, *lists: Any) -> ndarray:
+    """Marks the ids of the lists among `count` ids, in a mask (count,)."""
+    marks = np.zeros(count, bool)
+    for ids in lists:
+        marks[np.asarray(ids)] = True
+    return marks
+
+
 def first_of_equals(values: ndarray) -> Pair:
     """Finds the first row of each distinct value (k,), or of each row of a table (k, c), sorted by
     value, and the place of every row's value among these.

@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._boundary.conditions import Conditions
-from .._boundary.outer_faces import mask
 from .._boundary.tracks import Track, check_repeated, smoothed, tracks_of
 from .._boundary.walls import Flat
 from .._host.cells.topology import solid
 from .._host.linear.hessians import Pattern, pattern
+from .._host.rows import join_ids, mark
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._quality.distortion import node_scales, signs_of_pieces, targets
+from .._quality.distortion import node_scales, signs_of_pieces, target_cells
 from .motion import Distortion, Ways
 
 
@@ -27,7 +27,7 @@ def problem_of(
     pairings = boundary.pairings
     held, tracks = _split_held(boundary, mesh)
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, d).items()}
-    free = mask(n, *cells.values()) & ~mask(n, held)
+    free = mark(n, *cells.values()) & ~mark(n, held)
     check_repeated(tracks, held, pairings, np.asarray(mesh.points), free)
     leads = np.arange(n)  # the node with which every node moves; none moves with one that is held
     for pairing in pairings:
@@ -51,7 +51,7 @@ def _split_held(boundary: Conditions, mesh: Mesh) -> tuple[np.ndarray, tuple[Tra
     """Nodes that do not move, and tracks of those that slide."""
     points = boundary.points
     held = [boundary.moving, boundary.fixed]
-    sliding = mask(len(points), *(track.rows for track in boundary.tracks))
+    sliding = mark(len(points), *(track.rows for track in boundary.tracks))
     on_plane = boundary.on.T
     pairs = zip(boundary.planes, on_plane, strict=True)
     walls = [
@@ -68,7 +68,7 @@ def _split_held(boundary: Conditions, mesh: Mesh) -> tuple[np.ndarray, tuple[Tra
         for side in (pair.first, pair.second)
     ]
     ways = [*ways, *map(np.flatnonzero, on_plane), boundary.free]
-    sides = _held_sides(mesh, [mask(len(points), nodes, *held, corners, *edges) for nodes in ways])
+    sides = _held_sides(mesh, [mark(len(points), nodes, *held, corners, *edges) for nodes in ways])
     return np.concatenate([sides, *held, corners]).astype(int), tuple(map(smoothed, tracks))
 
 
@@ -78,7 +78,7 @@ def _held_sides(mesh: Mesh, ways: Sequence[Bool[np.ndarray, " n"]]) -> np.ndarra
     sides += [ids for ids, _ in mesh.linear.topology.sides.values()]
     for is_led in ways:
         sides = [ids[~is_led[ids].all(axis=1)] for ids in sides]
-    return np.concatenate([np.zeros(0, int), *map(np.ravel, sides)])
+    return join_ids(sides)
 
 
 @compiled
@@ -91,7 +91,7 @@ def _distortion_of(
     ideal,
     size,
 ):
-    goals = targets(cells, reference, signs, ideal)
+    goals = target_cells(cells, reference, signs, ideal)
     scale = node_scales(cells, goals, len(reference))
     return Distortion(
         cells=cells,

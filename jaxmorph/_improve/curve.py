@@ -11,6 +11,7 @@ from .._boundary.facets import Facets
 from .._boundary.names import nodes_named
 from .._boundary.symmetry import Plane
 from .._host.cells.lagrange import lagrange_types
+from .._host.linear.products import row_lengths
 from .._host.package.arguments import checked, finite_array, shown
 from .._host.package.errors import check_none, warn, worst_first
 from .._mesh.mesh import Mesh
@@ -87,10 +88,10 @@ def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:
     reach = np.zeros(len(mesh.points))
     outer = mesh.outer_faces
     for ids in () if outer is None else outer.corners.values():
-        extent = np.linalg.norm(np.ptp(points[ids], axis=1), axis=1)
+        extent = row_lengths(np.ptp(points[ids], axis=1))
         np.maximum.at(reach, ids.ravel(), np.repeat(extent, ids.shape[1]))
     order = max(lagrange_types()[kind].order for kind in mesh.cells)
-    away = np.linalg.norm(u, axis=1)
+    away = row_lengths(u)
     check_none(
         nodes[worst_first(away, order * reach[nodes])],
         f"{{count}} of {len(nodes)} nodes of the wall are farther from the surface than its faces "

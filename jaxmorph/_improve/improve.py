@@ -11,9 +11,10 @@ from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._boundary.boundary import Boundary
 from .._boundary.conditions import Conditions
-from .._boundary.names import check_finite
 from .._host.cells.pieces import owners
 from .._host.package.arguments import between, checked, whole
+from .._host.package.errors import check_all_finite
+from .._host.tolerances import SAME_MARGIN
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
@@ -24,7 +25,6 @@ from .constraints import problem_of
 from .stages import Minimum, Search, judge_minimum, minimise_softly, minimise_stiffly
 
 MINIMUM = 1e-2
-SAME_MARGIN = 1e-6  # difference of two margins that is round-off
 GAIN = 5e-3  # relative gain in the smallest Jacobian ratio that pays for a larger skewness
 
 Count = Int[Array, ""]
@@ -99,33 +99,15 @@ def improve(
     """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
     The target of a cell is its shape on the undeformed mesh, `mesh.points`, so that boundary layers
-    keep their anisotropy. The target of a cell that is folded there, or has a folded corner, is the
-    nearest parallelogram, parallelepiped or the like, else the equilateral cell of the size around.
-    So a mesh that arrives folded is unfolded, too. The energy of a cell is the mean over its
-    corners of
+    keep their anisotropy. A cell that is folded there is unfolded. The summed distortion of all
+    cells is minimised by Newton's method (`distortion`, and theory in the pages). Nodes of symmetry
+    planes and sliding patches move along them, both nodes of a periodic pair alike. With `worst`
+    the worst cell is raised at the cost of the mean, unless more cells than without would invert.
 
-        (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
-
-    with T from target to cell, and chi the determinant of T, regularised: finite on inverted cells.
-    Newton's method minimises the sum in five stages, in which the barrier at chi = 0 sharpens.
-    SciPy solves the sparse systems on the host. With `worst`, stages follow that raise the worst
-    cell at the cost of the mean. The energy e of a corner becomes e / ((1 - s e) (1 - r / det T)):
-    it stays below 1 / s, and det T above r. Both bounds close in from stage to stage. The result
-    has the largest of the stages' smallest Jacobians. It is the result without `worst` where no
-    stage has a larger smallest Jacobian ratio, or where one inverts more cells or proves fewer. So
-    it is where the ratio gains 0.5 % or less and the largest skewness grows. Traced in `points`,
-    and differentiable in both modes with respect to the places of the fixed nodes, by the implicit
-    function theorem: derivatives are as accurate as `residual` is small. Those with respect to the
-    places of inner nodes, where the search starts, are zero. Close over `mesh`; do not trace it.
-    Use float64. Nodes of symmetry planes and sliding patches move along them, and keep the distance
-    that `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on
-    both. Corners, and nodes on the axis of a rotation, do not move. The surface of a patch's own
-    faces is a smooth one through their nodes. On a curved wall a node turns by less than 90 degrees
-    from its start; near 90 degrees, `residual` is infinite. Nothing is promised for a boundary that
-    crosses itself: see `after`, or `str` of the result. Sources: Garanzha et al., Foldover-free
-    maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust quasistatic finite
-    elements and flesh simulation, SCA 2005; Garanzha et al., In the Quest for Scale-optimal
-    Mappings, ACM Trans. Graph. 43, 2024.
+    Traced in `points`, but not in `mesh`. Derivatives by the places of the fixed nodes follow from
+    the implicit function theorem, and are as accurate as `residual` is small. Those by the places
+    of inner nodes, where the search starts, are zero. Use float64. Nothing is promised for a
+    boundary that crosses itself: see `after`, or `str` of the result.
 
     **Arguments:**
 
@@ -144,16 +126,10 @@ def improve(
     **Raises:** `ValueError` for a mesh without cells of its dimension, another shape of `points`, a
     boundary of points alone, and a `size_weight` that is not in 0 to 1.
     """
-    with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        boundary = mesh if isinstance(mesh, Conditions) else Boundary(mesh, ())
-    if (own := boundary.mesh) is None:
-        raise ValueError(
-            "this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...)."
-        )
-    check_solid(own, "there is nothing to improve")
+    boundary, own = _given_boundary(mesh)
     start = places(own, points)
     if is_known(start):
-        check_finite(np.asarray(start))
+        check_all_finite(np.asarray(start))
     if is_known(size_weight):
         between("size_weight", size_weight, 0, 1, "[]")
     between("tolerance", tolerance, 0, ends="[)")
@@ -167,12 +143,32 @@ def improve(
     if not worst:
         return found
     stiff, stiff_report = _conclude(own, start, plain, minimise_stiffly(plain, base, search))
+    is_better = _is_better(stiff, stiff_report, found, report)
+    chosen = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), stiff, found)
+    return eqx.tree_at(lambda it: it.steps, chosen, stiff.steps)
+
+
+def _given_boundary(mesh: Mesh | Conditions) -> tuple[Conditions, Mesh]:
+    with jax.ensure_compile_time_eval():  # not folded into the caller's program
+        boundary = mesh if isinstance(mesh, Conditions) else Boundary(mesh, ())
+    if boundary.mesh is None:
+        raise ValueError(
+            "this boundary has points alone: make it of the mesh, jm.Boundary(mesh, ...)."
+        )
+    check_solid(boundary.mesh, "there is nothing to improve")
+    return boundary, boundary.mesh
+
+
+def _is_better(
+    stiff: Improvement, stiff_report: QualityReport, plain: Improvement, report: QualityReport
+) -> Array:
+    """Whether the stiffened minimum is better: a larger Jacobian ratio, no more bad cells, and a
+    larger skewness only where the ratio gains more than `GAIN`.
+    """
     gain = stiff_report.min_jacobian_ratio - report.min_jacobian_ratio
     is_round = stiff_report.max_skewness <= report.max_skewness
     is_better = jnp.where(is_round, gain >= 0, gain > GAIN * jnp.abs(report.min_jacobian_ratio))
-    is_better &= (stiff.after <= found.after) & (stiff.unproven <= found.unproven)
-    chosen = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), stiff, found)
-    return eqx.tree_at(lambda it: it.steps, chosen, stiff.steps)
+    return is_better & (stiff.after <= plain.after) & (stiff.unproven <= plain.unproven)
 
 
 def _conclude(

@@ -13,6 +13,7 @@ from .._boundary.periodic import Pairing
 from .._boundary.tracks import Track
 from .._host.cells.topology import CORNERS, DIMENSION
 from .._host.linear.products import determinant
+from .._host.tolerances import SHIFT
 from .._quality import measures
 from .._quality.distortion import (
     Bounds,
@@ -23,7 +24,7 @@ from .._quality.distortion import (
     stiffened,
     stretch,
 )
-from .._quality.vector import Vector, corners
+from .._quality.vector import Vector, corner_points
 
 Nodal = Float[Array, "n d"]  # a place, or a vector, of every node
 
@@ -70,10 +71,6 @@ class Ways(eqx.Module):
         return points
 
 
-# added to a Hessian's diagonal (order one): it may be singular where cells are inverted
-SHIFT = 1e-12
-
-
 class Distortion(eqx.Module):
     """A mesh's energy by the free nodes' motion y (n, d) from their start, in units of `scale`.
     `ways` lead the nodes of walls and periodic pairs. All samples stay within `bounds`.
@@ -100,7 +97,7 @@ class Distortion(eqx.Module):
     def _energy(self, points: Nodal) -> Float[Array, ""]:
         total = jnp.zeros((), points.dtype)
         for kind, ids in self.cells.items():
-            x = corners(points, ids)
+            x = corner_points(points, ids)
             goal = self.targets[kind]
             total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size, self.bounds))
         return total
@@ -115,7 +112,7 @@ class Distortion(eqx.Module):
         rows = []
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
-            squared, tau = samples(kind, corners(points, ids), goal)
+            squared, tau = samples(kind, corner_points(points, ids), goal)
             rows.append(jnp.stack([goal.counts, squared, tau]).reshape(3, -1))
         counts, squared, tau = jnp.concatenate(rows, axis=1)
         return counts > 0, squared, tau
@@ -143,7 +140,7 @@ class Distortion(eqx.Module):
         movable = self.movable().targets
         for kind, ids in self.cells.items():
             is_held = (self.targets[kind].counts > 0) & (movable[kind].counts == 0)
-            tau = samples(kind, corners(points, ids), self.targets[kind])[1]
+            tau = samples(kind, corner_points(points, ids), self.targets[kind])[1]
             lost[kind] = jnp.any(is_held & (tau <= 0), axis=0)
         return lost
 
@@ -168,7 +165,9 @@ class Distortion(eqx.Module):
             goal = self.targets[kind]
             share = _corner_shares(kind)
             slope = slopes[ids]
-            matrices = _stack_all(stretch(kind, corners(points, ids), goal)).transpose(2, 3, 1, 0)
+            matrices = _stack_all(stretch(kind, corner_points(points, ids), goal)).transpose(
+                2, 3, 1, 0
+            )
             second = (
                 _convex(of_sample, matrices, floor)
                 * (goal.counts / len(share))[..., None, None, None, None]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._host.cells.orders import MESHIO, VTK_ORDER, reordered
-from .._host.cells.pieces import boundary_faces
+from .._host.cells.pieces import outer_pieces
 from .._host.cells.topology import (
     CORNERS,
     DIMENSION,
@@ -20,7 +20,7 @@ from .._host.cells.topology import (
     canonical_type,
     solid,
 )
-from .._host.package.arguments import freeze, has_type, native, real_array, shown
+from .._host.package.arguments import freeze, has_type, native_order, real_array, shown
 
 # point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere
 PREFIX = "patch:"
@@ -58,7 +58,7 @@ LAGRANGE = {
 }
 """meshio's names of VTK's cells of any order; the number of nodes tells the order."""
 
-LEVELS = ("point", "curve", "surface", "volume")  # gmsh's names of the dimensions
+GMSH_LEVELS = ("point", "curve", "surface", "volume")  # gmsh's names of the dimensions
 SHOWN = 6  # numbers of an array that a sentence lists
 
 Arrays = Mapping[str, Any]
@@ -234,14 +234,14 @@ def parts(grid: Grid, more: Iterable[Patch] = ()) -> Parts:
     `boundary`.
     """
     cells = _cells(grid)
-    points = _points(grid, cells)
+    points = _points_of_grid(grid, cells)
     patches, notes = distinct([*more, *_sets(grid), *_physical(grid)])
     taken, marked = ("", {}) if patches else _marked(grid)
     patches = patches or marked
     if not patches and grid.outer is not None:
         patches = {"boundary": grid.outer}
     elif not patches:
-        outer = boundary_faces(cells, len(points))
+        outer = outer_pieces(cells, len(points))
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
         faces = sum(len(corners) for kind, corners in grid.blocks if kind not in cells)
         notes += (
@@ -262,7 +262,7 @@ def _cells(grid: Grid) -> ByName:
     return cells
 
 
-def _points(grid: Grid, cells: Mapping[str, np.ndarray]) -> np.ndarray:
+def _points_of_grid(grid: Grid, cells: Mapping[str, np.ndarray]) -> np.ndarray:
     points = grid.points.astype(float)
     if DIMENSION[next(iter(cells))] == 2 and points.shape[1] == 3 and np.ptp(points[:, 2]) == 0:
         points = points[:, :2]
@@ -305,7 +305,9 @@ def _physical(grid: Grid) -> Iterator[Patch]:
         ((tag, level), nodes) for level, tag, nodes in by_number(grid.of_blocks(groups)) if tag > 0
     )
     for (tag, level), members in nodes.items():
-        yield Patch(names.get((tag, level), f"physical_{tag}"), f"{LEVELS[level]}_{tag}", members)
+        yield Patch(
+            names.get((tag, level), f"physical_{tag}"), f"{GMSH_LEVELS[level]}_{tag}", members
+        )
 
 
 def _marked(grid: Grid) -> tuple[str, ByName]:
@@ -324,9 +326,9 @@ def _marked(grid: Grid) -> tuple[str, ByName]:
 
 
 def _marker_arrays(grid: Grid) -> Iterator[tuple[str, Iterable[Block]]]:
-    for name in _markers(grid.cell_data):
+    for name in _marker_names(grid.cell_data):
         yield name, grid.of_blocks(grid.cell_data[name])
-    for name in _markers(grid.point_data):
+    for name in _marker_names(grid.point_data):
         nodes = np.arange(len(grid.points))
         values = np.asarray(grid.point_data[name])
         if values.ndim == 1:
@@ -391,7 +393,7 @@ def regions_note(names: Iterable[str]) -> Iterator[str]:
         yield f"regions, sets of cells, are no patches and move as one mesh: {listed}."
 
 
-def _markers(arrays: Arrays) -> list[str]:
+def _marker_names(arrays: Arrays) -> list[str]:
     return sorted(
         (name for name in arrays if name.lower() in MARKERS),
         key=lambda name: MARKERS.index(name.lower()),
@@ -443,7 +445,7 @@ def _check_parts(points: Any, cells: Mapping[str, Any], patches: Mapping[str, An
 def floats(points) -> Any:
     """Returns coordinates as read-only floats; a JAX array stays one: quality traces through it."""
     if isinstance(points, np.ndarray) or not has_type(points):
-        return freeze(native(real_array("points", points, (None, 2), (None, 3))))
+        return freeze(native_order(real_array("points", points, (None, 2), (None, 3))))
     if points.dtype.kind not in "fiuV":  # JAX's short floats have no letter of their own
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
     return points.astype(float) if points.dtype.kind in "iu" else points
@@ -455,4 +457,4 @@ def ids_of(values) -> np.ndarray:
         return ids.astype(np.int64)
     if ids.dtype.kind not in "iu":
         raise ValueError(f"ids must be integers, not {ids.dtype}.")
-    return native(ids) if ids.dtype.kind == "i" else ids.astype(np.int64)
+    return native_order(ids) if ids.dtype.kind == "i" else ids.astype(np.int64)

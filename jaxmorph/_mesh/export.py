@@ -11,9 +11,9 @@ from .exchange import PREFIX, Arrays, Parts, block_of, imported, intact_source, 
 
 def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     meshio = imported("meshio", "io")
-    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
+    point_arrays, cell_arrays = _check_arrays(mesh, point_data, cell_data)
     old = _origin(mesh, meshio.Mesh)
-    points = _points(mesh, None if old is None else old.points)
+    points = _points_to_write(mesh, None if old is None else old.points)
     if old is None:
         new = meshio.Mesh(points, [block_of(kind, corners) for kind, corners in mesh.cells.items()])
     else:
@@ -37,9 +37,13 @@ def to_meshio(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) 
 def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     pyvista = imported("pyvista", "plot")
     old = _origin(mesh, pyvista.UnstructuredGrid)
-    new = pyvista.wrap(vtk.new_grid(mesh.cells, _points(mesh, None))) if old is None else old.copy()
-    new.points = _points(mesh, np.asarray(new.points))
-    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
+    new = (
+        pyvista.wrap(vtk.new_grid(mesh.cells, _points_to_write(mesh, None)))
+        if old is None
+        else old.copy()
+    )
+    new.points = _points_to_write(mesh, np.asarray(new.points))
+    point_arrays, cell_arrays = _check_arrays(mesh, point_data, cell_data)
     new.point_data.update(point_arrays)
     if cell_arrays:
         new.cell_data.update(_of_cells(mesh, cell_arrays, vtk.kinds_of(new)))
@@ -49,17 +53,17 @@ def to_pyvista(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None)
 def to_vtk(mesh: Parts, old: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     """Makes a VTK grid: `old` with other points in its precision, or if it is None a new one."""
     if old is None:
-        new = vtk.new_grid(mesh.cells, _points(mesh, None))
+        new = vtk.new_grid(mesh.cells, _points_to_write(mesh, None))
     else:
         new = old.NewInstance()
         new.ShallowCopy(old)
         was = vtk.coordinates(old)
         new.SetPoints(
             vtk.points_of(
-                _points(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)
+                _points_to_write(mesh, was).astype(np.float32 if was.dtype == np.float32 else float)
             )
         )
-    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
+    point_arrays, cell_arrays = _check_arrays(mesh, point_data, cell_data)
     vtk.add_arrays(new.GetPointData(), point_arrays)
     if cell_arrays:
         vtk.add_arrays(
@@ -75,7 +79,7 @@ def _origin(mesh: Parts, kind: type) -> Any:
     return source if isinstance(source, kind) else None
 
 
-def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
+def _points_to_write(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
     """Places points in 3-D, in double precision; a 2-D mesh gets its old z, or z = 0."""
     points = np.zeros((len(mesh.points), 3))
     if mesh.points.shape[1] == 2 and old is not None and old.shape[1] == 3:
@@ -84,7 +88,7 @@ def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
     return points
 
 
-def _checked(
+def _check_arrays(
     mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None
 ) -> tuple[Arrays, Arrays]:
     """Checks lengths, adds patches as point arrays, and a third component 0 to 2-D vectors."""

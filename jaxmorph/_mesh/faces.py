@@ -13,9 +13,14 @@ from .._host.cells.adjacency import columns_of, sorted_columns, twins
 from .._host.cells.topology import CORNERS, FACES, Pair
 from .._host.ragged import Ragged
 
-BLOCK = 1 << 13
+CELLS_OF_BLOCK = 1 << 13
 
-_SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
+_FACES_OF_SHAPE = {
+    "tetra": (4, 4, 0),
+    "pyramid": (5, 4, 1),
+    "wedge": (5, 2, 3),
+    "hexahedron": (6, 0, 6),
+}
 """Numbers of faces, of triangles and of quads by type."""
 
 
@@ -147,7 +152,7 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     left = np.ones(len(counts), bool)
     cells = {}
     ids = {}
-    for kind, (f, t, q) in _SHAPES.items():
+    for kind, (f, t, q) in _FACES_OF_SHAPE.items():
         candidates = np.flatnonzero((counts == f) & (triangles == t) & (quads == q))
         if len(candidates):
             corners, good = _typed(faces, kind, ordered, sizes, starts[candidates])
@@ -169,11 +174,11 @@ def open_cells(faces: Faces) -> np.ndarray:
         2**64, size=int(faces.labels.max(initial=0)) + 1, dtype=np.uint64
     )
     of_face = np.empty(len(faces.owner), np.uint64)
-    for at in range(0, len(of_face), BLOCK):
-        starts = faces.starts[at : at + BLOCK + 1]
+    for at in range(0, len(of_face), CELLS_OF_BLOCK):
+        starts = faces.starts[at : at + CELLS_OF_BLOCK + 1]
         here = number[faces.labels[starts[0] : starts[-1]]]
         starts = starts - starts[0]
-        of_face[at : at + BLOCK] = np.bitwise_xor.reduceat(
+        of_face[at : at + CELLS_OF_BLOCK] = np.bitwise_xor.reduceat(
             (here - following(here, starts)) ** 2, starts[:-1]
         )
     inner = np.flatnonzero(faces.neighbour >= 0)
@@ -189,9 +194,9 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
     # base comes first: the quad of a pyramid, a triangle of a wedge.
     corners = np.empty((len(starts), CORNERS[kind]), faces.labels.dtype)
     good = np.empty(len(starts), bool)
-    for at in range(0, len(starts), BLOCK):
-        block = slice(at, at + BLOCK)
-        rows = starts[block, None] + np.arange(_SHAPES[kind][0])
+    for at in range(0, len(starts), CELLS_OF_BLOCK):
+        block = slice(at, at + CELLS_OF_BLOCK)
+        rows = starts[block, None] + np.arange(_FACES_OF_SHAPE[kind][0])
         around = ordered[rows]
         if kind in ("pyramid", "wedge"):
             first = sizes[rows] if kind == "wedge" else -sizes[rows]

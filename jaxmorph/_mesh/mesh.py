@@ -15,6 +15,7 @@ from .._host.cells.pieces import linear_cells, places_of, steps_of
 from .._host.cells.topology import CORNERS, DIMENSION, SHAPES
 from .._host.package.arguments import check, checked, shown, whole
 from .._host.package.text import patch_names
+from .._host.rows import Rows, first_of_equals, join_ids
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from . import exchange, export, vtk
@@ -196,9 +197,9 @@ class Mesh(Module):
                 "faces."
             )
         outer = self.topology.outer(self.patch(*patches) if patches else slice(None))
-        owners = [np.zeros(0, np.int64), *(outer[kind][1] for kind in sorted(outer))]
         sides = {kind: nodes for kind, (nodes, _) in outer.items()}
-        return Mesh(self.points, sides, self.patches), np.concatenate(owners)
+        owners = join_ids(outer[kind][1] for kind in sorted(outer))
+        return Mesh(self.points, sides, self.patches), owners
 
     @property
     def topology(self) -> Topology:
@@ -245,10 +246,8 @@ class Mesh(Module):
             shape: [np.concatenate(part) for part in zip(*found[shape], strict=True)]
             for shape in sorted(found)
         }
-        owners = [*(owner for _, owner in joined.values()), np.zeros(0, int)]
-        return Mesh(points, {shape: ids for shape, (ids, _) in joined.items()}), np.concatenate(
-            owners
-        )
+        owners = join_ids(owner for _, owner in joined.values())
+        return Mesh(points, {shape: ids for shape, (ids, _) in joined.items()}), owners
 
     @checked
     def moved(self, points: PointsLike) -> "Mesh":
@@ -383,7 +382,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     number[new] = len(old) + np.arange(len(new))
     cells = {of_order(kind, order).name: number[table] for kind, table in tables.items()}
     points = np.concatenate([old, places[new]])
-    return Mesh(points, cells, _patches(mesh, cells, len(points)))
+    return Mesh(points, cells, _joined_patches(mesh, cells, len(points)))
 
 
 def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -400,24 +399,20 @@ def _lattices(mesh: Mesh, steps: int) -> tuple[np.ndarray, dict[str, np.ndarray]
         here = np.einsum("sn,knd->ksd", places_of(kind, steps), points[nodes])
         here[:, : corners.shape[1]] = points[corners]
         places.append(here.reshape(-1, points.shape[1]))
-    rows = [np.zeros((0, 16), np.int64), *(key.reshape(-1, 16) for key in keys.values())]
-    _, first, number = np.unique(
-        np.concatenate(rows), axis=0, return_index=True, return_inverse=True
-    )
-    parts = np.split(number.ravel(), np.cumsum(list(map(len, rows)))[:-1])[1:]
-    tables = {
-        kind: part.reshape(keys[kind].shape[:2]) for kind, part in zip(keys, parts, strict=True)
-    }
+    first, number = first_of_equals(join_ids(keys.values()).reshape(-1, 16))
+    tables = {}
+    for kind, key in keys.items():
+        count = key.size // 16
+        tables[kind] = number[:count].reshape(key.shape[:2])
+        number = number[count:]
     return np.concatenate(places)[first].astype(points.dtype), tables
 
 
-def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
+def _joined_patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
     patches = {name: [np.asarray(nodes)] for name, nodes in mesh.patches.items()}
     highest = max(DIMENSION[kind] for kind in cells)
     for kind, (sides, _) in Topology(cells, n, highest).sides.items():
         corners = sides[:, : CORNERS[SHAPES[kind]]]
         for name, nodes in mesh.patches.items():
-            inside = np.zeros(n, bool)
-            inside[np.asarray(nodes)] = True
-            patches[name].append(sides[inside[corners].all(axis=1)].ravel())
+            patches[name].append(sides[Rows(nodes).mask(corners).all(axis=1)].ravel())
     return {name: np.concatenate(parts) for name, parts in patches.items()}

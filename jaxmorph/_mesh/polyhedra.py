@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 
 from .._host.cells.topology import Pair
-from .._host.package.rounding import SAME, canonical_order
+from .._host.package.rounding import canonical_order
 from .._host.ragged import Ragged
-from .faces import BLOCK, Faces, open_cells, standard_cells
+from .._host.rows import join_ids, mark
+from .._host.tolerances import LEAST_PIECE, SAME
+from .faces import CELLS_OF_BLOCK, Faces, open_cells, standard_cells
 
-SLIVER = 1e-3  # share of a cell's mean piece below which a piece is left out: its sign says nothing
-ENOUGH = 0.05  # share of the mean piece that ends the search for an apex
+GOOD_APEX = 0.05  # share of the mean piece that ends the search for an apex
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -24,8 +25,7 @@ class Polyhedra:
         """Computes the middles of the `wanted` cells' faces, in a table (cells, d) of all cells."""
         faces = self.faces
         neighbour = faces.all_neighbours()
-        is_wanted = np.zeros(max(faces.owner.max(), neighbour.max()) + 2, dtype=bool)
-        is_wanted[wanted] = True
+        is_wanted = mark(max(faces.owner.max(), neighbour.max()) + 2, wanted)
         rows = np.flatnonzero(is_wanted[faces.owner] | is_wanted[neighbour])
         own = faces.rows.take(rows)
         sides = np.concatenate([faces.owner[rows], neighbour[rows]])
@@ -107,16 +107,16 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> Pair:
     else the node whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
-    parts = [np.zeros((0, 4), faces.labels.dtype)]
-    owners = [np.zeros(0, np.int64)]
-    for at in range(0, len(cells), BLOCK):
-        block = cells[at : at + BLOCK]
+    parts = []
+    owners = []
+    for at in range(0, len(cells), CELLS_OF_BLOCK):
+        block = cells[at : at + CELLS_OF_BLOCK]
         sides = Ragged(ordered, starts).take(block)
         pieces = _Pieces.around(faces, sides.values, sides.row, points)
         corners, cell = pieces.tetrahedra(pieces.best_apex())
         parts.append(corners)
         owners.append(block[cell])
-    return np.concatenate(parts), np.concatenate(owners)
+    return join_ids(parts).reshape(-1, 4), join_ids(owners)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class _Pieces:
         apex = pairs[first[:-1], 1]
         best = np.full(count, -np.inf)
         for turn in range(int(np.diff(first).max())):
-            open_cells = (best < ENOUGH) & (np.diff(first) > turn)
+            open_cells = (best < GOOD_APEX) & (np.diff(first) > turn)
             if not open_cells.any():
                 break
             tried = pairs[np.minimum(first[:-1] + turn, first[1:] - 1), 1]
@@ -192,5 +192,5 @@ class _Pieces:
         volume, away = self.volumes(apex, np.arange(len(self.cell)))
         size = np.where(away, np.abs(volume), 0)
         mean = np.bincount(self.cell, size) / np.maximum(np.bincount(self.cell, away), 1)
-        used = away & (size > SLIVER * mean[self.cell])
+        used = away & (size > LEAST_PIECE * mean[self.cell])
         return np.column_stack([self.corners[used], apex[self.cell[used]]]), self.cell[used]

@@ -13,6 +13,7 @@ from .._host.cells.adjacency import handedness, is_among, neighbours
 from .._host.cells.pieces import linear_cells, owned_sides, owners
 from .._host.cells.topology import CORNERS, DIMENSION, SHAPES, ByType, Pair, solid
 from .._host.linear.products import outward
+from .._host.rows import mark
 from .polyhedra import Polyhedra, triangles
 
 Points = Float[np.ndarray, "n d"]
@@ -69,11 +70,8 @@ class Topology:
     @functools.cached_property
     def loose(self) -> Int[np.ndarray, " l"]:
         """Ids of the nodes of no cell."""
-        is_loose = np.ones(self.count, bool)
         labels = [] if self.polyhedra is None else [self.polyhedra.faces.labels]
-        for ids in (*self.cells.values(), *labels):
-            is_loose[np.asarray(ids)] = False
-        return np.flatnonzero(is_loose)
+        return np.flatnonzero(~mark(self.count, *self.cells.values(), *labels))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

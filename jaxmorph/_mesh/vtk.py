@@ -31,9 +31,9 @@ OTHERS = {
 }
 """Names and dimensions of VTK's other linear cells."""
 
-_KINDS = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()}
-_KINDS |= {number: kind for number, (kind, _) in OTHERS.items()}
-_SHAPES = {number: shape for shape, number in VTK_LAGRANGE.items()}
+_KIND_OF_NUMBER = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()}
+_KIND_OF_NUMBER |= {number: kind for number, (kind, _) in OTHERS.items()}
+_SHAPE_OF_NUMBER = {number: shape for shape, number in VTK_LAGRANGE.items()}
 _LEVELS = dict(OTHERS.values()) | DIMENSION
 
 
@@ -45,7 +45,7 @@ def _as_numpy(array: Any) -> np.ndarray:
     return vtk("util.numpy_support").vtk_to_numpy(array)
 
 
-def _rows_of(cells: Any) -> Ragged:
+def _lists_of(cells: Any) -> Ragged:
     """Returns the rows of a `vtkCellArray`: the nodes of cells or faces, the faces of cells."""
     if cells is None or not cells.GetNumberOfCells():
         return Ragged(np.zeros(0, np.int64), np.zeros(1, np.int64))
@@ -106,7 +106,7 @@ def unstructured(data: Any) -> Any:
 
 def kinds_of(grid: Any) -> np.ndarray:
     """Names the type of each cell (k,) as here, or as VTK does where it is unknown."""
-    sizes = _rows_of(grid.GetCells()).sizes
+    sizes = _lists_of(grid.GetCells()).sizes
     base = int(sizes.max(initial=0)) + 1  # a type and a size make one number
     both, which = np.unique(numbers_of(grid).astype(np.int64) * base + sizes, return_inverse=True)
     names = [_kind(*divmod(pair, base)) for pair in both.tolist()]
@@ -114,12 +114,12 @@ def kinds_of(grid: Any) -> np.ndarray:
 
 
 def _kind(number: int, size: int) -> str:
-    if number in _SHAPES:
-        return sized(_SHAPES[number], size)
-    if number not in _KINDS:
+    if number in _SHAPE_OF_NUMBER:
+        return sized(_SHAPE_OF_NUMBER[number], size)
+    if number not in _KIND_OF_NUMBER:
         names = vtk("vtkCommonDataModel").vtkCellTypeUtilities
         return names.GetClassNameFromTypeId(number).removeprefix("vtk")
-    return _KINDS[number]
+    return _KIND_OF_NUMBER[number]
 
 
 def solid_cells(kinds: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ def of_vtk(grid: Any) -> Grid:
     there.
     """
     points = coordinates(grid)
-    _check_ids("a cell", _rows_of(grid.GetCells()).values, len(points))
+    _check_ids("a cell", _lists_of(grid.GetCells()).values, len(points))
     kinds = kinds_of(grid)
     solid = solid_cells(kinds)
     top = dict.fromkeys(kinds[solid].tolist())
@@ -184,7 +184,7 @@ def _refuse(kinds: Iterable[str], where: str = "") -> None:
 def _of_kind(
     grid: Any, kind: str, rows: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    cells = _rows_of(grid.GetCells())
+    cells = _lists_of(grid.GetCells())
     numbers = numbers_of(grid)
     sizes = cells.sizes[rows]
     for size in np.unique(sizes).tolist():
@@ -205,7 +205,7 @@ def _polyhedral(
     """
     curved = sorted({kind for kind in kinds[solid].tolist() if SHAPES.get(kind, kind) != kind})
     _refuse(curved, " beside polyhedra")
-    sides = [_sides(grid, points, solid, kinds)]
+    sides = [_polyhedral_faces(grid, points, solid, kinds)]
     for kind in dict.fromkeys(kinds[solid][kinds[solid] != "polyhedron"].tolist()):
         cell = np.flatnonzero(kinds[solid] == kind)
         sides += [
@@ -221,9 +221,9 @@ def _polyhedral(
     return of_grid, (whole if len(whole.cut) else None, cells), outer
 
 
-def _sides(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
-    of_cells = _rows_of(grid.GetPolyhedronFaceLocations())
-    every = _rows_of(grid.GetPolyhedronFaces())
+def _polyhedral_faces(grid: Any, points: np.ndarray, solid: np.ndarray, kinds: np.ndarray) -> Faces:
+    of_cells = _lists_of(grid.GetPolyhedronFaceLocations())
+    every = _lists_of(grid.GetPolyhedronFaces())
     cells = np.flatnonzero(kinds[solid] == "polyhedron")
     if len(of_cells) != len(kinds):
         raise ValueError(f"faces of {len(of_cells)} cells, for {len(kinds)}.")

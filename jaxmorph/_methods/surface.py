@@ -2,14 +2,15 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from .._host.package.rounding import SAME, Tree, nearest_of
+from .._host.package.rounding import Tree, nearest_of
 from .._host.sources.reduction import AbstractReduction, AllPoints, drop_close, drop_near
 from .._host.surface.skin import chords
 from .._host.surface.walls import walls
+from .._host.tolerances import SAME
 
 T = TypeVar("T")
 ByKind = Mapping[str, np.ndarray]  # corners (k, c) of cells or faces, by their type
@@ -22,6 +23,14 @@ class Cells:
     corners: ByKind  # node ids (k, corners) by type, of the cells of highest dimension
     normals: np.ndarray  # (p, d) unit normals of the symmetry planes, parallel or at right angles
     on_plane: np.ndarray  # (n, p) whether a node lies on a plane
+
+
+class WallsOfRows(NamedTuple):
+    """The number of each row's wall (b,), two distant rows of each wall (w, 2), its chord (w,)."""
+
+    number: np.ndarray
+    ends: np.ndarray
+    chord: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,10 +68,10 @@ class Surface:
     values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
     @property
-    def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def walls(self) -> "WallsOfRows":
         def found():
             wall = walls(self.points, self.moving, self.faces, self.in_planes)
-            return wall, *chords(self.points, wall, self.faces)
+            return WallsOfRows(wall, *chords(self.points, wall, self.faces))
 
         return self.once("walls", found)
 
@@ -86,14 +95,14 @@ class Surface:
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Chooses sources among moving, then fixed nodes, with images; no two are too close."""
         among = np.arange(self.moving) if isinstance(moving, AllPoints) else self.seen
-        first, closest = self._chosen(moving, among, self.points[self.moving :])
+        first, closest = self._choose(moving, among, self.points[self.moving :])
         rows = np.arange(self.moving, len(self.points))
-        second, closest_fixed = self._chosen(fixed, rows, self.points[first])
+        second, closest_fixed = self._choose(fixed, rows, self.points[first])
         return np.concatenate(
             [first, drop_near(self.points, second, first, min(closest, closest_fixed))]
         )
 
-    def _chosen(
+    def _choose(
         self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray
     ) -> tuple[np.ndarray, float]:
         """Chooses rows by a reduction, with images; also returns the least distance of two."""
@@ -129,7 +138,7 @@ class Surface:
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
             return chosen[0]
-        wall = self.walls[0][rows]
+        wall = self.walls.number[rows]
         distance = Tree(others).query(self.points[rows])[0]
         for label in np.unique(wall):
             members = np.flatnonzero(wall == label)

@@ -59,7 +59,7 @@ class WallTurnIds(eqx.Module):
         normal = unit_rows(_areas(faces, x)[0])
         own = np.unique(np.concatenate([corners.ravel() for corners in faces]))
         tree = Tree(x[own])
-        wall = surface.walls[0]
+        wall = surface.walls.number
         largest = OF_WIDTH / OF_BALL * 2 * width
         inside, outside = (_ball_bounds(tree, own, x, side * normal, largest) for side in (-1, 1))
         other = np.arange(len(x))

@@ -17,7 +17,7 @@ from .._boundary.slide import Slide
 from .._boundary.surface import surface_of
 from .._boundary.symmetry import Plane
 from .._host.package.errors import warn
-from .._host.package.rounding import SAME
+from .._host.tolerances import SAME
 from .._kernels.compile import quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh

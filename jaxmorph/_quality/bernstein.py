@@ -29,7 +29,7 @@ def indices(dimension: int, degree: int) -> np.ndarray:
     return np.array([row for row in rows if sum(row) == degree])
 
 
-def count(space: Space) -> int:
+def count_coefficients(space: Space) -> int:
     return math.prod(len(indices(*factor)) for factor in space)
 
 

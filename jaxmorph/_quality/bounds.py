@@ -78,7 +78,7 @@ def bounds(
         np.minimum.at(lower, cell[~is_open], least[~is_open])
         rows = np.flatnonzero(is_open)
         rows = rows[np.argsort(cell[rows], kind="stable")]  # parts of a cell are counted together
-        for some in blocks(rows, bernstein.count(space) * 2**d):
+        for some in blocks(rows, bernstein.count_coefficients(space) * 2**d):
             below = np.vstack([np.tile(path[:, some], 2**d), np.repeat(np.arange(2**d), len(some))])
             look(bernstein.halved(space, values[:, some]), np.tile(cell[some], 2**d), below)
 
@@ -129,6 +129,6 @@ def _least_places(kind: str, *x: Float[np.ndarray, "nodes k"]) -> BernsteinForms
         )
 
     with np.errstate(all="ignore"):  # coordinates may be NaN
-        return in_blocks(np, found, *x, size=max(1, ROOM // bernstein.count(form.space))).astype(
-            x[0].dtype
-        )
+        return in_blocks(
+            np, found, *x, size=max(1, ROOM // bernstein.count_coefficients(form.space))
+        ).astype(x[0].dtype)

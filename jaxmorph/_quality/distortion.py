@@ -24,7 +24,7 @@ from .._mesh.mesh import Mesh, PointsLike
 from . import measures
 from .quality import check_solid, places, sizes_of, standards_of, volume_of
 from .smooth_quality import positive_part
-from .vector import ValuesByType, Vector, corners, determinant_of, dot, total
+from .vector import ValuesByType, Vector, corner_points, determinant_of, dot, total
 
 AtSamples = Float[Array, "s k"]
 DistortionOfCells = Float[Array, " k"]
@@ -54,16 +54,20 @@ class Target(NamedTuple):
     counts: AtSamples
 
 
-def targets(
+def target_cells(
     cells: ValuesByType, points: Float[Array, "n d"], signs: ValuesByType, ideal: bool
 ) -> dict[str, Target]:
-    volumes = {kind: jnp.abs(volume_of(kind, corners(points, ids))) for kind, ids in cells.items()}
+    volumes = {
+        kind: jnp.abs(volume_of(kind, corner_points(points, ids))) for kind, ids in cells.items()
+    }
     sums = jnp.zeros((2, len(points)), points.dtype)
     for kind, ids in cells.items():
         sums = sums.at[0, ids].add(volumes[kind][:, None]).at[1, ids].add(1)
     around = sums[0] / jnp.maximum(sums[1], 1)
     return {
-        kind: target(kind, corners(points, ids), ideal, signs[kind], jnp.mean(around[ids], axis=1))
+        kind: target(
+            kind, corner_points(points, ids), ideal, signs[kind], jnp.mean(around[ids], axis=1)
+        )
         for kind, ids in cells.items()
     }
 
@@ -203,21 +207,17 @@ def distortion(
 ) -> DistortionOfCells:
     """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
-    It is 0 for a cell like its target, finite on inverted cells, and traced in `points`. There it
-    is as large as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. The
-    target of a cell that is folded on the undeformed mesh is not folded, see `improve`. A curved
-    cell has the mean of its linear pieces, see `Mesh.linear`.
+    It is 0 for a cell like its target, and finite on inverted cells. Traced in `points`. The target
+    of a cell that is folded on the undeformed mesh is the nearest parallelogram or parallelepiped,
+    else the equilateral cell of the size around. A curved cell has the mean of its linear pieces.
 
     **Arguments:**
 
     - `mesh`: the mesh; `mesh.points` is undeformed.
     - `points`: where the nodes are (n, d). Default: `mesh.points`.
     - `ideal`: False (default) compares with the undeformed cell, True with the equilateral cell.
-    - `size_weight`: the weight of size against shape, 0 to 1, default 0.5. At 0 the result is the
-      mean over the corners of 1 / mean ratio - 1, at 1 a barrier on the corner Jacobians relative
-      to the target's.
-    - `softness`: width of the regularisation of det T, without unit, default 1e-3. A larger value
-      gives a smoother barrier.
+    - `size_weight`: the weight of size against shape, 0 to 1, default 0.5.
+    - `softness`: width of the regularisation of det T, without unit, default 1e-3.
 
     **Returns:** an array (k,), the cells in the order of `mesh.cells`. **Raises:** `ValueError` for
     a mesh without cells of its own dimension, and another shape of `points`.
@@ -231,11 +231,11 @@ def distortion(
     current = places(mesh, points)
     linear = linear_cells(cells, jnp.concatenate)
     with jax.ensure_compile_time_eval():  # not folded into a caller's program
-        goals = targets(
+        goals = target_cells(
             linear, jnp.asarray(mesh.points, current.dtype), signs_of_pieces(mesh), ideal
         )
     parts = [
-        energy_of_cells(kind, corners(current, ids), goals[kind], softness, size_weight)
+        energy_of_cells(kind, corner_points(current, ids), goals[kind], softness, size_weight)
         for kind, ids in linear.items()
     ]
     if not mesh.is_curved:

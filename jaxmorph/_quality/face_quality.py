@@ -13,6 +13,7 @@ from .._host.cells.topology import DIMENSION, FACES
 from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._host.package.cores import in_order
+from .._host.tolerances import LEAST_DIVISOR
 from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
 from .quality import signs_of
@@ -23,7 +24,6 @@ FacePoints = Float[np.ndarray, "n d"]
 FaceValues = Float[np.ndarray, " k"]
 FaceMask = Bool[np.ndarray, " k"]
 
-FLOOR = 1e-300  # least divisor
 
 FACE_MEASURES = (
     "skewness",
@@ -293,7 +293,7 @@ def _shape_of(sides: Sides, points: FacePoints) -> _Shape:
         for (_, cells), part in zip(block.views, parts, strict=True):
             _add(sums, cells, part)
     volume, *moment = sums
-    return _Shape(centre, area, moment / np.where(volume == 0, FLOOR, volume), volume)
+    return _Shape(centre, area, moment / np.where(volume == 0, LEAST_DIVISOR, volume), volume)
 
 
 def _add(sums: FaceVectors, cells: np.ndarray, vectors: FaceVectors) -> None:
@@ -323,10 +323,10 @@ def _quality_of(sides: Sides, shape: _Shape, points: FacePoints, old: FaceValues
             np.add.at(heights, cells, np.abs(height))
             _add(seen, cells, np.abs(shape.area[:, block.rows]))
     counted = sides.counts > 0
-    pyramid = lowest / np.maximum(heights / np.maximum(sides.counts, 1), FLOOR)
-    aspect = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
+    pyramid = lowest / np.maximum(heights / np.maximum(sides.counts, 1), LEAST_DIVISOR)
+    aspect = seen.max(axis=0) / np.maximum(seen.min(axis=0), LEAST_DIVISOR)
     if d == 3:
-        size = np.maximum(np.abs(shape.volume) / 3, FLOOR)
+        size = np.maximum(np.abs(shape.volume) / 3, LEAST_DIVISOR)
         aspect = np.maximum(aspect, seen.sum(axis=0) / 6 / size ** (2 / 3))
     mean = np.clip(cosines[0] / cosines[1], -1, 1) if cosines[1] else 1.0
     return FaceQuality(
@@ -355,7 +355,9 @@ def _centre_and_area(points: FaceVectors, block: FaceBlock) -> tuple[FaceVectors
     normals = np.stack(cross(arms, after))  # of triangles about the mean of the corners
     weights = _lengths(normals)
     moment = (weights * (arms + after)).sum(axis=1)
-    return middle - moment / (3 * np.maximum(weights.sum(axis=0), FLOOR)), normals.sum(axis=1) / 2
+    return middle - moment / (3 * np.maximum(weights.sum(axis=0), LEAST_DIVISOR)), normals.sum(
+        axis=1
+    ) / 2
 
 
 def _pyramids(
@@ -396,16 +398,16 @@ def _measure_across(shape: _Shape, points: FaceVectors, block: FaceBlock) -> _Ac
     if block.is_shared:
         heights.append(dot(area, other - centre))
     else:
-        normal = area / np.maximum(size, FLOOR)
+        normal = area / np.maximum(size, LEAST_DIVISOR)
         across = np.where(inside, across, dot(normal, arm) * normal)
     along = dot(area, across)
-    cosine = np.clip(along / np.maximum(size * _lengths(across), FLOOR), -1, 1)
-    by = arm - heights[0] / np.where(along == 0, FLOOR, along) * across
+    cosine = np.clip(along / np.maximum(size * _lengths(across), LEAST_DIVISOR), -1, 1)
+    by = arm - heights[0] / np.where(along == 0, LEAST_DIVISOR, along) * across
     miss = _lengths(by)
     x = points.take(block.corners, axis=1) - centre[:, None]
-    reach = np.abs(dot(by[:, None], x)).max(axis=0) / np.maximum(miss, FLOOR)
+    reach = np.abs(dot(by[:, None], x)).max(axis=0) / np.maximum(miss, LEAST_DIVISOR)
     least = np.where(inside, 0.2, 0.4) * _lengths(across)
-    skewness = miss / np.maximum(np.maximum(reach, least), FLOOR)
+    skewness = miss / np.maximum(np.maximum(reach, least), LEAST_DIVISOR)
     return _Across(
         size=size,
         skewness=np.where(block.is_between, 0, skewness),

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._host.cells.lagrange import lagrange_types, values
+from .._host.cells.lagrange import lagrange_types, shape_values
 from .._host.linear import products
+from .._host.tolerances import OFF_APEX
 from .._kernels.values import Either, namespace
 from . import bernstein
 from .bernstein import Space
@@ -107,7 +108,12 @@ class JacobianForm:
         reach = np.sqrt(len(x)) * np.max([np.abs(component).max(axis=0) for component in x], axis=0)
         error = self._growth * reach
         others = sum(math.prod(lengths[:i] + lengths[i + 1 :]) for i in range(len(lengths)))
-        terms = len(x[0]) + sum(map(bernstein.count, self.spaces)) + 16 * len(self.space) + 16
+        terms = (
+            len(x[0])
+            + sum(map(bernstein.count_coefficients, self.spaces))
+            + 16 * len(self.space)
+            + 16
+        )
         return 4 * terms * np.finfo(float).eps * (math.prod(lengths) + error * others)
 
     @functools.cached_property
@@ -146,7 +152,9 @@ class JacobianForm:
     def inside(self, at: Lattice) -> Lattice:
         """Moves places off a pyramid's apex, where det J has directions, by a millionth."""
         is_last = np.arange(len(at)) == len(at) - 1
-        return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
+        return np.where(
+            (self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - OFF_APEX), at
+        )
 
     def reference(self, places: Lattice) -> Float[np.ndarray, "d k"]:
         places = places[1:] if self.has_time else places
@@ -162,7 +170,7 @@ def form_of(kind: str, has_time: bool = False) -> JacobianForm:
     cell = lagrange_types()[kind]
     space = tuple((m, cell.order) for m in FACTORS[cell.shape])
     at = bernstein.bernstein_lattice(space)
-    control = np.linalg.solve(bernstein.functions(space, at).T, values(kind, at.T))
+    control = np.linalg.solve(bernstein.functions(space, at).T, shape_values(kind, at.T))
     control = np.round(control * EXACT) / EXACT
     columns = [
         _derivative(space, control, f, i) for f, (m, _) in enumerate(space) for i in range(m)

@@ -33,11 +33,11 @@ from .vector import (
     divide,
     dot,
     join,
+    length_of,
     mean,
     middle,
-    norm,
     total,
-    unit,
+    unit_of,
 )
 
 
@@ -79,7 +79,7 @@ def _area_of(kind: str, x: Vector) -> Vector:
 def _unit_normal(kind: str, x: Vector) -> Vector:
     """Unit normals (1, k) of triangles or quads; +1 in 2-D, where areas have a sign."""
     area = _area_of(kind, x)
-    return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else unit(area)
+    return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else unit_of(area)
 
 
 def measure_volume(kind: str, x: Vector) -> Scalar:
@@ -95,7 +95,7 @@ def measure_volume(kind: str, x: Vector) -> Scalar:
         return jacobians(kind, x)[0][0] / math.factorial(DIMENSION[kind])
     if DIMENSION[kind] == 2:
         area = _area_of(kind, x)
-        return (area[0] if len(area) == 1 else norm(area))[0]
+        return (area[0] if len(area) == 1 else length_of(area))[0]
     groups = [columns(x, group) for group in faces_by_size(kind)]
     return sum(dot(area_vector(corners), mean(corners)).sum(axis=0) for corners in groups) / 3
 
@@ -120,7 +120,7 @@ def jacobians(kind: str, x: Vector) -> tuple[Samples, Samples]:
     of the other edges' lengths.
     """
     edges = frames(kind, x)
-    a, *others = [norm(edge) for edge in edges]
+    a, *others = [length_of(edge) for edge in edges]
     if not others:
         return a, namespace(a).ones_like(a)
     if len(others) == 1:
@@ -148,7 +148,7 @@ def linear_cells_at_nodes(kind: str, x: Vector) -> tuple[str, Vector]:
 
 def openings(kind: str, x: Vector) -> Samples:
     """The largest Jacobians that corners could have by edge lengths; simplex: 0."""
-    product = math.prod(constant(norm(edge)) for edge in frames(kind, x))
+    product = math.prod(constant(length_of(edge)) for edge in frames(kind, x))
     return product * (kind in HIGH_ORDER or (len(FRAMES[kind]) > 1 and kind != "triangle"))
 
 
@@ -170,7 +170,7 @@ def skewness(
     if kind == "line":
         return xp.zeros_like(x[0][0])
     if kind in ("quad", "hexahedron"):
-        axes = unit(principal_axes(kind, x))
+        axes = unit_of(principal_axes(kind, x))
         cosines = dot(*columns(axes, itertools.combinations(range(len(axes[0])), 2)))
         return maximum(xp.concatenate([cosines, -cosines]))
     terms = []
@@ -203,7 +203,7 @@ def aspect_ratio(kind: str, x: Vector) -> Scalar:
         shape, cells = linear_cells_at_nodes(kind, x)
         return largest(aspect_ratio(shape, cells).reshape(len(x[0]), -1))
     over, under = aspect_terms(kind, x)
-    lengths = norm(over)
+    lengths = length_of(over)
     if under is None:
         return divide(largest(lengths), smallest(lengths), math.inf)
     size, surface = under
@@ -216,7 +216,7 @@ def aspect_terms(kind: str, x: Vector) -> tuple[Vector, tuple[Scalar, Scalar] | 
     if kind not in _IDEAL_FACTORS:
         return edges, None
     sides = area_vector(columns(x, FACES[kind])) if kind == "tetra" else edges
-    return edges, (_IDEAL_FACTORS[kind] * measure_volume(kind, x), norm(sides).sum(axis=0))
+    return edges, (_IDEAL_FACTORS[kind] * measure_volume(kind, x), length_of(sides).sum(axis=0))
 
 
 _IDEAL_FACTORS = {"triangle": 4 * math.sqrt(3), "quad": 4.0, "tetra": 6 * math.sqrt(6)}

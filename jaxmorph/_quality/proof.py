@@ -346,7 +346,7 @@ def proven_margin(
 def _cells_at_once(xp: Any, form: JacobianForm, parts: int = 1) -> int:
     return max(
         1 if xp is np else 64,
-        (ROOM if xp is np else TRACED_ROOM) // (bernstein.count(form.space) * parts),
+        (ROOM if xp is np else TRACED_ROOM) // (bernstein.count_coefficients(form.space) * parts),
     )
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.topology import CORNERS, DIMENSION, FACES, HIGH_ORDER, SHAPES, solid
-from .._host.linear.products import FLAT
 from .._host.package.arguments import checked
+from .._host.tolerances import FLAT_CORNER
 from .._kernels.callback import host_call
 from .._kernels.values import (
     Either,
@@ -214,7 +214,7 @@ def _standard(kind: str, x: Vector, sign: Ids) -> Standard:
     sizes = xp.where(
         folded, xp.abs(jacobians), sign[None] * jacobians
     )  # of a folded cell all corners count
-    judged = sizes > xp.maximum(noise, FLAT * openings)
+    judged = sizes > xp.maximum(noise, FLAT_CORNER * openings)
     none = ~xp.any(judged, axis=0)
     least = smallest(xp.where(judged, sizes, xp.inf))
     size = xp.where(flat, 1, sign * xp.abs(volume))

@@ -44,7 +44,7 @@ class Vector(tuple):
         return Vector(a[rows] for a in self)
 
 
-def corners(points: Points, ids: Shaped[Either, "k c"]) -> Vector:
+def corner_points(points: Points, ids: Shaped[Either, "k c"]) -> Vector:
     rows = ids.T.copy()  # so that values of all cells stand side by side in NumPy's arrays
     return Vector(points[:, axis][rows] for axis in range(points.shape[1]))
 
@@ -76,14 +76,14 @@ def determinant_of(columns: Components) -> Scalar:
     return products.determinant([*columns[2:], *columns[:2]])
 
 
-def norm(a: Vector) -> Scalar:
+def length_of(a: Vector) -> Scalar:
     """The length; its derivative at zero is zero."""
     return root(dot(a, a))
 
 
-def unit(a: Vector) -> Vector:
+def unit_of(a: Vector) -> Vector:
     """Divides by the length; zero where there is none."""
-    return a * divide(namespace(a[0]).ones_like(a[0]), norm(a), 0.0)
+    return a * divide(namespace(a[0]).ones_like(a[0]), length_of(a), 0.0)
 
 
 def join(vectors: Iterable[Vector]) -> Vector:
@@ -112,13 +112,13 @@ def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
 def angle(a: Vector, b: Vector) -> Scalar:
     """The angle in radians; 0, without a derivative, for a vector of no length."""
     xp = namespace(a[0])
-    sine = norm(cross_product(a, b))
+    sine = length_of(cross_product(a, b))
     cosine = dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
     return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))
 
 
-BLOCK = 1 << 16  # cells in a block
+VALUES_OF_BLOCK = 1 << 16  # cells in a block
 CACHED = 1 << 13  # cells in a block of NumPy: intermediate values stay in the processor's cache
 
 
@@ -144,13 +144,13 @@ def _converted(convert: Callable, arguments: Any) -> Any:
 def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:
     """Applies `function`, of NumPy or `jax.numpy`, to blocks of cells: memory is that of one. Cells
     run along the last axis of `rows` and of the result. Reverse mode computes each block anew. A
-    block has `size` cells: by default `CACHED` for NumPy and `BLOCK` for JAX, fewer of cells with
-    many values.
+    block has `size` cells: by default `CACHED` for NumPy and `VALUES_OF_BLOCK` for JAX, fewer of
+    cells with many values.
     """
     leaves = jax.tree.leaves(rows)
     width = max(math.prod(leaf.shape[:-1]) for leaf in leaves)  # many values a cell, fewer cells
     k = leaves[0].shape[-1]
-    block = size or max((CACHED if xp is np else BLOCK) * 9 // max(width, 9), 64)
+    block = size or max((CACHED if xp is np else VALUES_OF_BLOCK) * 9 // max(width, 9), 64)
     if k <= block:
         return function(*rows)
 
@@ -175,7 +175,7 @@ def by_type(
     """Applies `function(kind, corners, ...)` to blocks of each type's cells, and of `others`."""
 
     def measured(kind: str, ids: Int[Either, "c k"], *rows: Any) -> Any:
-        return function(kind, corners(points, ids.T), *rows)
+        return function(kind, corner_points(points, ids.T), *rows)
 
     parts = {}
     for kind, ids in cells.items():

@@ -14,7 +14,7 @@ from .._kernels.module import Module
 from .._kernels.values import Either, as_jax, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
-from .vector import Points, Vector, angle, by_place, cross_product, dot, unit
+from .vector import Points, Vector, angle, by_place, cross_product, dot, unit_of
 
 Heights = Float[Either, " w"]
 
@@ -124,13 +124,13 @@ def _components(lines: Lines, x: Points) -> tuple[Vector, Heights]:
             np.add.at(areas, rows[rows < len(areas)], area[rows < len(areas)])
         else:
             areas = areas.at[rows].add(area, mode="drop")
-    normal = unit(Vector(areas.T))
+    normal = unit_of(Vector(areas.T))
     line = Vector(lines.directions(x).T)
     height = dot(normal, Vector((x[lines.ends] - x[lines.nodes]).T))
     if len(normal) == 2:
         return Vector([dot(normal, line), *cross_product(normal, line)]), height
     beside = Vector((x[lines.beside] - x[lines.nodes]).T)
-    tangent = unit(beside - normal * dot(beside, normal))
+    tangent = unit_of(beside - normal * dot(beside, normal))
     return Vector(
         dot(axis, line) for axis in (normal, tangent, cross_product(normal, tangent))
     ), height

@@ -14,7 +14,7 @@ from jaxmorph._host.cells.topology import (
     FACES,
     NODES,
     SHAPES,
-    numbers,
+    digits,
     numbers_by_name,
     pairs_of,
 )
@@ -46,7 +46,7 @@ EXODUS_SIDES = numbers_by_name(
 
 EXODUS_ORDER = NodeOrder(
     CGNS_ORDER.edges,
-    {**CGNS_ORDER.faces, "hexahedron": numbers("0321 4567 0374 1265 0154 2376")},
+    {**CGNS_ORDER.faces, "hexahedron": digits("0321 4567 0374 1265 0154 2376")},
     inner_places,
 )
 """The manual's order; of hexahedra of 27 nodes the middle one comes before those of the faces."""

@@ -17,7 +17,7 @@ from jaxmorph._host.cells.orders import GMSH, reordered
 from jaxmorph._host.cells.topology import DIMENSION, Pair, codes, invert_table
 from jaxmorph._host.cells.topology import NODES as CORNERS
 from jaxmorph._host.rows import Rows, first_of_equals, join_ids
-from jaxmorph._mesh.exchange import LEVELS, Grid, Parts, Patch, gathered, regions_note
+from jaxmorph._mesh.exchange import GMSH_LEVELS, Grid, Parts, Patch, gathered, regions_note
 
 from ._format import MeshLike, content_of, faults_of, note_unread, of_grid, patch_faces
 from ._places import Labels, Stream
@@ -205,7 +205,7 @@ def _gather_groups(blocks: list[ElementBlock], names: GroupNames) -> Iterator[tu
     nodes = gathered((key, block.corners[rows].ravel()) for key, block, rows in own)
     for (level, tag), members in sorted(nodes.items(), key=lambda item: -item[0][0]):
         name = names.get((level, tag)) or names.get((None, tag)) or f"physical_{tag}"
-        yield level, Patch(name, f"{LEVELS[level]}_{tag}", members)
+        yield level, Patch(name, f"{GMSH_LEVELS[level]}_{tag}", members)
 
 
 def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.orders import VTK_ORDER, reordered
-from jaxmorph._host.cells.topology import numbers
+from jaxmorph._host.cells.topology import digits
 from jaxmorph._host.ragged import heads_of
 from jaxmorph._mesh.exchange import Parts, gathered
 
@@ -187,7 +187,7 @@ def _read_element_blocks(section: Section) -> Iterator[tuple[LabelledCells, ndar
             raise section.error(f"elements of type {table[0, 1]} with {n} nodes are not read.")
         corners = rows.values[start[chosen, None] + np.arange(n)]
         if kind in IDEAS_PLACES:
-            corners = reordered(kind, corners[:, *numbers(IDEAS_PLACES[kind])], VTK_ORDER, None)
+            corners = reordered(kind, corners[:, *digits(IDEAS_PLACES[kind])], VTK_ORDER, None)
         yield LabelledCells(kind, table[:, 0], corners), table[:, 2]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from jaxmorph._host.cells.topology import CORNERS, numbers, pairs_of
+from jaxmorph._host.cells.topology import CORNERS, digits, pairs_of
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import of_grid
@@ -39,7 +39,7 @@ def read(path: Path) -> Parts:
             ours = MED_TYPES[kind]
             corners = group["NOD"][()].reshape(CORNERS.get(ours, 1), -1).T.astype(np.int64) - 1
             if ours in MED_PLACES:
-                corners = corners[:, *numbers(MED_PLACES[ours])]
+                corners = corners[:, *digits(MED_PLACES[ours])]
             blocks.append((ours, corners))
             families.append(_read_families(group, len(corners)))
         of_nodes = _read_families(step["NOE"], n)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph import Mesh
-from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.cells.pieces import outer_pieces
 from jaxmorph._host.cells.topology import CORNERS, VTK
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
@@ -119,7 +119,7 @@ def make_zone_mesh(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     content = PlacedPoints(points.copy(), text, [part], blank_comments)
     patches = _read_marker_nodes(keywords, len(points))
     if not patches:
-        outer = boundary_faces(cells, len(points)).values()
+        outer = outer_pieces(cells, len(points)).values()
         patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
     return checked_parts(
         points,

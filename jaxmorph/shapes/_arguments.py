@@ -93,7 +93,7 @@ def vector(
     return values
 
 
-def arms(x: Positions, about: Any) -> Positions:
+def arms_from(x: Positions, about: Any) -> Positions:
     return x - vector("about", about, x)[None, :]
 
 

@@ -250,6 +250,13 @@ class Fit(Module):
         return self.residual.max()
 
 
+def _least_squares(miss: Callable, start: Array, max_steps: int) -> Array:
+    import optimistix  # not before it is needed: it takes a quarter of a second
+
+    solver = optimistix.LevenbergMarquardt(rtol=1e-12, atol=1e-14)
+    return optimistix.least_squares(miss, solver, start, max_steps=max_steps, throw=False).value
+
+
 @checked
 def fit(
     shape: Callable,
@@ -289,10 +296,7 @@ def fit(
 
     is_linear = isinstance(shape, AbstractLinearShape)
     if not is_linear:
-        import optimistix  # not before it is needed: it takes a quarter of a second
-
-        solver = optimistix.LevenbergMarquardt(rtol=1e-12, atol=1e-14)
-        flat = optimistix.least_squares(miss, solver, flat, max_steps=max_steps, throw=False).value
+        flat = _least_squares(miss, flat, max_steps)
     jacobian = jax.jacfwd(miss)(flat)
     change, _, rank, _ = jnp.linalg.lstsq(jacobian, -miss(flat))
     if is_known(jacobian) and not jnp.any(jacobian):

@@ -15,13 +15,13 @@ from jaxmorph import Facets, MeshError, Plane
 from jaxmorph.extend import Module
 
 from ._arguments import Column, Positions, rows_like, shown_place
+from ._tolerances import ON_SYMMETRY
 
 NodeIds = Int[ndarray | Array, " _"]
 Planes = Plane | Sequence[Plane]
 Borders = tuple[tuple[Plane, NodeIds], ...]
 
-# shares of the extent: distance of points that are on a plane, and of the farthest edge or corner
-SAME_NORMAL = 1e-6
+# share of the extent: distance of the farthest edge or corner
 FARTHEST = 0.25
 
 
@@ -69,7 +69,7 @@ def borders_of(wall: Facets, symmetry: Planes) -> Borders:
     planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
     x = np.asarray(wall.points, float)
     rim = np.unique(wall.rim)
-    slack = SAME_NORMAL * np.ptp(x, axis=0).max()
+    slack = ON_SYMMETRY * np.ptp(x, axis=0).max()
     d = x.shape[1]
     if others := {len(plane.normal) for plane in planes} - {d}:
         raise ValueError(f"the wall is in {d}-D, a plane in {max(others)}-D.")
@@ -194,7 +194,7 @@ def guides_of(
     wall: Facets, target: Facets, planes: Sequence[Plane], features: Sequence[Any]
 ) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
-    slack = SAME_NORMAL * np.ptp(np.asarray(wall.points), axis=0).max()
+    slack = ON_SYMMETRY * np.ptp(np.asarray(wall.points), axis=0).max()
     if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
         raise ValueError(
             "`features` must be pairs: ids of nodes of the wall, and of points of the target."

@@ -33,6 +33,7 @@ from ._arguments import (
     slack,
 )
 from ._shape import AbstractLinearShape, Linked, Move
+from ._tolerances import LEVEL, NO_VOLUME
 
 Control = Float[Array, "..."]  # (*counts, d)
 FreeMask = Bool[ndarray, "..."]
@@ -118,7 +119,7 @@ class FreeForm(AbstractLinearShape):
             )
         if (
             is_known(axes)
-            and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod()
+            and not abs(np.linalg.det(axes)) > NO_VOLUME * np.linalg.norm(axes, axis=1).prod()
         ):
             raise ValueError(
                 "the box is flat: its `axes` lie in one plane or one of them has no length."
@@ -320,7 +321,7 @@ def _reflection(axes: Float[ndarray, "d d"], mirror: int) -> tuple[int, ndarray]
     if whole("mirror", mirror, 0) >= len(axes):
         raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {len(axes) - 1}.")
     edge = np.abs(axes[mirror])
-    signs = np.where(edge > 1e-9 * edge.max(), -1, 1)
+    signs = np.where(edge > LEVEL * edge.max(), -1, 1)
     if (signs < 0).sum() != 1:
         raise ValueError(
             f"edge {mirror} of the box is along no axis: its controls cannot be mirrored."
@@ -374,7 +375,7 @@ class Hexahedron(AbstractLinearShape):
             slopes = jax.vmap(lambda t: _slopes(t, self.corners))(jnp.asarray(ORDER[d], float))
             sizes = np.asarray(jnp.linalg.det(slopes))
             scale = np.linalg.norm(np.ptp(np.asarray(listed), axis=0)) ** d
-            if not ((sizes > 1e-12 * scale).all() or (sizes < -1e-12 * scale).all()):
+            if not ((sizes > NO_VOLUME * scale).all() or (sizes < -NO_VOLUME * scale).all()):
                 raise ValueError(
                     "the box is flat or turned inside out: list the corners around one face, "
                     "then around the opposite face."

@@ -18,7 +18,7 @@ from ._arguments import (
     ShapeWeights,
     Vector,
     above_zero,
-    arms,
+    arms_from,
     axis_for,
     cast,
     clamp,
@@ -29,6 +29,7 @@ from ._arguments import (
     vector,
 )
 from ._shape import AbstractShape
+from ._tolerances import LEVEL, RIGHT_ANGLE
 
 
 @checked
@@ -49,7 +50,7 @@ def rotate(
     x = positions(x)
     angle = jnp.asarray(angle, x.dtype)
     angle = angle[:, None] if angle.shape == x.shape[:1] else one_number("angle", angle, x)
-    return x + _turn(arms(x, about), angle, axis_for(axis, x))
+    return x + _rotate_arms(arms_from(x, about), angle, axis_for(axis, x))
 
 
 @checked
@@ -72,7 +73,7 @@ def scale(x: Numbers, factors: Numbers | ShapeNumber, about: Numbers) -> Positio
     factors = jnp.asarray(factors, x.dtype)
     if factors.ndim == 0:
         factors = jnp.broadcast_to(factors, x.shape[1:])
-    return x + (vector("factors", factors, x) - 1)[None, :] * (arms(x, about))
+    return x + (vector("factors", factors, x) - 1)[None, :] * (arms_from(x, about))
 
 
 @checked
@@ -94,11 +95,11 @@ def twist(
     x = positions(x)
     if x.shape[1] == 2:
         raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
-    arm = arms(x, about)
+    arm = arms_from(x, about)
     along = direction("axis", axis, x)
     span = above_zero("length", length, x)
     share = clamp(arm @ along, 0, span) / span
-    return x + _turn(arm, one_number("angle", angle, x) * share[:, None], along)
+    return x + _rotate_arms(arm, one_number("angle", angle, x) * share[:, None], along)
 
 
 @checked
@@ -127,19 +128,23 @@ def bend(
     right angles to the line.
     """
     x = positions(x)
-    arm = arms(x, about)
+    arm = arms_from(x, about)
     along = direction("along", along, x)
     span = above_zero("length", length, x)
     normal = axis_for(axis, x)
-    if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > 1e-3:
+    if x.shape[1] == 3 and is_known(normal, along) and abs(np.vdot(normal, along)) > RIGHT_ANGLE:
         raise ValueError(
             "`axis` and `along` must be at right angles; their cosine is "
             f"{float(normal @ along):.3g}."
         )
     up = jnp.cross(normal, jnp.pad(along, (0, 3 - len(along))))[: len(along)]
     curvature = one_number("angle", angle, x) / span
-    reach = arm @ along
-    height = arm @ up
+    forward, upward = _onto_arc(arm @ along, arm @ up, span, curvature)
+    return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
+
+
+def _onto_arc(reach: Array, height: Array, span: Array, curvature: Array) -> tuple[Array, Array]:
+    """How far places go forward and upward as a line of length `span` is bent."""
     s = clamp(reach, 0, span)
     turned = curvature * s
     beyond = reach - s
@@ -151,10 +156,10 @@ def bend(
         - height * versine
         + beyond * jnp.sin(turned)
     )
-    return x + forward[:, None] * along[None, :] + upward[:, None] * up[None, :]
+    return forward, upward
 
 
-def _turn(arm: Positions, angle: Array, axis: Float[Array, " 3"]) -> Positions:
+def _rotate_arms(arm: Positions, angle: Array, axis: Float[Array, " 3"]) -> Positions:
     d = arm.shape[1]
     arm = jnp.pad(arm, ((0, 0), (0, 3 - d)))
     axis = jnp.broadcast_to(axis, arm.shape)
@@ -205,7 +210,7 @@ class ReferenceAxis(AbstractShape):
         known = finite_array("points", points, (None, 3))
         along = _unit_vector("chordwise", chordwise)
         across = _unit_vector("spanwise", spanwise)
-        if not abs(along @ across) <= 1e-9:
+        if not abs(along @ across) <= LEVEL:
             raise ValueError(
                 "`chordwise` and `spanwise` must be directions at right angles; their cosine is "
                 f"{along @ across:.3g}."
@@ -254,7 +259,7 @@ class ReferenceAxis(AbstractShape):
         arm = x - weights @ own.points
         arm = arm - (arm @ own.spanwise)[:, None] * spanwise
         growth = chord * arm
-        turn = _turn(arm + growth, twist, own.spanwise)
+        turn = _rotate_arms(arm + growth, twist, own.spanwise)
         upward = jnp.cross(chordwise, spanwise)
         return x + (growth + turn + sweep * chordwise + dihedral * upward + span * spanwise)
 

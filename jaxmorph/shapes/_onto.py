@@ -16,11 +16,10 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from jaxmorph import Facets, FarthestPoints, MeshError, Plane
-from jaxmorph.extend import Module, area_vectors, between, checked, host_call, norm
+from jaxmorph.extend import Module, area_vectors, between, checked, closest, host_call, norm
 
 from ._arguments import Column, Numbers, Positions, positions, shown_place
 from ._features import (
-    SAME_NORMAL,
     Borders,
     Clip,
     Planes,
@@ -31,6 +30,7 @@ from ._features import (
     height_of,
 )
 from ._smooth import stiffness_of
+from ._tolerances import ON_SYMMETRY, RESTED, SAME_LENGTH
 
 Target = Facets | Callable
 Motion = tuple[ndarray, ndarray]
@@ -106,24 +106,24 @@ class Onto(Module):
         self.is_exact = length == 0
         self.function = None
         self.target = None
-        closest = target.closest if isinstance(target, Facets) else target
-        self.turn, self.shift = _rigid(wall, target, closest, planes)
+        nearest = target.closest if isinstance(target, Facets) else target
+        self.turn, self.shift = _rigid(wall, target, nearest, planes)
         self.clips = ()
         self.guides = ()
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
             for plane in planes:
                 clip, target = clipped(
-                    target, plane, np.sign(np.median(plane.height(x))), SAME_NORMAL * extent
+                    target, plane, np.sign(np.median(plane.height(x))), ON_SYMMETRY * extent
                 )
                 self.clips += (clip,)
             self.target = _turn_normals(target, wall.at(start))
             if self.is_exact or features:  # edges of noise are none
                 self.guides = guides_of(wall.at(start), self.target, planes, features)
-            closest = target.closest
+            nearest = target.closest
         else:
             self.function = target
-        far = np.linalg.norm(np.asarray(closest(start)) - start, axis=1).max()
+        far = np.linalg.norm(np.asarray(nearest(start)) - start, axis=1).max()
         steps = PROJECTION_STEPS * (1 + 2 * int(far > FAR * extent))
         self.lengths = np.append(
             np.geomspace(max(FIRST * extent, last), last, steps), np.full(SETTLED, last)
@@ -275,7 +275,7 @@ WHOLE = 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
 
-def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Plane]) -> Motion:
+def _rigid(wall: Facets, target: Target, nearest: Callable, planes: Sequence[Plane]) -> Motion:
     """Finds a turn (d, d) and a shift (d,) that halve the distance, from here and from the axes.
 
     Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
@@ -290,7 +290,7 @@ def _rigid(wall: Facets, target: Target, closest: Callable, planes: Sequence[Pla
 
     def off(turn, shift):
         y = x[some] @ turn.T + shift
-        return y, np.asarray(closest(y), float) - y
+        return y, np.asarray(nearest(y), float) - y
 
     best = starts[0]
     least = np.sqrt(np.mean(off(*starts[0])[1] ** 2))
@@ -331,10 +331,10 @@ def _fitted(y, off, normals, motions, turn, shift):
     axes = [ahead, *(np.broadcast_to(WHOLE * axis, arm.shape) for axis in np.eye(3))]
     matrix = np.concatenate([np.concatenate([np.cross(arm, axis), axis], axis=1) for axis in axes])
     right = np.concatenate([np.sum(axis * to, axis=1) for axis in axes])
-    change = motions @ np.linalg.lstsq(matrix @ motions, right, rcond=1e-9)[0]
+    change = motions @ np.linalg.lstsq(matrix @ motions, right, rcond=SAME_LENGTH)[0]
     step = Rotation.from_rotvec(change[:3]).as_matrix()[:d, :d]
     new = step @ turn, step @ (shift - middle) + middle + change[3 : 3 + d]
-    is_done = np.linalg.norm(change[:3]) + np.linalg.norm(change[3:]) / np.linalg.norm(arm) < 1e-6
+    is_done = np.linalg.norm(change[:3]) + np.linalg.norm(change[3:]) / np.linalg.norm(arm) < RESTED
     return *new, is_done
 
 
@@ -390,11 +390,9 @@ def _check_one_to_one(made: Onto, x: ndarray, moved: ndarray) -> None:
     inner = np.setdiff1d(faces, made.wall.rim)
     target = made.target
     if target is not None and made.is_exact and min(len(target.rim), len(inner)) and not len(bad):
-        rim = np.asarray(target.rim)
-        ends = np.broadcast_to(rim, (len(rim), 2))
-        none = np.zeros((len(rim), x.shape[1]))
-        off = np.asarray(Facets(target.points, ends, sides=none).distance(moved[inner]))
-        bad = inner[off < 1e-9 * np.ptp(x, axis=0).max()][:, None]
+        rim = np.broadcast_to(target.rim, (len(target.rim), 2))
+        off = closest(np.asarray(target.points)[rim], moved[inner]).distance
+        bad = inner[off < SAME_LENGTH * np.ptp(x, axis=0).max()][:, None]
         what = "end on the border of the target"
     if len(bad):
         many = (

@@ -9,10 +9,8 @@ from jaxmorph import Mesh
 from jaxmorph.extend import Module, checked, finite_array
 
 from ._arguments import Column, Numbers, Positions, Scalar, Vector, known_positions
+from ._tolerances import LEVEL, SAME_LENGTH
 from ._walls import wall_normals
-
-# cosine between a node's normal and the direction across the chord below which its height tells
-LEVEL = 1e-9
 
 
 class Chord(Module):
@@ -69,9 +67,10 @@ class Chord(Module):
         """
         known = known_positions(points, "points")
         last = known[:, 0].max()
-        tail = known[known[:, 0] > last - 1e-9 * max(np.ptp(known[:, 0]), 1e-300)].mean(axis=0)
+        slack = SAME_LENGTH * max(np.ptp(known[:, 0]), 1e-300)
+        tail = known[known[:, 0] > last - slack].mean(axis=0)
         distance = np.linalg.norm(known - tail, axis=1)
-        return Chord(known[distance > (1 - 1e-9) * distance.max()].mean(axis=0), tail)
+        return Chord(known[distance > (1 - SAME_LENGTH) * distance.max()].mean(axis=0), tail)
 
 
 @checked

@@ -20,6 +20,7 @@ from jaxmorph.extend import Tree, between, checked, finite_array, host_call, nor
 from ._arguments import Column, Numbers, Positions, known_positions, positions
 from ._features import Borders, Planes, borders_of
 from ._shape import AbstractLinearShape, AbstractShape, Move
+from ._tolerances import SAME_LENGTH
 from ._walls import FANS, faces_of, wall_faces
 
 SMOOTHING_BALLS = 40  # tried at a node at most: the last ones hardly differ
@@ -265,7 +266,7 @@ def _touching(x: ndarray, ahead: ndarray) -> ndarray:
         distance, other = map(np.asarray, tree.query(x + radius[:, None] * ahead))
         arm = x[other] - x
         above = np.sum(arm * ahead, axis=1)
-        is_inside = (distance < radius * (1 - 1e-9)) & (above > 0)
+        is_inside = (distance < radius * (1 - SAME_LENGTH)) & (above > 0)
         if not is_inside.any():
             break
         radius = np.where(

@@ -27,6 +27,7 @@ from ._arguments import (
     rows_like,
     vector,
 )
+from ._tolerances import ALONG_FACE, IN_PLANE, SAME_LENGTH
 
 
 @checked
@@ -195,7 +196,7 @@ def _check_closed(x: Positions, triangles: Int[ndarray, "k 3"], plane: Vector | 
         sizes = np.linalg.svd(
             np.asarray(x)[np.unique(border)] - np.asarray(plane), compute_uv=False
         )
-        if len(sizes) == 3 and sizes[-1] > 1e-6 * sizes[0]:
+        if len(sizes) == 3 and sizes[-1] > IN_PLANE * sizes[0]:
             raise ValueError(
                 f"the wall's border of {len(border)} edges does not lie in a plane through "
                 f"{np.asarray(plane)}."
@@ -238,7 +239,7 @@ class Stations(Module):
             raise ValueError("`direction` has length 0; it must be a direction.")
         lines = np.broadcast_to(along / lengths, own.shape)
         ids = simplices_of(faces, wall.shape)
-        same = 1e-9 * np.ptp(wall, axis=0).max()
+        same = SAME_LENGTH * np.ptp(wall, axis=0).max()
         ends = [
             _first_and_last(_place_on_wall(wall[ids], *line), same)
             for line in zip(own, lines, strict=True)
@@ -267,10 +268,12 @@ def _place_on_wall(
     first = corners[:, 0]
     edges = np.moveaxis(first[:, None] - corners[:, 1:], 1, 2)
     system = np.concatenate([np.broadcast_to(line, first.shape)[:, :, None], edges], axis=2)
-    regular = np.abs(np.linalg.det(system / np.abs(system).max())) > 1e-14
+    regular = np.abs(np.linalg.det(system / np.abs(system).max())) > ALONG_FACE
     system[~regular] = np.eye(len(line))
     s, *weights = np.linalg.solve(system, (first - point)[:, :, None])[:, :, 0].T
-    is_hit = (np.min(weights, axis=0) >= -1e-9) & (np.sum(weights, axis=0) <= 1 + 1e-9)
+    is_hit = (np.min(weights, axis=0) >= -SAME_LENGTH) & (
+        np.sum(weights, axis=0) <= 1 + SAME_LENGTH
+    )
     return np.where(regular & is_hit, s, np.nan)
 
 

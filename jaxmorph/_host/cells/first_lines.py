@@ -7,7 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, values
+from ..linear.products import dot_rows, row_lengths
+from ..rows import mark
+from ..tolerances import NO_WEIGHT
+from .lagrange import PLACES, derivatives_at_nodes, lagrange_types, shape_values
 from .topology import CORNERS, DIMENSION, EDGES, FACES, SHAPES, ByType, Pair
 
 
@@ -65,8 +68,7 @@ def first_lines(cells: ByType, sides: Mapping[str, Pair], points: ndarray, wall:
     From a node inside of an edge or a side, a line goes to the node opposite. Of the `sides` among
     the wall nodes, each has its cell, numbered as in `cells`. Raises `ValueError` for none.
     """
-    on_wall = np.zeros(len(points), dtype=bool)
-    on_wall[wall] = True
+    on_wall = mark(len(points), wall)
     centre = np.concatenate([_centres(kind, ids, points) for kind, ids in cells.items()])
     walls = {
         kind: _wall_sides(kind, ids, centre[owner], points) for kind, (ids, owner) in sides.items()
@@ -84,8 +86,8 @@ def first_lines(cells: ByType, sides: Mapping[str, Pair], points: ndarray, wall:
     largest = {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == points.shape[1]}
     start, end, cell_nodes, weights = _candidates(largest, on_wall & (beside >= 0), on_wall)
     along = (points[cell_nodes] * weights[:, :, None]).sum(axis=1)
-    size = np.linalg.norm(along, axis=1)
-    steepness = np.round(np.sum(along * normal[start], axis=1) / np.where(size > 0, size, 1), 12)
+    size = row_lengths(along)
+    steepness = np.round(dot_rows(along, normal[start]) / np.where(size > 0, size, 1), 12)
     order = np.lexsort((end, -steepness, start))
     nodes, first = np.unique(start[order], return_index=True)
     chosen = order[first]
@@ -114,18 +116,18 @@ def _wall_sides(kind: str, ids: ndarray, inside: ndarray, points: ndarray) -> Wa
     if SHAPES[kind] == kind:  # of a linear side their mean, the whole face's
         slopes = np.broadcast_to(slopes.mean(axis=0), slopes.shape)
     area = _node_areas(points[ids], slopes).mean(axis=1)
-    is_outward = np.sum(area * (inside - _centres(kind, ids, points)), axis=1) < 0
+    is_outward = dot_rows(area, inside - _centres(kind, ids, points)) < 0
     size = 0.5 if SHAPES[kind] == "triangle" else 1
     return WallSides(ids, ids, np.where(is_outward, -size, size), slopes)
 
 
 def _candidates(cells: ByType, starts: ndarray, on_wall: ndarray) -> tuple[ndarray, ...]:
     """Lines from `starts` to nodes off the wall: start, end, nodes and weights (l, k)."""
-    width = max((len(row) for kind in cells for *_, row, _ in _lines(kind)), default=1)
+    width = max((len(row) for kind in cells for *_, row, _ in _list_lines(kind)), default=1)
     parts = []
     for kind, ids in cells.items():
         near = ids[starts[ids].any(axis=1)]
-        for first, last, nodes, weights in _lines(kind):
+        for first, last, nodes, weights in _list_lines(kind):
             chosen = near[starts[near[:, first]] & ~on_wall[near[:, last]]]
             fill = width - len(nodes)
             row = np.pad(chosen[:, nodes], ((0, 0), (0, fill)))
@@ -135,7 +137,7 @@ def _candidates(cells: ByType, starts: ndarray, on_wall: ndarray) -> tuple[ndarr
 
 
 @functools.cache
-def _lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
+def _list_lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
     """Lines of a type that may leave a wall: start, end, and weights of some nodes."""
     cell = lagrange_types()[kind]
     lines = []
@@ -148,14 +150,14 @@ def _lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
     for face, (side, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
         beyond = corners[[_beyond(cell.shape, face, corner) for corner in face]]
         ends = np.rint(
-            cell.order * values(SHAPES[side], lagrange_types()[side].reference) @ beyond
+            cell.order * shape_values(SHAPES[side], lagrange_types()[side].reference) @ beyond
         ).astype(int)
         inner = nodes >= cell.corners
         for node, last in zip(
             nodes[inner].tolist(), cell.nodes_at(ends[inner]).tolist(), strict=True
         ):
             weights = slopes[node] @ (cell.reference[last] - cell.reference[node])
-            near = np.flatnonzero(np.abs(weights) > 1e-12 * np.abs(weights).max())
+            near = np.flatnonzero(np.abs(weights) > NO_WEIGHT * np.abs(weights).max())
             lines.append((node, last, near, weights[near]))
     return tuple(lines)
 

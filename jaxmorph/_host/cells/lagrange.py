@@ -209,7 +209,7 @@ def derivatives(kind: str, places: ndarray) -> ndarray:
     return np.einsum("skd,kn,nm->smd", slopes, inverse, completion, optimize=True)
 
 
-def values(kind: str, places: ndarray) -> ndarray:
+def shape_values(kind: str, places: ndarray) -> ndarray:
     (at_places, _), inverse, completion = _expand(kind, places)
     return at_places @ inverse @ completion
 
@@ -259,7 +259,9 @@ def collapsed(kind: str, places: ndarray) -> ndarray:
 def node_keys(ids: ndarray, cell: Lagrange) -> ndarray:
     """Ascending corners and weights in turn (k, s, 16) of a cell's nodes; zeros in front."""
     places = collapsed(cell.shape, cell.reference)
-    weights = np.rint(12**3 * values(cell.shape, places)).astype(np.int64)  # of corners, linear
+    weights = np.rint(12**3 * shape_values(cell.shape, places)).astype(
+        np.int64
+    )  # of corners, linear
     # alike in cells of all types that share a face
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]
     corners = np.where(weights > 0, ids[:, None], -1)

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from ..rows import mark
 from .adjacency import columns_of, is_single, sorted_columns, unpaired
-from .lagrange import collapsed, depth, lagrange_types, of_order, values
-from .topology import CORNERS, NODES, SHAPES, ByType, Pair, numbers, numbers_by_name
+from .lagrange import collapsed, depth, lagrange_types, of_order, shape_values
+from .topology import CORNERS, NODES, SHAPES, ByType, Pair, digits, numbers_by_name
 
 
 def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[str, Any]:
@@ -37,7 +38,7 @@ def owners(cells: Mapping[str, Any]) -> dict[str, ndarray]:
     return {shape: corners[:, 0] for shape, corners in linear_cells(nodes).items()}
 
 
-def boundary_faces(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, ndarray]:
+def outer_pieces(cells: ByType, n: int, among: ndarray | None = None) -> dict[str, ndarray]:
     return linear_cells({kind: ids for kind, (ids, _) in owned_sides(cells, n, among).items()})
 
 
@@ -46,8 +47,7 @@ def owned_sides(cells: ByType, n: int, among: ndarray | None = None) -> dict[str
     nodes, counterclockwise as seen from outside. Also returns the cell (f,) of each, numbered as in
     `cells`, node ids (k, nodes) by type below `n`. All nodes of a face are `among` these ids.
     """
-    is_candidate = np.zeros(n, bool)
-    is_candidate[[] if among is None else among] = True
+    is_candidate = mark(n, *[] if among is None else [among])
     found: dict[str, list[tuple[list[ndarray], ndarray]]] = {}
     first = 0
     for kind, ids in cells.items():
@@ -92,7 +92,7 @@ def pieces_of(kind: str) -> dict[str, ndarray]:
 @functools.cache
 def places_of(kind: str, m: int) -> ndarray:
     """The shape functions (s, nodes) of a type at a lattice of m steps."""
-    return values(kind, collapsed(kind, of_order(SHAPES[kind], m).reference))
+    return shape_values(kind, collapsed(kind, of_order(SHAPES[kind], m).reference))
 
 
 @functools.cache
@@ -105,7 +105,7 @@ def steps_of(shape: str, m: int) -> dict[str, ndarray]:
         starts = starts[:, ::-1].copy()
         starts[:, :-1] -= starts[:, 1:]
     for piece, units in UNITS[shape].items():
-        every = np.concatenate([starts[:, None] + numbers(unit) for unit in units])
+        every = np.concatenate([starts[:, None] + digits(unit) for unit in units])
         is_inside = (
             (depth(shape, m, every.reshape(-1, cell.dimension)) >= 0)
             .reshape(every.shape[:2])

@@ -70,13 +70,13 @@ def canonical_type(name: str) -> str:
     return name
 
 
-def numbers(words: str) -> Any:
+def digits(words: str) -> Any:
     """Reads rows of digits: "03 1a" is ((0, 3), (1, 10))."""
     return tuple(tuple(int(digit, 36) for digit in word) for word in words.split())
 
 
 def numbers_by_name(table: Mapping[str, str]) -> dict[str, Any]:
-    return {name: numbers(words) for name, words in table.items()}
+    return {name: digits(words) for name, words in table.items()}
 
 
 FACES: dict[str, tuple[tuple[int, ...], ...]] = numbers_by_name(

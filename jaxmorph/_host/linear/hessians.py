@@ -7,11 +7,11 @@ import numpy as np
 from numpy import ndarray
 from scipy import sparse
 
+from ..tolerances import LEAST_CURVATURE, ROUGH, SOLVED, SOLVED_EXACTLY
 from .solves import Factors, conjugate_gradients, inner_product, is_factored
 
 # damping terms of the diagonal, tried in turn until a matrix is positive
 DAMPING = (1e-2, 1e-1, 1.0, 10.0)
-ROUGH = 1e-2  # relative residual that is enough for a step of Newton's method
 
 
 class Pattern(NamedTuple):
@@ -68,7 +68,7 @@ def _solve_blocks(
         solved = _solve_by_factors(matrix, wanted, (0.0,) if accuracy else (0.0, *DAMPING))
     else:
         solved = _solve_by_iterations(matrix.tobsr((d, d)), wanted, accuracy or ROUGH)
-    if accuracy and not np.linalg.norm(matrix @ solved - wanted) <= 1e-6 * np.linalg.norm(wanted):
+    if accuracy and not np.linalg.norm(matrix @ solved - wanted) <= SOLVED * np.linalg.norm(wanted):
         solved = np.full_like(solved, np.nan)
     solution = np.empty_like(right)
     solution[order] = solved.reshape(n, d)
@@ -82,8 +82,8 @@ not positive. For a large one, conjugate gradients run to 1 % of the right side.
 if H is not finite.
 """
 
-solve_exactly = functools.partial(_solve_blocks, 1e-10)
-"""Solves as `solve`, to round-off or 1e-10; NaN if not positive, or without convergence."""
+solve_exactly = functools.partial(_solve_blocks, SOLVED_EXACTLY)
+"""Solves as `solve`, to round-off or `SOLVED_EXACTLY`; NaN if not positive, or not converged."""
 
 
 def _solve_by_factors(matrix: Any, right: ndarray, damping: tuple[float, ...]) -> ndarray:
@@ -100,7 +100,9 @@ def _solve_by_iterations(matrix: Any, right: ndarray, accuracy: float) -> ndarra
     d = matrix.blocksize[0]
     rows = np.repeat(np.arange(len(right) // d), np.diff(matrix.indptr))
     values, vectors = np.linalg.eigh(matrix.data[matrix.indices == rows])
-    inverses = np.einsum("nip,np,njp->nij", vectors, 1 / np.maximum(np.abs(values), 1e-8), vectors)
+    inverses = np.einsum(
+        "nip,np,njp->nij", vectors, 1 / np.maximum(np.abs(values), LEAST_CURVATURE), vectors
+    )
     enough = accuracy**2 * inner_product(right, right)
 
     def inverse(residual):

@@ -9,9 +9,6 @@ from numpy import ndarray
 # a sequence of numbers or arrays: a tuple, a list, or an array whose first axis runs over them
 Components = Any
 
-# Jacobian over the product of a corner's edges up to which it is flat; in 2-D the sine of its angle
-FLAT = 1e-4
-
 
 def dot(a: Components, b: Components) -> Any:
     first, *others = [p * q for p, q in zip(a, b, strict=True)]
@@ -39,21 +36,32 @@ def cofactors(columns: Sequence[Components]) -> list[list[Any]]:
     return [cross(b, c), cross(c, a), cross(a, b)]
 
 
+def row_lengths(vectors: Any) -> Any:
+    return np.linalg.norm(vectors, axis=1)
+
+
+def dot_rows(a: Any, b: Any) -> Any:
+    return np.sum(a * b, axis=1)
+
+
+def edges_of(corners: ndarray) -> list[ndarray]:
+    """Edges, each (k, d), from the first corner of simplices (k, c, d) to the others."""
+    return list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
+
+
 def smallest_height(corners: ndarray) -> ndarray:
     """Least heights (k,) of simplices (k, d + 1, d)."""
-    edges = list((corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
+    edges = edges_of(corners)
     # area vectors of all sides but the first, whose area vector is minus their sum
     rows = cofactor_rows(edges)
-    largest = np.max([np.linalg.norm(side, axis=1) for side in (*rows, sum(rows))], axis=0)
+    largest = np.max([row_lengths(side) for side in (*rows, sum(rows))], axis=0)
     return np.abs(np.einsum("kd,kd->k", rows[0], edges[0])) / np.where(largest > 0, largest, 1)
 
 
 def normals(corners: ndarray) -> ndarray:
     """Normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
-    edges = corners[:, 1:] - corners[:, :1]
-    return (
-        edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross_rows(edges[:, 0], edges[:, 1])
-    )
+    first, *second = edges_of(corners)
+    return cross_rows(first, *second) if second else first[:, ::-1] * [1, -1]
 
 
 def cofactor_rows(edges: list[ndarray]) -> list[ndarray]:

@@ -12,10 +12,9 @@ from scipy.sparse import linalg
 
 from ..cells.adjacency import parts_of
 from ..package.rounding import distinct_places
+from ..tolerances import ACCURACY
 from .solves import Factors, Operator, conjugate_gradients, hierarchy, inner_product, is_factored
 
-# residual relative to the right side, and error relative to the solution, that end CG
-ACCURACY = 1e-9
 MOST_STEPS = 500  # most steps of conjugate gradients. A mesh of 65,000 nodes takes 50.
 # unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers
 RESORT = 60_000

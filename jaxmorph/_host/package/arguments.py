@@ -29,8 +29,8 @@ def checked(function: Function) -> Function:
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
-        arguments = [native(value) for value in arguments]
-        keywords = {name: native(value) for name, value in keywords.items()}
+        arguments = [native_order(value) for value in arguments]
+        keywords = {name: native_order(value) for name, value in keywords.items()}
         names = itertools.chain(parameters, itertools.cycle(rest))
         for name, value in (*zip(names, arguments, strict=False), *keywords.items()):
             if name in parameters:
@@ -40,7 +40,7 @@ def checked(function: Function) -> Function:
     return call  # pyright: ignore[reportReturnType]
 
 
-def native(value: Any) -> Any:
+def native_order(value: Any) -> Any:
     """NumPy's arrays in this machine's byte order, and in float64 if they are longer."""
     if not isinstance(value, ndarray) or (value.dtype.isnative and value.dtype != np.longdouble):
         return value
@@ -152,7 +152,7 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> ndarr
     """Returns floats, in their precision, of one of the shapes, in which None is any length. Raises
     `ValueError` for other shapes, and for what are no real numbers.
     """
-    array = native(np.asarray(array_of(values)))
+    array = native_order(np.asarray(array_of(values)))
     words = " or ".join(str(shape).replace("None", "any") for shape in shapes)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")

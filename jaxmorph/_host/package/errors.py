@@ -63,10 +63,6 @@ def place_of(point: ndarray) -> str:
 
 
 def check_all_finite(points: ndarray) -> None:
-    """Raises `ValueError` for points (n, d) that are not finite, with the first one."""
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if len(bad):
-        raise ValueError(
-            f"{len(bad)} of {len(points)} points are not finite, first node {bad[0]}: "
-            f"{points[bad[0]].tolist()}."
-        )
+    """Raises `MeshError` for points (n, d) that are not finite, with the first one."""
+    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    check_none(wrong, f"{{count}} of {len(points)} points are not finite, first node {{node}}.")

@@ -9,14 +9,11 @@ from scipy.spatial import KDTree
 
 from ..cells.topology import Pair
 from ..rows import first_of_equals
+from ..tolerances import NEAR_ZERO, SAME
 from .cores import cores
 
-SAME = 1e-9  # relative difference up to which two numbers count as equal
 TIES = 4  # nearest places that are searched first; if all are equally near, more are searched
 FEW_POINTS = 4096  # points of a search up to which threads cost more than they gain
-
-
-NEAR_ZERO = 1e-290  # far above the smallest normal number, with a square that is zero
 
 
 class Tree(KDTree):
@@ -38,6 +35,16 @@ class Tree(KDTree):
         around = self.query_ball_point(x, radius, return_sorted=True)
         rows = np.repeat(np.arange(len(x)), [len(ids) for ids in around])
         return rows, np.fromiter(itertools.chain.from_iterable(around), np.int64, len(rows))
+
+    def close_pairs(self, radius: float) -> ndarray:
+        """Pairs (p, 2) of points within a distance of each other, first ones first."""
+        pairs = self.query_pairs(radius, output_type="ndarray")
+        return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def extent_of(points: Any) -> Any:
+    """The largest extent of points along an axis."""
+    return np.ptp(points, axis=0).max()
 
 
 def roundoff(points: ndarray) -> float:
@@ -128,7 +135,7 @@ def morton_order(points: ndarray) -> ndarray:
     table = np.array([int(f"{i:b}", 2**dimension) for i in range(1024)], dtype=np.uint64)
     words = 6 // dimension  # of ten bits, for each axis
     low = points.min(axis=0)
-    extent = np.ptp(points, axis=0).max() or 1.0
+    extent = extent_of(points) or 1.0
     key = np.zeros(len(points), dtype=np.uint64)
     for axis in range(dimension):
         grid = ((points[:, axis] - low[axis]) / extent * (1024**words - 2) + BETWEEN).astype(

@@ -6,9 +6,9 @@ import numpy as np
 from numpy import ndarray
 
 from ..cells.topology import Pair
+from ..linear.products import row_lengths
 from ..package.arguments import between, check_fields, whole
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
     first_largest,
@@ -17,6 +17,7 @@ from ..package.rounding import (
     roundoff,
     spacing,
 )
+from ..tolerances import SAME
 from .reduction import AbstractReduction, AbstractSeparated, KDTree, chosen_in_order, extreme_points
 
 ENOUGH = {2: 84, 3: 400}  # sources of `Filled` by dimension: a wall in 3-D needs more than a curve
@@ -115,7 +116,7 @@ def farthest(
     least *= 1 + SAME
     noise = roundoff(points) * np.sqrt(np.broadcast_to(weight, len(points)))
     chosen = []
-    away = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    away = row_lengths(points - points.mean(axis=0))
     outermost = first_largest(away, resolution(points))
     for node in [outermost] if first is None else first.tolist():
         if distance[node] > least and len(chosen) < count:

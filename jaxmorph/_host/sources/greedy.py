@@ -7,8 +7,10 @@ from numpy import ndarray
 from scipy.spatial.distance import cdist
 from scipy.special import xlogy
 
+from ..linear.products import row_lengths
 from ..package.arguments import between, finite_array, whole
-from ..package.rounding import SAME, first_largest
+from ..package.rounding import extent_of, first_largest
+from ..tolerances import SAME
 from .farthest import farthest
 from .reduction import AbstractSeparated
 
@@ -74,11 +76,11 @@ def _by_error(
     group: float,
 ) -> ndarray:
     """Picks points where interpolation of `values` (m, k d) misses most, a `group` in a round."""
-    unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
+    unit = (points - points.mean(axis=0)) / (extent_of(points) or 1.0)
     tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
     chosen = farthest(points, min(count, points.shape[1] + 1), closest)
     kernel = _kernel(unit, unit[chosen])
-    distance = np.min([np.linalg.norm(points - points[i], axis=1) for i in chosen], axis=0)
+    distance = np.min([row_lengths(points - points[i]) for i in chosen], axis=0)
     closest = closest * (1 + SAME)
     slack = SAME * np.abs(values).max()
     least = max(tolerance * np.abs(values).max(), slack)
@@ -93,7 +95,7 @@ def _by_error(
             if missed[worst] <= least:
                 break
             added.append(worst)
-            away = np.linalg.norm(points - points[worst], axis=1)
+            away = row_lengths(points - points[worst])
             # without the part that this source will mend
             missed = missed * np.minimum(away / distance[worst], 1)
             distance = np.minimum(distance, away)

@@ -8,9 +8,9 @@ from scipy import sparse
 from scipy.spatial.distance import cdist
 
 from ..cells.topology import Pair
+from ..linear.products import row_lengths
 from ..package.arguments import between
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
     first_largest,
@@ -19,6 +19,7 @@ from ..package.rounding import (
     roundoff,
 )
 from ..ragged import Ragged
+from ..tolerances import SAME
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction
 
@@ -27,16 +28,11 @@ ROW_WIDTH = 8  # entries in a row of a sweep's table
 
 
 def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
-    """Orders nodes so that the next is always the farthest from its predecessors.
-
-    Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes, and mirror
-    images of a node, of its number in `images` (b,), are its predecessors. Without earlier nodes,
-    the first node is the farthest from the middle, and the node farthest from it counts as its
-    nearest predecessor. A duplicate of a predecessor is left out. Duplicates and earlier nodes are
-    their own nearest predecessors.
+    """Orders nodes so that the next is always the farthest from its predecessors; also finds the
+    nearest of these. `earlier` nodes are predecessors of all, and so are images of a node, of its
+    number in `images` (b,). Without earlier ones, the first is the farthest from the middle, and
+    the node farthest from it its nearest. Duplicates are left out; they are their own nearest.
     """
-    # A batch holds the nodes with the largest distances. Independent ones are picked together. Only
-    # nodes within the distance of a picked node can come nearer to it.
     rank = canonical_order(points)
     place = np.argsort(rank)
     ordered = points[rank].astype(float)
@@ -46,7 +42,7 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
 
     def approach(near: ndarray, node: ndarray) -> None:
         """Updates distances and nearest nodes of nodes `near` that are nearer to `node`."""
-        gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        gap = row_lengths(ordered[near] - ordered[node])
         closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
         np.minimum.at(distance, near[closer], gap[closer])
         closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
@@ -57,8 +53,8 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
     approach(*_pair_equals(images[rank]))
     start = place[earlier]
     if not len(earlier):
-        start = np.array([first_largest(np.linalg.norm(ordered - ordered.mean(axis=0), axis=1))])
-        away = np.linalg.norm(ordered - ordered[start], axis=1)
+        start = np.array([first_largest(row_lengths(ordered - ordered.mean(axis=0)))])
+        away = row_lengths(ordered - ordered[start])
         if nearest[start] == start:
             distance[start] = away.max()
             nearest[start] = first_largest(away)
@@ -68,12 +64,8 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
     distance[start] = 0
     tree = Tree(ordered)
     least = roundoff(points)
-    while (batch := _pick_batch(distance, least)).size:
-        gaps = np.where(
-            np.tri(len(batch), k=-1, dtype=bool), cdist(ordered[batch], ordered[batch]), np.inf
-        )
-        # no earlier node of the batch comes nearer
-        picked = batch[gaps.min(axis=1) >= distance[batch] * (1 - SAME)]
+    while (picked := _pick(ordered, distance, least)).size:
+        # only nodes within the distance of a picked node can come nearer to it
         radius[picked] = distance[picked]
         distance[picked] = 0
         node, near = tree.within(ordered[picked], (1 - SAME) * radius[picked])
@@ -105,12 +97,18 @@ def _pair_equals(numbers: ndarray) -> Pair:
     return first[first != second], second[first != second]
 
 
-def _pick_batch(distance: ndarray, least: float) -> ndarray:
-    """Nodes with the largest distances above `least`, largest first; ties by first node."""
+def _pick(points: ndarray, distance: ndarray, least: float) -> ndarray:
+    """Nodes with the largest distances above `least`, largest first; ties by first node. Of a batch
+    of them, those that no earlier node of the batch comes nearer to.
+    """
     count = min(CANDIDATES, len(distance))
     last = np.partition(distance, -count)[-count]
     batch = np.flatnonzero((distance >= (1 - SAME) * last) & (distance > least))
-    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))[:CANDIDATES]]
+    order = np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))
+    batch = batch[order[:CANDIDATES]]
+    earlier = np.tri(len(batch), k=-1, dtype=bool)
+    gaps = np.where(earlier, cdist(points[batch], points[batch]), np.inf)
+    return batch[gaps.min(axis=1, initial=np.inf) >= (1 - SAME) * distance[batch]]
 
 
 def overlaps(points: ndarray, centres: ndarray, radius: ndarray, targets: ndarray) -> Pair:

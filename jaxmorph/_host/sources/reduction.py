@@ -13,14 +13,15 @@ from numpy import ndarray
 from ..cells.topology import Pair
 from ..package.arguments import between, check_fields, finite_array, whole
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
+    extent_of,
     first_largest,
     nearest_of,
     resolution,
     roundoff,
 )
+from ..tolerances import SAME
 
 
 class AbstractReduction(abc.ABC):
@@ -180,7 +181,7 @@ class KDTree(AbstractSeparated):
         """Returns the tree to build near the `others`: leaves are `crowded` near another point."""
         if self.crowded is None or not len(points) or not len(others):
             return self
-        near = (1 - SAME) * float(np.ptp(points, axis=0).max())
+        near = (1 - SAME) * float(extent_of(points))
         distance = Tree(others).query(points, distance_upper_bound=near)[0]
         return (
             dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
@@ -281,10 +282,8 @@ def drop_close(points: ndarray, ids: ndarray, closest: float) -> ndarray:
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = Tree(points[ids]).query_pairs(_with_noise(points, closest), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
-    # pairs come as first < second
-    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
+    for first, second in Tree(points[ids]).close_pairs(_with_noise(points, closest)):
         if keep[first]:
             keep[second] = False
     return ids[keep]

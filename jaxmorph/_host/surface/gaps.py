@@ -1,16 +1,16 @@
 """Faces of a surface: closest places, gaps between walls, and faces that cross once nodes move."""
 
-import dataclasses
 import itertools
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from ..cells.topology import Pair
-from ..linear.products import cofactor_rows, cross_rows, outward
-from ..package.rounding import Tree, morton_order
+from ..linear.products import cofactor_rows, cross_rows, edges_of, outward, row_lengths
+from ..package.rounding import Tree, canonical_order, morton_order, roundoff
+from ..tolerances import ALIGNED, MEETS, MET_BEFORE, SAME
 
 POINTS_TOGETHER = 1 << 12  # points of a block
 NEAR_SIMPLICES = 8  # nearest simplices that bound the distance to all others
@@ -55,27 +55,40 @@ def fans(ids: ndarray, counts: ndarray) -> ndarray:
     return ids[np.stack([np.repeat(first, counts - 2), inner, inner + 1], axis=1)]
 
 
-def closest(corners: ndarray, x: ndarray) -> tuple[ndarray, ...]:
-    """Finds the first simplex (m,) of `corners` (t, c, d) that is closest to each of `x` (m, d).
-    Returns its number, the weights (m, c) of its corners at its closest place, and the distance.
+class Closest(NamedTuple):
+    """The simplex (m,) that is closest to each point, by number, the `weights` (m, c) of its
+    corners at its closest place, and the distance (m,).
     """
-    # Simplices of one size are searched together: one ball around a point holds all that can be
-    # closest, and a few long ones do not make candidates of all.
+
+    face: ndarray
+    weights: ndarray
+    distance: ndarray
+
+
+def closest(corners: ndarray, x: ndarray) -> Closest:
+    """Finds the simplex of `corners` (t, c, d) that is closest to each of `x` (m, d).
+
+    Of equally near ones it is that whose middle comes first by place.
+    """
+    # Sorted by place, the first of equally near simplices is the one wanted. Those of one size are
+    # searched together: one ball around a point holds all that can be closest, and a few long ones
+    # do not make candidates of all.
+    order = canonical_order(corners.mean(axis=1))
+    corners = corners[order]
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    size = np.frexp(np.maximum(radius, 1e-9 * radius.max()))[1]
+    size = np.frexp(np.maximum(radius, SAME * radius.max()))[1]
     groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
     trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
     blocks = [
         _closest_of_block(trees, corners, x[at : at + POINTS_TOGETHER])
         for at in range(0, max(len(x), 1), POINTS_TOGETHER)
     ]
-    return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
+    return Closest(order[simplex], weights, distance)
 
 
-def _closest_of_block(
-    trees: list, corners: ndarray, x: ndarray
-) -> tuple[ndarray, ndarray, ndarray]:
+def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
@@ -86,15 +99,18 @@ def _closest_of_block(
         ]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
     for group, tree, radius in trees:
-        row, member = tree.within(x, (bound + radius) * (1 + 1e-9))
+        row, member = tree.within(x, (bound + radius) * (1 + SAME))
         rows.append(row)
         simplices.append(group[member])
     row = np.concatenate(rows)
     simplex = np.concatenate(simplices)
     weights, distance = _find_nearest_places(corners[simplex], x[row])
-    order = np.lexsort((simplex, distance, row))
+    least = np.full(len(x), np.inf)
+    np.minimum.at(least, row, distance)
+    is_least = distance <= least[row] + max(roundoff(corners), roundoff(x))
+    order = np.lexsort((simplex, ~is_least, row))
     best = order[np.unique(row[order], return_index=True)[1]]
-    return simplex[best], weights[best], distance[best]
+    return Closest(simplex[best], weights[best], distance[best])
 
 
 def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
@@ -110,8 +126,7 @@ def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
         choices.append(weights)
     if corners.shape[1] == 3:  # the foot of the perpendicular, if it is inside
         a = corners[:, 0]
-        u = corners[:, 1] - corners[:, 0]
-        v = corners[:, 2] - corners[:, 0]
+        u, v = edges_of(corners)
         normal = cross_rows(u, v)
         arm = x - a
         area = np.einsum("md,md->m", normal, normal)
@@ -126,10 +141,6 @@ def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
     return np.stack(choices)[best], distance[best]
 
 
-# slack of a crossing, relative to the faces: faces that nearly touched before do not count
-AFTER = 1e-9
-BEFORE = 1e-6
-PARALLEL = 1e-9  # sine of the angle below which an edge lies along a face, and does not cross it
 TOGETHER = 1 << 17  # pairs of faces in a block
 SPLIT = 8  # parts of a straight way, in each of which a node changes sides once at most
 HALVES = 40  # bisections of a way to the place where a node passes a face
@@ -148,16 +159,21 @@ def crossing_faces(points: ndarray, moved: ndarray, faces: ndarray, place: ndarr
     pairs = overlapping_boxes(moved[faces], (points != moved).any(axis=1)[faces].any(axis=1))
     found = [pairs[:0]]
     places = [points[:0]]
-    for start in range(0, len(pairs), TOGETHER):
-        both = pairs[start : start + TOGETHER]
-        first, second = place[faces[both]].swapaxes(0, 1)
-        both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
-        where = _find_meeting(moved[faces[both]], AFTER)
+    for both in _blocks_apart(pairs, place[faces]):
+        where = _find_meeting(moved[faces[both]], MEETS)
         met = np.flatnonzero(np.isfinite(where[:, 0]))
-        new = met[np.isnan(_find_meeting(points[faces[both[met]]], BEFORE)[:, 0])]
+        new = met[np.isnan(_find_meeting(points[faces[both[met]]], MET_BEFORE)[:, 0])]
         found.append(both[new])
         places.append(where[new])
     return np.concatenate(found), np.concatenate(places)
+
+
+def _blocks_apart(pairs: ndarray, places: ndarray) -> Iterator[ndarray]:
+    """Blocks of pairs of faces without a common number of `places` (f, c)."""
+    for start in range(0, len(pairs), TOGETHER):
+        both = pairs[start : start + TOGETHER]
+        first, second = places[both].swapaxes(0, 1)
+        yield both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
 
 
 def overlapping_boxes(
@@ -192,13 +208,12 @@ def overlapping_boxes(
 
 
 def _bound_faces(corners: ndarray, is_still: ndarray) -> ndarray:
-    slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
+    slack = MEETS * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
     low = corners.min(axis=1) - slack
     return np.hstack([is_still, low, is_still - 1.0, -corners.max(axis=1) - slack])
 
 
-@dataclasses.dataclass(frozen=True)
-class Passages:
+class Passages(NamedTuple):
     """Nodes (k,) that pass through faces: `pairs` (k, 2) of the node's face and the one passed.
     `shares` (k,) are those of the way, `places` (k, d) where. `senses` (k,) are 1 from inside out.
     """
@@ -216,10 +231,10 @@ class Passages:
 
     @classmethod
     def joined(cls, steps: "Sequence[Passages]") -> "Passages":
-        return cls(*map(np.concatenate, zip(*(vars(step).values() for step in steps), strict=True)))
+        return cls(*map(np.concatenate, zip(*steps, strict=True)))
 
     def at(self, rows: ndarray) -> "Passages":
-        return Passages(*(column[rows] for column in vars(self).values()))
+        return Passages(*(column[rows] for column in self))
 
 
 def passages(
@@ -235,11 +250,8 @@ def passages(
     """
     moves = (before != after).any(axis=1)[faces].any(axis=1)
     pairs = overlapping_boxes(before[faces], moves, after[faces])
-    found = []
-    for start in range(0, max(len(pairs), 1), TOGETHER):
-        both = pairs[start : start + TOGETHER]
-        first, second = place[faces[both]].swapaxes(0, 1)
-        both = both[~(first[:, :, None] == second[:, None]).any(axis=(1, 2))]
+    found = [Passages.none(before.shape[1])]
+    for both in _blocks_apart(pairs, place[faces]):
         both = np.concatenate([both, both[:, ::-1]])
         both = both[is_solid[faces[both[:, 0]]].all(axis=1)]
         node = faces[both[:, 0]].ravel()
@@ -280,7 +292,7 @@ def _find_passed(
         low = np.where(is_before, share, low)
         high = np.where(is_before, high, share)
     face, where = _place_on_way(before, after, low, corners, node)
-    hit = _find_nearest_places(face, where)[1] <= BEFORE * np.ptp(face, axis=1).max(axis=1)
+    hit = _find_nearest_places(face, where)[1] <= MET_BEFORE * np.ptp(face, axis=1).max(axis=1)
     return Passages(pairs, node, low, where, sense).at(np.flatnonzero(hit))
 
 
@@ -305,13 +317,13 @@ def _place_on_way(
     return face, before[node] + share * (after[node] - before[node])
 
 
-def _find_side(corners: ndarray, x: ndarray, slack: float = BEFORE) -> ndarray:
+def _find_side(corners: ndarray, x: ndarray, slack: float = MET_BEFORE) -> ndarray:
     """The side (k,) of faces on which points (k, d) lie: 1 outside, -1 inside, 0 on the face."""
     normal = outward(corners)
     height = np.einsum("kd,kd->k", normal, x - corners[:, 0])
     if not slack:
         return np.sign(height)
-    size = np.linalg.norm(normal, axis=1) * np.ptp(corners, axis=1).max(axis=1)
+    size = row_lengths(normal) * np.ptp(corners, axis=1).max(axis=1)
     return np.where(np.abs(height) > slack * size, np.sign(height), 0)
 
 
@@ -331,11 +343,9 @@ def _find_meeting(corners: ndarray, slack: float) -> ndarray:
 def _measure_share(start: ndarray, along: ndarray, corners: ndarray, slack: float) -> ndarray:
     """The share (k,) of a segment up to where it meets a simplex (k, d, d); NaN if it does not."""
     # arm = share * along - places of the simplex * its edges, solved by Cramer's rule
-    rows = cofactor_rows([along, *(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1)])
+    rows = cofactor_rows([along, *edges_of(corners)])
     volume = np.einsum("kd,kd->k", rows[0], along)
-    is_steep = np.abs(volume) > PARALLEL * np.linalg.norm(along, axis=1) * np.linalg.norm(
-        rows[0], axis=1
-    )
+    is_steep = np.abs(volume) > ALIGNED * row_lengths(along) * row_lengths(rows[0])
     share, *places = np.einsum("rkd,kd->rk", rows, corners[:, 0] - start) / np.where(
         is_steep, volume, 1
     )

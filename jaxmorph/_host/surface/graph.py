@@ -14,15 +14,13 @@ from numpy import ndarray
 from scipy.spatial import Delaunay, QhullError
 
 from ..cells.topology import Pair
-from ..linear.products import cofactor_rows, normals, smallest_height, unit_rows
+from ..linear.products import cofactor_rows, normals, row_lengths, smallest_height, unit_rows
 from ..package.cores import over_blocks
 from ..package.errors import MeshError, place_of, worst_first
-from ..package.rounding import BETWEEN, canonical_order, morton_order, roundoff, spacing
+from ..package.rounding import BETWEEN, canonical_order, extent_of, morton_order, roundoff, spacing
 from ..sources.reduction import drop_close
+from ..tolerances import JITTER, OUTSIDE_WEIGHT, SNAP
 
-# relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong
-JITTER = 1e-8
-SNAP = 2e-9  # rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`
 TRIALS = 4  # most jitters tried: qhull now and then ends with a precision error on good nodes
 
 # SciPy's of qhull, but for a last check of outer planes, which simplices do not use
@@ -65,7 +63,7 @@ def graph_of(surface: ndarray) -> Graph:
     slack = roundoff(surface)
     surface = surface.astype(np.float64, copy=False)
     centre = surface.min(axis=0)
-    size = np.ptp(surface, axis=0).max() or 1.0
+    size = extent_of(surface) or 1.0
     unit = (surface - centre) / size
     # of coincident nodes a moving one
     unique = drop_close(unit, np.arange(len(unit)), roundoff(surface) / size)
@@ -140,9 +138,6 @@ def _jitter(nodes: ndarray, phase: int) -> ndarray:
     return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)
 
 
-WEIGHT_TOLERANCE = 1e-6  # a point whose smallest weight is below minus this is searched again
-
-
 def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
     """Finds the ids (w, d + 1) of the surface nodes whose simplex holds each `wanted` point.
     Coordinates in single precision count as exact numbers, except for points on the hull. `points`
@@ -161,10 +156,10 @@ def locate(graph: Graph, points: ndarray, wanted: ndarray) -> ndarray:
 
     over_blocks(find, len(targets))
     smallest = graph.smallest_weight(simplex, targets)
-    poor = np.flatnonzero(~(smallest >= -WEIGHT_TOLERANCE))
+    poor = np.flatnonzero(~(smallest >= -OUTSIDE_WEIGHT))
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, targets[poor], simplex[poor])
-        still = poor[~(smallest[poor] >= -WEIGHT_TOLERANCE)]
+        still = poor[~(smallest[poor] >= -OUTSIDE_WEIGHT)]
         _check_inside(
             points,
             wanted[still],
@@ -183,7 +178,7 @@ def _repair(graph: Graph, points: ndarray, simplex: ndarray) -> Pair:
     best = graph.smallest_weight(simplex, points)
     middle = graph.nodes.mean(axis=0)
     for step in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-        left = np.flatnonzero(~(best >= -WEIGHT_TOLERANCE))
+        left = np.flatnonzero(~(best >= -OUTSIDE_WEIGHT))
         if not left.size:
             break
         candidate = graph.delaunay.find_simplex(points[left] + step * (middle - points[left]))
@@ -219,7 +214,7 @@ def _measure_beyond_hull(graph: Graph, targets: ndarray) -> ndarray:
     """
     corners = graph.nodes[graph.delaunay.convex_hull]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    height = np.linalg.norm(normals(corners), axis=1) / longest ** (graph.delaunay.ndim - 2)
+    height = row_lengths(normals(corners)) / longest ** (graph.delaunay.ndim - 2)
     corners, longest, height = (
         values[height > graph.flat] for values in (corners, longest, height)
     )

@@ -10,7 +10,6 @@ from numpy import ndarray
 from ..cells.topology import Pair
 from ..package.cores import over_blocks
 from ..package.rounding import (
-    SAME,
     Tree,
     few_by,
     lowest_of_equals,
@@ -18,6 +17,7 @@ from ..package.rounding import (
     nearest_few,
     roundoff,
 )
+from ..tolerances import SAME
 
 WALLS_APART = 16  # most walls for which every wall has a search tree of its own
 LEAP_NEIGHBOURS = 8  # neighbours among whose distances a leap is searched
@@ -45,9 +45,8 @@ def near_walls(
     nearest node of another wall within eight times the reach, or the first entry again. A point
     nearer to another wall is left out. `once(key, make)` caches what depends on the surface alone.
     """
-    # A search finds the nearest node of a point within reach. The `count` nearest nodes of the
-    # point are among 2 `count` neighbours of that node on its wall, found once a node, not once a
-    # point. Then the points of a wall are compared with the nodes of all other walls.
+    # A search finds the nearest node of a point within reach. The `count` nearest ones are among
+    # twice as many neighbours of that node on its wall, found once a node. Then come other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     # a tree is searched three times faster for neighbours one after the other
@@ -68,24 +67,37 @@ def near_walls(
             surface[candidates, axis] - points[near[part], axis, None]
             for axis in range(points.shape[1])
         ]
-        rows[part, :count] = _pick_closest(
-            candidates, np.sum([a * a for a in offsets], axis=0), count
-        )
+        squared = np.sum([a * a for a in offsets], axis=0)
+        rows[part, :count] = _pick_closest(candidates, squared, count)
 
     over_blocks(compare, len(near))
-    rows[:, count] = rows[:, 0]
-    is_nearest = np.ones(len(near), dtype=bool)
-    for label in np.unique(wall[first]):
-        here = np.flatnonzero(wall[first] == label)
+    closest, other = _search_others(surface, wall, reach, points[near], wall[first], once)
+    rows[:, count] = np.where(closest < np.inf, other, rows[:, 0])
+    is_nearest = distance <= closest
+    return near[is_nearest], rows[is_nearest]
+
+
+def _search_others(
+    surface: ndarray,
+    wall: ndarray,
+    reach: ndarray,
+    points: ndarray,
+    labels: ndarray,
+    once: Once,
+) -> Pair:
+    """The nearest node of another wall than the point's own, `labels` (k,), within eight times the
+    reach of this, and its distance, else infinite.
+    """
+    distance = np.full(len(points), np.inf)
+    nearest = np.zeros(len(points), dtype=np.int32)
+    for label in np.unique(labels):
+        here = np.flatnonzero(labels == label)
         others = np.flatnonzero(wall != label)
         if others.size:
             far = 8 * (1 + SAME) * reach[wall == label].max()
             bounded = [(members, far) for members in searched_together(wall, others)]
-            closest, other = _search_nearest(surface, bounded, points[near[here]], once)
-            close = np.flatnonzero(closest < np.inf)
-            rows[here[close], count] = other[close]
-            is_nearest[here[close]] = distance[here[close]] <= closest[close]
-    return near[is_nearest], rows[is_nearest]
+            distance[here], nearest[here] = _search_nearest(surface, bounded, points[here], once)
+    return distance, nearest
 
 
 def _divide_by_reach(wall: ndarray, reach: ndarray) -> list[tuple[ndarray, float]]:
@@ -137,24 +149,6 @@ def _search_nearest(
     place = np.zeros(len(points), dtype=np.int32)
     slack = max(roundoff(points), roundoff(surface))
 
-    def search(k: int, rows: ndarray) -> None:
-        members, bound = bounded[k]
-        several = range(1, min(2, len(members)) + 1)
-        found, row = trees[k].query(points[rows], k=several, distance_upper_bound=bound, workers=1)
-        equal = np.flatnonzero(
-            (found[:, -1] <= (1 + SAME) * found[:, 0]) & (row[:, -1] < len(members))
-        )
-        least = found[:, 0]
-        row = np.minimum(row[:, 0], len(members) - 1)
-        row[equal] = few_by(trees[k], points[rows[equal]], 1, slack)[:, 0]
-        node = members[row]
-        closer = (least < distance[rows]) | ((least == distance[rows]) & (k < place[rows]))
-        closer &= least < (np.inf if reach is None else reach[node])
-        better = rows[closer]
-        distance[better] = least[closer]
-        nearest[better] = node[closer]
-        place[better] = k
-
     def search_all(part: slice) -> None:
         # A tree is searched only for points whose answer so far is farther than the tree's box. The
         # tree with the nearest box comes first: it holds the answer of most points.
@@ -163,12 +157,31 @@ def _search_nearest(
         first = away.argmin(axis=0)
         for is_first, k in itertools.product((True, False), range(len(trees))):
             is_near = (away[k] <= (1 + SAME) * distance[part]) & (away[k] < np.inf)
-            rows = np.flatnonzero(((first == k) == is_first) & is_near)
-            if len(rows):
-                search(k, part.start + rows)
+            rows = part.start + np.flatnonzero(((first == k) == is_first) & is_near)
+            least, node = _query(trees[k], *bounded[k], points[rows], slack)
+            closer = (least < distance[rows]) | ((least == distance[rows]) & (k < place[rows]))
+            closer &= least < (np.inf if reach is None else reach[node])
+            better = rows[closer]
+            distance[better] = least[closer]
+            nearest[better] = node[closer]
+            place[better] = k
 
     over_blocks(search_all, len(points) if bounded else 0)
     return distance, nearest
+
+
+def _query(tree: Tree, members: ndarray, bound: float, points: ndarray, slack: float) -> Pair:
+    """Each point's distance from the nearest of the `members` within the bound, else infinite, and
+    this one; ties go to the first.
+    """
+    if not len(points):
+        return np.zeros(0), members[:0]
+    several = range(1, min(2, len(members)) + 1)
+    found, row = tree.query(points, k=several, distance_upper_bound=bound, workers=1)
+    is_equal = (found[:, -1] <= (1 + SAME) * found[:, 0]) & (row[:, -1] < len(members))
+    row = np.minimum(row[:, 0], len(members) - 1)
+    row[is_equal] = few_by(tree, points[is_equal], 1, slack)[:, 0]
+    return found[:, 0], members[row]
 
 
 def _measure_to_box(points: ndarray, tree: Tree) -> ndarray:

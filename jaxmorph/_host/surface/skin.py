@@ -7,12 +7,12 @@ from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
 from ..cells.topology import ByType, Pair
-from ..linear.products import outward
+from ..linear.products import dot_rows, outward, row_lengths
 from ..package.rounding import (
-    SAME,
     Tree,
     canonical_order,
     distinct_places,
+    extent_of,
     first_largest,
     morton_order,
     nearest_few,
@@ -21,7 +21,9 @@ from ..package.rounding import (
     roundoff,
     spacing,
 )
+from ..rows import join_ids
 from ..sources.farthest import farthest
+from ..tolerances import ON_PLANE, SAME, SHARP_TIP
 
 # radii of the ring at which a body's field comes to rest, relative to the body's radius: the first
 # that no fixed node comes near, else the last
@@ -40,15 +42,15 @@ def edges(points: ndarray, moving: int, faces: ByType | None = None) -> ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
     Pairs are the sides of the `faces`, else neighbours by distance. None coincide.
     """
-    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    pairs = []
     for corners in (faces or {}).values():
         inside = corners[(corners < moving).all(axis=1)]
-        pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2).reshape(-1, 2))
-    sides = np.concatenate(pairs)
+        pairs.append(np.stack([inside, np.roll(inside, -1, axis=1)], axis=2))
+    sides = join_ids(pairs).reshape(-1, 2)
     sides = np.unique(
         np.sort(sides if len(sides) else _pair_nearest(points[:moving]), axis=1), axis=0
     )
-    length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
+    length = row_lengths(points[sides[:, 1]] - points[sides[:, 0]])
     return sides[length > roundoff(points)]
 
 
@@ -90,7 +92,7 @@ def chords(points: ndarray, wall: ndarray, faces: ByType | None = None) -> Pair:
         for k in range(2):
             ends[label, k] = members[first_largest(((points[members] - start) ** 2).sum(axis=1))]
             start = points[ends[label, k]]
-    span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+    span = row_lengths(points[ends[:, 0]] - points[ends[:, 1]])
     safe = np.where(span > 0, span, 1)
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
@@ -102,7 +104,7 @@ def _measure_shares(points: ndarray, faces: ByType | None) -> ndarray:
         np.add.at(
             share,
             corners,
-            np.linalg.norm(outward(points[corners]), axis=1)[:, None] / corners.shape[1],
+            row_lengths(outward(points[corners]))[:, None] / corners.shape[1],
         )
     left = np.flatnonzero(share == 0)
     count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
@@ -161,7 +163,7 @@ def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
         return False
     # Facets of one plane have equal rounded equations. Their areas add up to a side's, and only the
     # largest sides are looked at, by the equation of their largest facet.
-    size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
+    size = row_lengths(outward(surface[hull.simplices]))
     order = np.argsort(-size, kind="stable")
     equations = hull.equations[order]
     size = size[order]
@@ -170,7 +172,7 @@ def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:
     )[1:]
     area = np.bincount(plane.ravel(), size)
     largest = first[np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:HULL_SIDES]]
-    slack = 1e-8 * float(np.ptp(surface, axis=0).max())
+    slack = ON_PLANE * float(extent_of(surface))
     free = points[is_free]
     return any(
         (free @ np.array(normal) + offset > -slack).sum() > 1
@@ -182,11 +184,9 @@ def has_free_faces(points: ndarray, faces: ByType, is_held: ndarray) -> bool:
     """Checks whether boundary faces, but for the sides of a cut, have corners that are not held."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
-    return len(middles) > 0 and bool((spacing(middles) > 1e-9 * np.ptp(points, axis=0).max()).any())
+    return len(middles) > 0 and bool((spacing(middles) > SAME * extent_of(points)).any())
 
 
-# cosine of the angle between a tip's edges below which the wall is sharp there
-SHARP_TIP = np.cos(np.deg2rad(60))
 # distances of sources from a tip over the mean chord: waves invert cells at tips
 NEARBY = (0.002, 0.008, 0.032)
 # least distance of a place behind a tip from the wall, relative to its distance from the tip
@@ -243,7 +243,7 @@ def sharp_tips(points: ndarray, pairs: ndarray) -> Tips:
     beside = directed[np.minimum(first[:-1, None] + [0, 1], len(directed) - 1), 1]
     count = np.diff(first)
     arms = place[beside] - place[:, None]
-    is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP_TIP * (1 + SAME) * np.linalg.norm(
+    is_sharp = dot_rows(arms[:, 0], arms[:, 1]) > SHARP_TIP * (1 + SAME) * np.linalg.norm(
         arms, axis=2
     ).prod(axis=1)
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))
@@ -260,7 +260,7 @@ def behind_tips(walls: Tips, length: ndarray, closest: float, room: ndarray) -> 
         sides = walls.sides(tip, walls.lengths(tip, length).min())
         image = 2 * place[tip] - place[sides].mean(axis=0)
         step = np.linalg.norm(image - place[tip])
-        is_free = np.linalg.norm(place - image, axis=1).min() > AWAY * (1 + SAME) * step
+        is_free = row_lengths(place - image).min() > AWAY * (1 + SAME) * step
         if closest * (1 + SAME) < step < walls.lengths(tip, room).min() * (1 - SAME) and is_free:
             found.append([tip, *sides])
     return walls.rows[np.array(found, dtype=np.int64).reshape(-1, 3)]
@@ -270,7 +270,7 @@ def beside_tips(walls: Tips, chord: ndarray) -> ndarray:
     """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`.
     Distances shorter than the wall's edges at the tip are left out.
     """
-    length = np.linalg.norm(np.subtract(*walls.points[walls.ends.T]), axis=1)
+    length = row_lengths(np.subtract(*walls.points[walls.ends.T]))
     places = [
         place
         for tip in walls.tips.tolist()

@@ -6,11 +6,10 @@ from numpy import ndarray
 from ..cells.adjacency import parts_of
 from ..cells.topology import ByType
 from ..linear.products import outward, unit_rows
-from ..package.rounding import SAME, Tree, distinct_places, nearest_of, ranked, resolution
+from ..package.rounding import Tree, distinct_places, nearest_of, ranked, resolution
 from ..sources.farthest import farthest
+from ..tolerances import CONCAVE, SAME
 
-# cosine of a concave corner's angle from which on its faces are two walls
-CONCAVE = np.cos(np.deg2rad(45))
 # distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)
 REACH = 1.5
 # most nodes of a curve, as its extent over the nearest node's distance; surfaces have more
@@ -38,7 +37,7 @@ def walls(
     """
     label = np.full(len(points), -1)
     groups = [
-        in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)
+        sort_faces(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)
     ]
     if groups:
         label = _label_by_faces(points, moving, groups)
@@ -54,7 +53,7 @@ def walls(
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
-def in_order(faces: ndarray) -> ndarray:
+def sort_faces(faces: ndarray) -> ndarray:
     """Sorts faces (k, c) by their nodes, each from its first node on; edges keep their sense."""
     if faces.shape[1] > 2:
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])

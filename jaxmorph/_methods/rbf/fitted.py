@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._host.package.rounding import SAME, roundoff
+from ..._host.package.rounding import roundoff
 from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface import skin
+from ..._host.tolerances import SAME
 from ..._kernels.values import Either, as_jax, norm
 from ..base import (
     AbstractMethod,
@@ -205,7 +206,7 @@ def _at_tips(
     each with a node on either side. `pairs` are all edges of the moving walls, `chord` (e,) is that
     of each edge's wall.
     """
-    held = skin.nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
+    held = skin.nearest_held(surface.points, surface.moving, surface.walls.number, pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
     room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
     walls = skin.sharp_tips(surface.points, pairs)
@@ -216,7 +217,7 @@ def _at_tips(
 def _on_each_wall(surface: Surface, sources: np.ndarray, closest: float) -> np.ndarray:
     """Adds sources until each of several moving walls has enough, with their images."""
     rows = np.arange(surface.moving)
-    wall = surface.walls[0][rows]
+    wall = surface.walls.number[rows]
     images = surface.images[rows]
     labels = np.unique(wall[images == rows])
     if len(labels) < 2:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._boundary.periodic import Periodic
-from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.cells.pieces import outer_pieces
 from jaxmorph._host.rows import Rows, join_ids
 from jaxmorph._mesh.exchange import Parts, gathered, regions_note
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
@@ -119,7 +119,7 @@ def _gather_patches(zones: list[Zone]) -> tuple[PatchLists, list[ndarray], list[
             else:
                 of_patch.setdefault(name, []).append(nodes)
         alone = gathered(block[:2] for block in zone.content.blocks)
-        faces += zone.content.sides or boundary_faces(alone, zone.rows.stop).values()
+        faces += zone.content.sides or outer_pieces(alone, zone.rows.stop).values()
     return of_patch, faces, regions
 
 
