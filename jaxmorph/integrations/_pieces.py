@@ -98,10 +98,25 @@ class WholeSurface:
     listed: int
     known: int
 
-    def boundary(self, symmetry: Any, is_open: bool) -> jm.Boundary:
+    def half(
+        self,
+        planes: Sequence[jm.Plane],
+        shares: Sequence[Any],
+        method: jm.AbstractMethod | None,
+        is_open: bool,
+    ) -> jm.SurfaceHalf:
+        """Prepares the surface; `shares` has the boundary faces of each piece, or None of each."""
         free = np.arange(self.listed, self.known if is_open else self.listed)
         moving, fixed = np.split(np.arange(self.listed), [self.moving])
-        return jm.Boundary(self.points, moving, fixed, symmetry=symmetry, free=free)
+        known: dict[str, Any] = {"is_open": is_open}
+        if shares[0] is not None:
+            faces = {kind: np.concatenate([own[kind] for own in shares]) for kind in shares[0]}
+            known = {"faces": {kind: self.rows(ids) for kind, ids in faces.items()}}
+        try:
+            boundary = jm.Boundary(self.points, moving, fixed, symmetry=planes, free=free)
+            return jm.prepare_surface(boundary, nodes=self.names, method=method, **known)
+        except jm.MeshError as error:
+            raise error.renumbered(self.names) from None
 
     def rows(self, ids: ndarray) -> ndarray:
         order = np.argsort(self.names, kind="stable")
