@@ -255,7 +255,7 @@ def _write_variables(
 def export(request: ExportRequest, out: Output) -> int:
     patches = _read(request, out)
     plan = _prepared(request, patches, out)
-    old = request.output is not None and request.output.is_file()
+    older = _older_plans(request)
     with out.progress("writing the plan"):
         if request.output is None:
             files = io.export_case(request.file, patches.mesh, plan)
@@ -264,5 +264,16 @@ def export(request: ExportRequest, out: Output) -> int:
             files = [request.output]
     out.say(moving=plan.n_moving)
     for file in files:
-        out.wrote(file, old)
+        out.wrote(file, file in older)
+    out.say(replaced=not older.isdisjoint(files))
     return 0
+
+
+def _older_plans(request: ExportRequest) -> set[Path]:
+    """Finds the plan at OUT, or those of a case: in `constant`, also of a region and of parts."""
+    if request.output is not None:
+        return {request.output} if request.output.is_file() else set()
+    place = request.file
+    root = place.parent.parent if place.parent.name == "constant" else place
+    places = ("constant", "constant/*", "processor*/constant", "processor*/constant/*")
+    return {file for folder in places for file in root.glob(f"{folder}/jaxmorph.plan")}

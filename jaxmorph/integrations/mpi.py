@@ -175,7 +175,7 @@ def _own(
     """Returns the boundary of a piece, the ids (n,) of its points, and the symmetry planes."""
     x = points.points if isinstance(points, jm.Mesh) else points
     boundary = jm.Boundary(x, moving, fixed)
-    planes = [symmetry] if isinstance(symmetry, jm.Plane | str) else list(symmetry)
+    planes: list[Any] = [symmetry] if isinstance(symmetry, jm.Plane | str) else list(symmetry)
     wrong = [plane for plane in planes if not isinstance(plane, jm.Plane)]
     if wrong:
         raise ValueError(
