@@ -73,7 +73,7 @@ def say(what: str) -> None:
         print(f"{what} ...", file=sys.stderr)
 
 
-def run(output: pathlib.Path, *, points: int | None = None) -> int:
+def run_paper_case(output: pathlib.Path, *, points: int | None = None) -> int:
     """Shows the case: tables on the terminal, pictures and meshes in the folder `output`.
 
     `points` asks for another mesh size than the paper's. Returns 0, or 1 for an inverted cell.

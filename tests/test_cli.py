@@ -314,7 +314,7 @@ def test_a_process_of_its_own_computes_in_double_precision(here):
 
 
 def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monkeypatch):
-    monkeypatch.setattr(_output, "PATIENCE", 0.01)
+    monkeypatch.setattr(_output, "ANNOUNCED_AFTER", 0.01)
     progress = _output.Output("test").progress
     with progress("sleeping"):
         time.sleep(0.1)
@@ -325,7 +325,7 @@ def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monke
     said = capsys.readouterr().err
     assert "jaxmorph test: sleeping ... 0 s" in said
     assert said.endswith("\r\033[K")
-    monkeypatch.setattr(_output, "PATIENCE", 60)
+    monkeypatch.setattr(_output, "ANNOUNCED_AFTER", 60)
     with progress("being quick"):
         pass
     assert capsys.readouterr().err == ""

@@ -18,9 +18,9 @@ from jaxmorph import Mesh, io
 from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
 from ._job import text_of
-from ._method import Chunks, Patches, described, mesh_of, patches_of
+from ._method import Chunks, Patches, described, patches_of, read_mesh
 from ._motion import Distances, Motion, distances, motion
-from ._output import Output, coordinates, count, title, wrapped
+from ._output import Output, format_place, plural, title, wrapped
 from ._requests import AUTO, Deform
 from ._way import (
     Points,
@@ -30,15 +30,15 @@ from ._way import (
     faults,
     finish,
     in_background,
-    moved,
+    move_in_steps,
     say_verdict,
     warn_of_size,
 )
 
-SMALL = 10_000
+SMALL_WORK = 10_000
 """Points, times steps, below which compile time dominates."""
 
-MOST = 16
+MOST_STEPS = 16
 """Steps that `--steps auto` tries at most."""
 
 PATIENCE = 120.0
@@ -85,7 +85,7 @@ class Attempt:
         for nodes, plan in chunks:
             here = np.flatnonzero(np.isin(nodes, wall))
             u = path[:, np.searchsorted(wall, nodes[here])]
-            for step, points in enumerate(moved(plan, path, base[nodes], here, u)):
+            for step, points in enumerate(move_in_steps(plan, path, base[nodes], here, u)):
                 if step in ends:
                     ends[step][nodes] = points
             is_moved[nodes] = True
@@ -97,15 +97,15 @@ class Attempt:
         return way.judge(self.request.gates.limits, self.before)
 
 
-def deform(request: Deform, out: Output) -> int:
+def run_deform(request: Deform, out: Output) -> int:
     io.check_output(request.output, request.file)
     with out.progress(f"reading {title(request.file)}"):
-        mesh = mesh_of(request.file, request.zone, request.tags)
-    with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):
-        return _deform(request, mesh, out)
+        mesh = read_mesh(request.file, request.zone, request.tags)
+    with quickly_compiled(len(mesh.points) * request.step_count <= SMALL_WORK):
+        return _move_mesh(request, mesh, out)
 
 
-def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
+def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
     io.check_output(request.output, mesh)
     check_picture(request.picture)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
@@ -126,7 +126,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         with out.progress("seeking the fewest steps"):
             least = request.gates.min_jacobian_ratio or 0.0
             at = functools.partial(attempt.motion.at, attempt.base[patches.nodes])
-            found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST)
+            found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST_STEPS)
         request = dataclasses.replace(request, steps=found.count)
         attempt = dataclasses.replace(attempt, request=request, reached=found.fraction)
     n, d = mesh.points.shape
@@ -142,7 +142,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         out.say(f"steps    {request.step_count} {reach}", reached=attempt.reached)
     with out.progress("judging the cells"):
         judging.result()  # it raises for limits on measures that the cells do not have
-    with out.progress(f"deforming in {count(request.step_count, 'step')}") as stage:
+    with out.progress(f"deforming in {plural(request.step_count, 'step')}") as stage:
         way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.step_count, stage.done)
     return _written(attempt, way, nodes, plan, out)
 
@@ -161,7 +161,7 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
         boundary = jm.boundary_quality(plan, way.stored[nodes]).renumbered(nodes)
     with out.progress("judging the cells"):
         verdict = judging.result()
-    _tell(attempt, way, verdict, inspection, off, out)
+    _say_measures(attempt, way, verdict, inspection, off, out)
     if boundary.nodes:
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(
@@ -206,7 +206,7 @@ def _draw_distances(file: Path, wall: jm.Facets, *distances: np.ndarray) -> None
     plt.close(figure)
 
 
-def _tell(
+def _say_measures(
     attempt: Attempt,
     way: Way,
     verdict: jm.Verdict,
@@ -248,7 +248,7 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
     if not len(nodes):
         return []
     worst = nodes[[angle.argmax(), height.argmin()]]
-    steepest, lowest = (f"   node {node} near {coordinates(points[node])}" for node in worst)
+    steepest, lowest = (f"   node {node} near {format_place(points[node])}" for node in worst)
     return [
         ("mean wall angle", 0, float(angle.mean()), ""),
         ("max wall angle", 0, float(angle.max()), steepest),
@@ -267,21 +267,20 @@ def say_motion(
 
     for names in dict.fromkeys(group.patches for group in request.groups):
         nodes = mesh.patch(*names)
-        row(
-            "moving",
-            names,
-            f"{count(len(nodes), 'node')}, by up to {way[np.isin(patches.nodes, nodes)].max():.4g}",
-        )
+        largest = way[np.isin(patches.nodes, nodes)].max()
+        row("moving", names, f"{plural(len(nodes), 'node')}, by up to {largest:.4g}")
     still = np.setdiff1d(mesh.patch(*patches.fixed), patches.nodes)
-    row("fixed", request.boundary.fixed or ["no patch"], count(len(still), "node"))
+    row("fixed", request.boundary.fixed or ["no patch"], plural(len(still), "node"))
     for what, names in (("symmetry", patches.symmetry), ("sliding", patches.sliding)):
         if names:
-            row(what, names, count(len(mesh.patch(*names)), "node"))
+            row(what, names, plural(len(mesh.patch(*names)), "node"))
     for pair in patches.periodic:
-        row("periodic", (pair.patch, pair.partner), count(len(mesh.patch(str(pair.patch))), "pair"))
+        row(
+            "periodic", (pair.patch, pair.partner), plural(len(mesh.patch(str(pair.patch))), "pair")
+        )
     name, sources = described(request.method, plan)
     out.say(
-        f"method   {name}, {count(request.step_count, 'step')}",
+        f"method   {name}, {plural(request.step_count, 'step')}",
         method=name,
         steps=request.step_count,
     )

@@ -97,7 +97,7 @@ def switch(what: str, *names: str, default: bool = False, **settings: Any) -> An
     )
 
 
-def part(fields: Fields) -> Any:
+def nested(fields: Fields) -> Any:
     return dataclasses.field(default_factory=fields, metadata={"fields": fields})
 
 

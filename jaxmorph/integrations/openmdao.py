@@ -24,7 +24,7 @@ PointsOrArray = Float[Array, "n d"]
 Traced = Callable[[ValuesByName], Any]
 """A pytree that computes one array from arrays by name."""
 
-OPTIONS: dict[str, dict[str, Any]] = {
+COMPONENT_OPTIONS: dict[str, dict[str, Any]] = {
     "plan": {"types": jm.Plan, "recordable": False, "desc": "what jaxmorph.prepare returned"},
     "mesh": {
         "types": jm.Mesh,
@@ -66,7 +66,7 @@ class TracedComponent(om.ExplicitComponent):
 
     def initialize(self) -> None:
         for name in self.option_names:
-            self.options.declare(name, **OPTIONS[name])
+            self.options.declare(name, **COMPONENT_OPTIONS[name])
 
     def traced(self) -> Traced:
         raise NotImplementedError

@@ -234,7 +234,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
     with files.unpack(path) as file:
         try:
             with faults_of(file):
-                mesh = _read(file, tags)
+                mesh = _read_by_format(file, tags)
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
@@ -257,7 +257,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
     return Mesh(*mesh._replace(source=source))
 
 
-def _read(file: Path, tags: PathLike | None) -> Parts:
+def _read_by_format(file: Path, tags: PathLike | None) -> Parts:
     chosen = format_of(file)
     if tags is None:
         return chosen.codec().read(file)

@@ -90,7 +90,7 @@ def is_folder(path: pathlib.Path) -> bool:
     )
 
 
-def read(name: str, content: bytes) -> dict[str, Any]:
+def parse_toml(name: str, content: bytes) -> dict[str, Any]:
     try:
         text = content.decode()
         return tomllib.loads(text.replace("\r\n", "\n"))
