@@ -18,7 +18,7 @@ from jaxmorph import Mesh, io
 from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
 from ._job import text_of
-from ._method import Chunks, Patches, described, patches_of, read_mesh
+from ._method import Chunks, Patches, described, load_mesh, patches_of
 from ._motion import Distances, Motion, distances, motion
 from ._output import Output, format_place, plural, title, wrapped
 from ._requests import AUTO, Deform
@@ -38,7 +38,7 @@ from ._way import (
 SMALL_WORK = 10_000
 """Points, times steps, below which compile time dominates."""
 
-MOST_STEPS = 16
+MOST_TRIED = 16
 """Steps that `--steps auto` tries at most."""
 
 PATIENCE = 120.0
@@ -100,7 +100,7 @@ class Attempt:
 def run_deform(request: Deform, out: Output) -> int:
     io.check_output(request.output, request.file)
     with out.progress(f"reading {title(request.file)}"):
-        mesh = read_mesh(request.file, request.zone, request.tags)
+        mesh = load_mesh(request.file, request.zone, request.tags)
     with quickly_compiled(len(mesh.points) * request.step_count <= SMALL_WORK):
         return _move_mesh(request, mesh, out)
 
@@ -126,7 +126,7 @@ def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
         with out.progress("seeking the fewest steps"):
             least = request.gates.min_jacobian_ratio or 0.0
             at = functools.partial(attempt.motion.at, attempt.base[patches.nodes])
-            found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST_STEPS)
+            found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST_TRIED)
         request = dataclasses.replace(request, steps=found.count)
         attempt = dataclasses.replace(attempt, request=request, reached=found.fraction)
     n, d = mesh.points.shape

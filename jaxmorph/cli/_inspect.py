@@ -9,7 +9,7 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from ._method import read_mesh
+from ._method import load_mesh
 from ._output import Output, plural, some, title, wrapped
 from ._requests import Convert, Demo, Info, Quality
 from ._way import check_picture, draw, faults
@@ -17,7 +17,7 @@ from ._way import check_picture, draw, faults
 
 def run_quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
-        mesh = read_mesh(request.file, request.zone, request.tags)
+        mesh = load_mesh(request.file, request.zone, request.tags)
         points = None if request.moved is None else _same_mesh(request, mesh, request.moved).points
     check_picture(request.picture)
     with out.progress("judging the cells"):
@@ -47,7 +47,7 @@ def run_quality(request: Quality, out: Output) -> int:
 
 
 def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
-    moved = read_mesh(file, request.zone, request.tags)
+    moved = load_mesh(file, request.zone, request.tags)
     ours = _find_cell_ids(mesh)
     theirs = _find_cell_ids(moved)
     if ours.keys() != theirs.keys() or not all(
@@ -66,7 +66,7 @@ def run_info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
         meshes = list(
-            io.read_zones(request.file) if is_su2 else [read_mesh(request.file, tags=request.tags)]
+            io.read_zones(request.file) if is_su2 else [load_mesh(request.file, tags=request.tags)]
         )
     if len(meshes) > 1 and request.picture is not None:
         raise ValueError(
@@ -88,7 +88,7 @@ def run_info(request: Info, out: Output) -> int:
 def run_convert(request: Convert, out: Output) -> int:
     io.check_output(request.output, request.file)
     with out.progress("reading"):
-        mesh = read_mesh(request.file, tags=request.tags)
+        mesh = load_mesh(request.file, tags=request.tags)
     lost = list(io.losses(request.output, mesh))
     for sentence in lost:
         out.warn(sentence)

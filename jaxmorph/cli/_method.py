@@ -20,7 +20,7 @@ Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 PlanRequest = Deform | Planned
 
 
-def read_mesh(path: Path, zone: int | None = None, tags: Path | None = None) -> jm.Mesh:
+def load_mesh(path: Path, zone: int | None = None, tags: Path | None = None) -> jm.Mesh:
     if zone is None or tags is not None:
         return io.read(path, tags=tags)
     meshes = io.read_zones(path)

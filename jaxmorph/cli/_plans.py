@@ -15,7 +15,7 @@ from jaxmorph import io, shapes
 
 from ._early import check_apart
 from ._job import job_of
-from ._method import Patches, PlanRequest, described, patches_of, read_mesh
+from ._method import Patches, PlanRequest, described, load_mesh, patches_of
 from ._motion import Motion, motion
 from ._output import LISTED, Output, format_place, plural, steepest, title
 from ._requests import ExportRequest, ModesRequest, SensitivityRequest
@@ -25,9 +25,9 @@ BATCH = 8
 """Motions computed together."""
 
 
-def _read_patches(request: PlanRequest, out: Output) -> Patches:
+def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
     with out.progress(f"reading {title(request.file)}"):
-        mesh = read_mesh(request.file, getattr(request, "zone", None), request.tags)
+        mesh = load_mesh(request.file, getattr(request, "zone", None), request.tags)
     return patches_of(request, mesh)
 
 
@@ -54,7 +54,7 @@ class Case(NamedTuple):
 def run_modes(request: ModesRequest, out: Output) -> int:
     cases = _cases(request)
     io.check_output(cases[0].output, request.file)
-    patches = _read_patches(request, out)
+    patches = _look_up_patches(request, out)
     limits = request.gates.limits
     mesh = patches.mesh
     outputs = [request.output, *(case.output for case in cases)]
@@ -176,7 +176,7 @@ def _say_case(case: Case, file: Path, verdict: jm.Verdict, out: Output) -> None:
 def run_sensitivity(request: SensitivityRequest, out: Output) -> int:
     job = job_of(request)
     asked = job or request
-    patches = _read_patches(asked, out)
+    patches = _look_up_patches(asked, out)
     mesh = patches.mesh
     moving = patches.nodes
     wall = np.asarray(mesh.points, float)[moving]
@@ -253,7 +253,7 @@ def _write_variables(
 
 
 def run_export(request: ExportRequest, out: Output) -> int:
-    patches = _read_patches(request, out)
+    patches = _look_up_patches(request, out)
     plan = _prepare_plan(request, patches, out)
     older = _older_plans(request)
     with out.progress("writing the plan"):

@@ -26,7 +26,7 @@ from ._grid import (
 )
 from ._surface import Definition, Follower, boundary_of, patches_by_kind
 
-OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
+IDWARP_OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
     "gridFile": ((str,), None),
     "fileType": ((str,), "CGNS"),
     "specifiedSurfaces": ((list, tuple), None),
@@ -72,20 +72,22 @@ def complete_options(options: Any) -> dict[str, Any]:
             _check_option(name, value)
     if values.get("gridFile") is None:
         raise ValueError("`gridFile` must be the name of a grid; its ending tells what it is.")
-    return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {
+    return {name: values.get(name, default) for name, (_, default) in IDWARP_OPTIONS.items()} | {
         "told": tuple(values)
     }
 
 
 def name_of(name: str) -> str:
-    known = {option.lower(): option for option in OPTIONS}
+    known = {option.lower(): option for option in IDWARP_OPTIONS}
     if str(name).lower() not in known:
-        raise ValueError(f"`options`: IDWarp has no option {name}; it has {', '.join(OPTIONS)}.")
+        raise ValueError(
+            f"`options`: IDWarp has no option {name}; it has {', '.join(IDWARP_OPTIONS)}."
+        )
     return known[name.lower()]
 
 
 def _check_option(name: str, value: Any) -> None:
-    kinds: Any = OPTIONS[name][0]
+    kinds: Any = IDWARP_OPTIONS[name][0]
     expected = EXPECTED.get(name, " or ".join(kind.__name__ for kind in kinds))
     try:
         if not isinstance(value, kinds) or (type(value) is bool and bool not in kinds):
