@@ -235,30 +235,16 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
     figure = Figure(figsize=SIZE, dpi=200, layout="constrained")
     axes = figure.subplots(2, len(outcomes), squeeze=False)
     letters = iter("abcdefgh")
+    shown: dict[str, Any] = {"limits": (0, SKEWEST), "bar": False}
+    frame = {"facecolor": "w", "linewidth": 0, "pad": 2}
+    letter: dict[str, Any] = {"va": "top", "weight": "bold", "bbox": frame}
     for row, window in zip(axes, (AIRFOIL, TRAILING_EDGE), strict=True):
         for axis, outcome in zip(row, outcomes, strict=True):
             skewness = np.asarray(outcome.reports[-1].skewness)
-            plot.mesh(
-                mesh,
-                outcome.points,
-                values=skewness,
-                limits=(0, SKEWEST),
-                window=window,
-                bar=False,
-                ax=axis,
-            )
+            plot.mesh(mesh, outcome.points, values=skewness, window=window, ax=axis, **shown)
             axis.set(xlabel="x / chord", ylabel="y / chord")
             axis.locator_params(nbins=3)
-            frame = {"facecolor": "w", "linewidth": 0, "pad": 2}
-            axis.text(
-                0.03,
-                0.95,
-                next(letters),
-                transform=axis.transAxes,
-                va="top",
-                weight="bold",
-                bbox=frame,
-            )
+            axis.text(0.03, 0.95, next(letters), transform=axis.transAxes, **letter)
     (left, right), (low, high) = TRAILING_EDGE
     for axis, outcome in zip(axes[0], outcomes, strict=True):
         axis.set_title(
@@ -272,13 +258,8 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
         )
     for axis in axes[1]:
         axis.spines[:].set(color=plot.BLUE, linewidth=1.5)
-    figure.colorbar(
-        axes[0, 0].collections[0],
-        ax=axes,
-        location="bottom",
-        aspect=40,
-        label="skewness of the cells",
-    )
+    below: dict[str, Any] = {"location": "bottom", "aspect": 40}
+    figure.colorbar(axes[0, 0].collections[0], ax=axes, label="skewness of the cells", **below)
     figure.savefig(path)
 
 

@@ -64,10 +64,7 @@ def run_modes(request: ModesRequest, out: Output) -> int:
     check_apart(inputs, [("OUT", file) for file in outputs])
     with out.progress("reading the modes"):
         u = np.stack(
-            [
-                io.read_displacement(file, mesh, patches.nodes, is_position=False)
-                for file in request.mode
-            ]
+            [io.read_displacement(m, mesh, patches.nodes, is_position=False) for m in request.mode]
         )
     what = f"{plural(len(u), 'mode')} at {plural(len(request.amplitude), 'amplitude')}"
     plan = _prepare_plan(request, patches, out, what)
@@ -78,10 +75,8 @@ def run_modes(request: ModesRequest, out: Output) -> int:
         )
     before = jm.judge(mesh, None, limits)
     ratio = list(before.rows)[-1][1][0].upper()  # of volumes, or of Jacobians
-    out.say(
-        f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10} "
-        " mode"
-    )
+    columns = f"{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}"
+    out.say(f"\n{'':>6}{'amplitude':>12}{columns}  mode")
     good = []
     bad = 0
     replaced = 0

@@ -214,17 +214,11 @@ def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     if head.strip() == b"$NOD":
         return MeshFormat(1.0, True)
     if head.strip() != b"$MeshFormat":
-        mark = (
-            " The file begins with a byte order mark: save it without."
-            if data.startswith(codecs.BOM_UTF8)
-            else ""
-        )
-        number = 1 + data.count(b"\n", 0, start)
+        has_mark = data.startswith(codecs.BOM_UTF8)
+        remedy = " The file begins with a byte order mark: save it without." * has_mark
         first = decoded(head).strip()[:40]
-        raise ValueError(
-            f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not "
-            f"{first!r}.{mark}"
-        )
+        message = f"not a .msh file; $MeshFormat is expected here, not {first!r}.{remedy}"
+        raise Section(path, data, start + len(head) + 1, len(data)).error(message)
     found = _VERSION_LINE.match(words)
     if found is None:
         said = decoded(words).strip()[:40]
@@ -238,14 +232,9 @@ def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
         raise ValueError(
             f"{path}: a binary .msh file without the number 1 that tells its byte order."
         )
-    is_last = version > 4
-    return MeshFormat(
-        version if is_last else version // 1,
-        not binary,
-        order,
-        int(size) if is_last else 8,
-        version > 2,
-    )
+    if version > 4:
+        return MeshFormat(version, not binary, order, int(size))
+    return MeshFormat(version // 1, not binary, order, has_levels=version > 2)
 
 
 def cut_sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
@@ -471,11 +460,10 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         return
     for name in mesh.patches:
         if any(mark in name for mark in '"\r\n') or not name:
-            message = (
+            raise ValueError(
                 f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or "
                 "a line break."
             )
-            raise ValueError(message)
     patch_faces(mesh)
 
 

@@ -92,11 +92,7 @@ class Decomposed:
 
     @checked
     def __init__(self, path: str | os.PathLike[str]):
-        self.path = pathlib.Path(path)
-        self.region = ""
-        if self.path.parent.name == "constant":
-            self.region = self.path.name
-            self.path = self.path.parent.parent
+        self.path, self.region = _find_region(pathlib.Path(path))
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
         self.count = _count_parts(self.path)
@@ -285,6 +281,11 @@ def _join_facts(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[s
     }
 
 
+def _find_region(path: pathlib.Path) -> tuple[pathlib.Path, str]:
+    """Finds the case and the region of `case/constant/REGION`; "" for the folder of a case."""
+    return (path.parent.parent, path.name) if path.parent.name == "constant" else (path, "")
+
+
 def _count_parts(path: pathlib.Path) -> int:
     names = {
         folder.name.removeprefix("processor")
@@ -421,14 +422,11 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
             f"{path}: a case between wedges; OpenFOAM moves both planes, and a plan moves one."
         )
     plan.check_mesh(mesh)
-    region = place.name if place.parent.name == "constant" else ""
-    root = place.parent.parent if region else place
+    root, region = _find_region(place)
     files = [root / "constant" / region / PLAN]
     with name_errors_by(files[0]):
         export(plan, files[0], layer=_make_layer(content))
-    if not (root / "processor0").is_dir():
-        return files
-    case = Decomposed(path)
+    case = Decomposed(path) if (root / "processor0").is_dir() else ()
     for k in range(len(case)):
         part = case.read(k)
         ids = global_nodes(part)
