@@ -24,7 +24,7 @@ from ._style import (
     PlotPlaces,
     body_patches,
     check_cells,
-    finite_points,
+    drawn_points,
 )
 
 FLAT_VIEW = 0.45  # height over width of a window below which two of them stand one above the other
@@ -56,9 +56,7 @@ def picture(
     **Raises:** `ValueError` for another ending.
     """
     check_cells(before)
-    places = finite_points(
-        before.points if points is None else before.moved(np.asarray(points)).points
-    )
+    places = drawn_points(before, points)
     path = output_path(path, ".png")
     nodes = (
         _draw_moved(before, places)

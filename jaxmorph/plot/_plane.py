@@ -30,6 +30,7 @@ from ._style import (
     body_patches,
     cell_values,
     check_cells,
+    drawn_points,
     finite_points,
     refined,
     scale_of,
@@ -234,9 +235,7 @@ class PlaneCells:
                 "`plot.before_after_3d`."
             )
         check_cells(mesh)
-        places = finite_points(
-            mesh.points if points is None else mesh.moved(np.asarray(points)).points
-        )
+        places = drawn_points(mesh, points)
         fine = mesh
         cell = np.arange(len(mesh.cell_ids))
         if mesh.is_curved:

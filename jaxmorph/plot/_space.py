@@ -23,7 +23,7 @@ from ._style import (
     body_patches,
     cell_values,
     check_cells,
-    finite_points,
+    drawn_points,
     refined,
     scale_of,
 )
@@ -197,12 +197,13 @@ def _colours_of(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[
     colours, limits, is_below, is_above = scale_of(values, sizes, limits)
     style = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
     ends = {}
-    if is_below:
-        style["below_color"] = plt.get_cmap(colours)(0.0)
-        ends["below_label"] = "<"
-    if is_above:
-        style["above_color"] = plt.get_cmap(colours)(1.0)
-        ends["above_label"] = ">"
+    for is_beyond, side, share, mark in (
+        (is_below, "below", 0.0, "<"),
+        (is_above, "above", 1.0, ">"),
+    ):
+        if is_beyond:
+            style[f"{side}_color"] = plt.get_cmap(colours)(share)
+            ends[f"{side}_label"] = mark
     return style, ends
 
 
@@ -422,14 +423,9 @@ def _skin(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -
     surface, owner = mesh.moved(places).skin(*patches)
     if not len(owner):
         return pyvista().PolyData()
-    face = np.arange(len(owner))
-    if mesh.is_curved:
-        surface, face = refined(surface)
-    grid = surface.to_pyvista()
+    grid, face = _as_grid(surface, mesh, values, owner)
     if mesh.is_curved:
         grid.cell_data["whole"] = face
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[owner][face]
     from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
     used = vtkGeometryFilter()  # leaves out points of no face
@@ -467,7 +463,7 @@ def _space_points(mesh: jm.Mesh, points: Any) -> ndarray:
         raise ValueError(
             f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`."
         )
-    return finite_points(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+    return drawn_points(mesh, points)
 
 
 def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: ndarray, origin: ndarray) -> Any:
@@ -486,12 +482,20 @@ def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: ndarray, origin
     cells = np.flatnonzero(np.concatenate(is_met))
     if not len(cells):
         raise ValueError(NOTHING_CUT)
-    near = jm.Mesh(x, chosen)
-    owner = np.arange(len(cells))
-    if mesh.is_curved:
-        near, owner = refined(near)
-    grid = near.to_pyvista()
-    grid.cell_data["whole"] = np.asarray(mesh.cell_ids)[cells][owner]
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[cells][owner]
+    grid, piece_of = _as_grid(jm.Mesh(x, chosen), mesh, values, cells)
+    grid.cell_data["whole"] = np.asarray(mesh.cell_ids)[cells][piece_of]
     return grid
+
+
+def _as_grid(part: jm.Mesh, mesh: jm.Mesh, values: Any, cells: ndarray) -> tuple[Any, ndarray]:
+    """Makes a grid of a part, of which each entry is of one of the mesh's `cells`.
+
+    Curved ones are cut. Also returned is the entry that each piece is of.
+    """
+    entry = np.arange(len(cells))
+    if mesh.is_curved:
+        part, entry = refined(part)
+    grid = part.to_pyvista()
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)[cells][entry]
+    return grid, entry

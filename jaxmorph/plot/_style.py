@@ -50,6 +50,11 @@ def finite_points(points: Any) -> ndarray:
     return finite_array("points", array, array.shape)
 
 
+def drawn_points(mesh: jm.Mesh, points: Any) -> ndarray:
+    """Returns where the nodes are: `points`, or the mesh's own for None."""
+    return finite_points(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+
+
 def check_cells(mesh: jm.Mesh) -> None:
     if not sum(map(len, mesh.cells.values())):
         raise ValueError(f"there is nothing to draw: {mesh} has no cells.")

@@ -53,12 +53,16 @@ class BoxPart(AbstractPart):
             if variable.kind in TURN_KINDS:
                 change = TURN_KINDS[variable.kind](self, variable, part[0], control)
             else:
-                factors = np.zeros((variable.size, *start.shape))  # what a unit of each value adds
-                ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
-                change = jnp.tensordot(part, jnp.asarray(factors, part.dtype), 1)
+                change = jnp.tensordot(part, jnp.asarray(self.factors(variable), part.dtype), 1)
             control = control + change
             row = row + variable.size
         return control - start
+
+    def factors(self, variable: Variable) -> ndarray:
+        """Computes what a unit of each value of a variable adds (size, *counts, d)."""
+        factors = np.zeros((variable.size, *self.control.shape))
+        ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
+        return factors
 
     def is_fixed(self, *index: int) -> bool:
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
@@ -282,13 +286,11 @@ def box_parts(
 def _warn_of_held(options: Options, part: BoxPart) -> None:
     """Warns of variables whose control points are all held, so that they move nothing."""
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *PLANES_BEHIND)
-    held = []
-    for variable in part.variables:
-        if variable.kind not in TURN_KINDS:
-            factors = np.zeros((variable.size, *part.control.shape))
-            ADDS[variable.kind.removesuffix("_2D")](part, variable, factors)
-            if not factors.any():
-                held.append(f"{variable.box} ({', '.join(map(str, variable.index))})")
+    held = [
+        f"{variable.box} ({', '.join(map(str, variable.index))})"
+        for variable in part.variables
+        if variable.kind not in TURN_KINDS and not part.factors(variable).any()
+    ]
     if held:
         warn(
             f"{options.path}: {len(held)} of {len(part.variables)} design variables move nothing, "
