@@ -201,13 +201,13 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
 NACA0015 C-grid, {size}: rotated nose up by {ANGLES[-1]:g} degrees
 about the quarter chord in {len(ANGLES)} steps, far field fixed; wall + far-field sources.
 
-{aligned(last, 2)}
+{align(last, 2)}
 
 change at wall: mean absolute change of skewness in the {len(near_wall(mesh))} cells next to it;
 surface error in chords; first time: seconds for ids, compiling and three steps,
 once more: for the three steps again.
 
-{aligned(steps, 2)}"""
+{align(steps, 2)}"""
 
 
 def write_state(
@@ -221,7 +221,7 @@ def write_state(
     return [path, picture]
 
 
-def aligned(rows: Sequence[tuple[str, ...]], heads: int) -> str:
+def align(rows: Sequence[tuple[str, ...]], heads: int) -> str:
     """Text of columns: the first to the left, the others to the right, a line below the heads."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     first, *others = [f"{{:{'>' if k else '<'}{width}}}" for k, width in enumerate(widths)]

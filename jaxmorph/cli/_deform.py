@@ -18,9 +18,9 @@ from jaxmorph import Mesh, io
 from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
 from ._job import text_of
-from ._method import Chunks, Patches, described, load_mesh, patches_of
+from ._method import Chunks, Patches, describe_method, load_mesh, patches_of
 from ._motion import Distances, Motion, distances, motion
-from ._output import Output, format_place, plural, title, wrapped
+from ._output import Output, format_place, plural, title, wrap
 from ._requests import AUTO, Deform
 from ._way import (
     Points,
@@ -144,10 +144,10 @@ def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
         judging.result()  # it raises for limits on measures that the cells do not have
     with out.progress(f"deforming in {plural(request.step_count, 'step')}") as stage:
         way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.step_count, stage.done)
-    return _written(attempt, way, nodes, plan, out)
+    return _write_result(attempt, way, nodes, plan, out)
 
 
-def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
+def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
     """Inspects and judges the motion, and writes the mesh; `nodes` are those of `plan`."""
     request = attempt.request
     judging = in_background(attempt.judge, way)
@@ -165,7 +165,8 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
     if boundary.nodes:
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(
-            wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()}
+            wrap(f"boundary: {boundary}"),
+            boundary=measures | {"ended": boundary.ended.tolist()},
         )
     write_job(request, out)
     picture = request.picture
@@ -263,7 +264,7 @@ def say_motion(
     way = np.linalg.norm(u, axis=1)
 
     def row(what: str, names: Iterable[Any], number: str) -> None:
-        out.say(wrapped(f"{what:<8} {', '.join(map(str, names))}: {number}"))
+        out.say(wrap(f"{what:<8} {', '.join(map(str, names))}: {number}"))
 
     for names in dict.fromkeys(group.patches for group in request.groups):
         nodes = mesh.patch(*names)
@@ -278,7 +279,7 @@ def say_motion(
         row(
             "periodic", (pair.patch, pair.partner), plural(len(mesh.patch(str(pair.patch))), "pair")
         )
-    name, sources = described(request.method, plan)
+    name, sources = describe_method(request.method, plan)
     out.say(
         f"method   {name}, {plural(request.step_count, 'step')}",
         method=name,

@@ -16,7 +16,7 @@ from typing import Any
 from . import _help
 from ._job import with_job
 from ._output import Output
-from ._parser import Parser, made, meant
+from ._parser import Parser, build_request, guess_meant
 from ._requests import COMMANDS, Request, Speech
 
 CACHE_SIZE = 256 * 2**20
@@ -63,7 +63,7 @@ def _find_command(words: Sequence[str], top: Parser, parsers: Mapping[str, Parse
         top.check_flags(words)
         top.parse_args(words)
     if name not in COMMANDS:
-        top.error(f"there is no command {name}{meant(name, COMMANDS)}")
+        top.error(f"there is no command {name}{guess_meant(name, COMMANDS)}")
     parsers[name].check_flags(words[1:])
     return name
 
@@ -114,7 +114,7 @@ def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None
     name = words[0]
     command = (parsers or parser()[1])[words[0]]
     rest, values = with_job(name, words[1:])
-    return made(COMMANDS[name], command.parse_args(rest, values))
+    return build_request(COMMANDS[name], command.parse_args(rest, values))
 
 
 def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:

@@ -10,7 +10,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 
 from ._method import load_mesh
-from ._output import Output, plural, some, title, wrapped
+from ._output import Output, plural, some, title, wrap
 from ._requests import Convert, Demo, Info, Quality
 from ._way import check_picture, draw, faults
 
@@ -146,7 +146,7 @@ def _describe_mesh(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str
 
 
 def _format_list(what: str, lines: list[str]) -> list[str]:
-    return [what, *(wrapped(f"  {line}", 4) for line in lines)] if lines else []
+    return [what, *(wrap(f"  {line}", 4) for line in lines)] if lines else []
 
 
 def _line_of_box(box: io.Box) -> str:

@@ -14,12 +14,12 @@ from jaxmorph._host.package.text import parse_toml
 
 from ._parser import (
     Parser,
+    build_request,
     flag_of,
     flags_of,
+    guess_meant,
     is_switch,
     kind_of,
-    made,
-    meant,
     settings_of,
     values_of,
 )
@@ -66,7 +66,7 @@ class JobParser(Parser):
         for name, value in changes.items():
             words += ["--set", f"{name}={','.join(map(str, as_list(value)))}"]
         for group in groups:
-            words += self.group(known_keys(self.path, "[[moving]]", group, MOTION_KEYS))
+            words += self.group(check_keys(self.path, "[[moving]]", group, MOTION_KEYS))
         return self.parse_args(words)
 
     def group(self, group: dict[str, Any]) -> list[str]:
@@ -140,7 +140,7 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 
 def read_job(path: Path) -> tuple[argparse.Namespace, dict[str, str]]:
     """Reads the values of a job, and its mesh files; paths are relative to the job's folder."""
-    job = known_keys(
+    job = check_keys(
         path, "a job", parse_toml(str(path), path.read_bytes()), (*JOB_KEYS, "set", "moving")
     )
     files = {
@@ -152,11 +152,11 @@ def read_job(path: Path) -> tuple[argparse.Namespace, dict[str, str]]:
     return values, files
 
 
-def known_keys(path: Path, what: str, table: dict[str, Any], names: Any) -> dict[str, Any]:
+def check_keys(path: Path, what: str, table: dict[str, Any], names: Any) -> dict[str, Any]:
     table = {key.replace("-", "_"): value for key, value in table.items()}
     foreign = next((key for key in table if key not in names), None)
     if foreign is not None:
-        hint = meant(foreign, names) or "."
+        hint = guess_meant(foreign, names) or "."
         if foreign in MOTION_KEYS and "moving" in names:
             hint = ": it belongs to a motion, below a [[moving]]."
         raise ValueError(f"{path}: {what} has no {foreign}{hint} It may have {', '.join(names)}.")
@@ -180,7 +180,7 @@ def job_of(request: SensitivityRequest) -> Deform | None:
     vars(values).update(
         file=request.file, output=request.output, job=request.job, set=[*values.set, *request.set]
     )
-    return made(Deform, values)
+    return build_request(Deform, values)
 
 
 def text_of(request: Deform, folder: Path) -> str:

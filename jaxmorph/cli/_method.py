@@ -29,7 +29,7 @@ def load_mesh(path: Path, zone: int | None = None, tags: Path | None = None) -> 
     return meshes[zone - 1]
 
 
-def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
+def describe_method(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
     is_carrying = request.method == "default" and isinstance(plan.method, jm.InverseDistance)
     listed = jm.METHODS["turning" if is_carrying else request.method]
     sources = plan.n_moving * (listed.sources == "all")

@@ -142,7 +142,7 @@ def open_ended() -> Iterator[None]:
         os.close(nowhere)
 
 
-def wrapped(text: str, indent: int = 9) -> str:
+def wrap(text: str, indent: int = 9) -> str:
     return textwrap.fill(
         text, 80, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
     )

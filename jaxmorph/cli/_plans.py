@@ -15,7 +15,7 @@ from jaxmorph import io, shapes
 
 from ._early import check_apart
 from ._job import job_of
-from ._method import Patches, PlanRequest, described, load_mesh, patches_of
+from ._method import Patches, PlanRequest, describe_method, load_mesh, patches_of
 from ._motion import Motion, motion
 from ._output import LISTED, Output, format_place, plural, steepest, title
 from ._requests import ExportRequest, ModesRequest, SensitivityRequest
@@ -34,7 +34,7 @@ def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
 def _prepare_plan(request: PlanRequest, patches: Patches, out: Output, what: str = "") -> jm.Plan:
     with out.progress("preparing"):
         _, plan = next(patches.chunks())
-    (name, sources), n = described(request.method, plan), len(patches.mesh.points)
+    (name, sources), n = describe_method(request.method, plan), len(patches.mesh.points)
     out.say(
         f"{title(request.file)}: {n} points, {what or plural(plan.n_moving, 'moving node')}",
         points=n,

@@ -22,7 +22,7 @@ from ._parser import (
     Picture,
     Written,
     flag,
-    nested,
+    nest,
     number,
     positional,
     positive,
@@ -260,7 +260,7 @@ class Speech:
 
 @dataclasses.dataclass(frozen=True)
 class Spoken:
-    speech: Speech = nested(Speech)
+    speech: Speech = nest(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -272,8 +272,8 @@ class Meshed(Spoken):
 class Planned(Meshed):
     file: MeshFile = positional(MESH, "IN")
     moving: tuple[str, ...] = _patch_flag(WHAT_MOVES, section="surface", everyday=True)
-    boundary: BoundaryFlags = nested(BoundaryFlags)
-    method: MethodFlags = nested(MethodFlags)
+    boundary: BoundaryFlags = nest(BoundaryFlags)
+    method: MethodFlags = nest(MethodFlags)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -292,11 +292,11 @@ class Deform(Meshed):
     groups: tuple[MotionFlags, ...] = dataclasses.field(
         default=(), metadata={"fields": MotionFlags}
     )
-    boundary: BoundaryFlags = nested(BoundaryFlags)
+    boundary: BoundaryFlags = nest(BoundaryFlags)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(
         CHANGES_HELP, section="design variables", **CHANGES
     )
-    method: MethodFlags = nested(MethodFlags)
+    method: MethodFlags = nest(MethodFlags)
     steps: int | str = flag(
         "steps (default 1), or auto: the fewest without folds",
         default=1,
@@ -309,7 +309,7 @@ class Deform(Meshed):
         "prepare and move N points at a time: less memory before cells are judged, more time",
         section="method",
     )
-    gates: Gates = nested(Gates)
+    gates: Gates = nest(Gates)
     allow_inverted: bool = switch(
         "write OUT even when cells are inverted or a gate fails", section=BAD
     )
@@ -340,7 +340,7 @@ class ModesRequest(Planned):
     amplitude: tuple[float, ...] = flag(
         "factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPE_FLAGS
     )
-    gates: Gates = nested(Gates)
+    gates: Gates = nest(Gates)
     allow_inverted: bool = switch("write bad meshes too", section=BAD)
 
 
@@ -388,7 +388,7 @@ class SU2(Spoken):
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
     zone: int | None = flag(ZONE)
     picture: Picture | None = flag("def: draw the mesh before and after: .png", everyday=True)
-    method: MethodFlags = nested(MethodFlags)
+    method: MethodFlags = nest(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
 
 
@@ -399,7 +399,7 @@ class Quality(Meshed):
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
     zone: int | None = flag("of SU2 files with several zones the zone IZONE= N")
     picture: Picture | None = flag(BY_SKEWNESS, everyday=True)
-    gates: Gates = nested(Gates)
+    gates: Gates = nest(Gates)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,7 @@ from jaxmorph.integrations import su2
 
 from ._deform import SMALL_WORK
 from ._early import check_apart
-from ._method import Patches, described
+from ._method import Patches, describe_method
 from ._output import Output, plural, steepest, title
 from ._requests import SU2
 from ._way import (
@@ -85,7 +85,7 @@ def _move_by_config(request: SU2, config: su2.Config, out: Output) -> int:
     verdict = None
     if config.names:
         plan = _prepare_config(request, config, out)
-        name, _ = described(request.method, plan)
+        name, _ = describe_method(request.method, plan)
         out.say(f"method   {name}, {plural(config.steps, 'step')}", method=name, steps=config.steps)
         out.say(f"fixed    {', '.join(config.fixed) or 'no patch'}", fixed=list(config.fixed))
         if config.symmetry:

@@ -14,7 +14,7 @@ from jaxtyping import ArrayLike, Float, Int
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from ._output import Output, wrapped
+from ._output import Output, wrap
 from ._parser import flag_of
 
 SMALLEST_MOTION = 1e-4
@@ -184,11 +184,11 @@ def say_verdict(
         gates=verdict.gate_facts,
     )
     if verdict.note:
-        out.say(f"{wrapped(verdict.note)}\n", folded_before=verdict.before.inverted)
+        out.say(f"{wrap(verdict.note)}\n", folded_before=verdict.before.inverted)
     for gate in (gate for gate in verdict.gates if gate.name == PROVEN_GATE):
         valid = verdict.cells - gate.beyond
         when = instants(is_straight, steps)
-        out.say(wrapped(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {when}."))
+        out.say(wrap(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {when}."))
         out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
 
 

@@ -61,11 +61,11 @@ def _mark_ids(
         rows = np.flatnonzero(is_shared[corners].all(axis=1))
         is_first = np.ones(len(corners), dtype=bool)
         is_twice = np.zeros(len(corners), dtype=bool)
-        is_first[rows], is_twice[rows] = owned(comm, np.sort(nodes[corners[rows]], axis=1))
+        is_first[rows], is_twice[rows] = mark_owned(comm, np.sort(nodes[corners[rows]], axis=1))
         yield kind, corners, is_first, is_twice
 
 
-def owned(comm: Any, keys: ndarray) -> tuple[ndarray, ndarray]:
+def mark_owned(comm: Any, keys: ndarray) -> tuple[ndarray, ndarray]:
     """Marks keys, ids (k,) or rows (k, c), that this process has first, or others have too."""
     # Keys go to their keeper, which finds the first of equal keys in the order of the processes.
     # Its answers go back in the order in which it was asked.

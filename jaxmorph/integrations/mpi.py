@@ -19,7 +19,7 @@ from numpy import ndarray
 import jaxmorph as jm
 from jaxmorph.extend import Agreement, real_array, together
 
-from ._pieces import check_comm, faces_of_piece, gather_surface, owned
+from ._pieces import check_comm, faces_of_piece, gather_surface, mark_owned
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,7 +155,7 @@ def prepare(
     check_comm(comm)
     mesh = points if isinstance(points, jm.Mesh) else None
     own, ids, planes = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
-    marks = owned(comm, ids)
+    marks = mark_owned(comm, ids)
     faces = faces_of_piece(comm, mesh, ids, marks[1])
     surface = gather_surface(comm, own, ids, faces, planes)
     shares = comm.gather(faces)
@@ -221,4 +221,4 @@ def attach(
     plan = together(comm, attached)
     ids = np.asarray(nodes)
     moving = np.flatnonzero(np.isin(ids, half.moving))
-    return Piece(comm, plan, ids, moving, half.rows(ids[moving]), *owned(comm, ids))
+    return Piece(comm, plan, ids, moving, half.rows(ids[moving]), *mark_owned(comm, ids))

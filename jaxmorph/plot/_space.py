@@ -23,8 +23,8 @@ from ._style import (
     body_patches,
     cell_values,
     check_cells,
-    drawn_points,
-    refined,
+    choose_points,
+    refine_cells,
     scale_of,
 )
 
@@ -146,7 +146,7 @@ def cut(
     is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
     near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
     section, walls = (
-        _cropped(
+        _crop(
             part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:]
         )
         for part in (grid, outside(mesh, points, None, ()))
@@ -160,7 +160,7 @@ def cut(
     return drawn
 
 
-def _cropped(section: Any, body: ndarray | None, axes: Sequence[ndarray]) -> Any:
+def _crop(section: Any, body: ndarray | None, axes: Sequence[ndarray]) -> Any:
     if body is None:
         return section
     room = FIGURE_ROOM * max(np.ptp(body @ axis) for axis in axes)
@@ -463,7 +463,7 @@ def _space_points(mesh: jm.Mesh, points: Any) -> ndarray:
         raise ValueError(
             f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`."
         )
-    return drawn_points(mesh, points)
+    return choose_points(mesh, points)
 
 
 def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: ndarray, origin: ndarray) -> Any:
@@ -494,7 +494,7 @@ def _as_grid(part: jm.Mesh, mesh: jm.Mesh, values: Any, cells: ndarray) -> tuple
     """
     entry = np.arange(len(cells))
     if mesh.is_curved:
-        part, entry = refined(part)
+        part, entry = refine_cells(part)
     grid = part.to_pyvista()
     if values is not None:
         grid.cell_data["values"] = cell_values(mesh, values)[cells][entry]

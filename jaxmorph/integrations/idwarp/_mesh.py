@@ -18,7 +18,7 @@ from ._grid import (
     GridCoordinates,
     GridPoints,
     SolverOrder,
-    agreed,
+    agree,
     communicator,
     faces,
     solver_order,
@@ -413,13 +413,13 @@ class USMesh:
         return self._order
 
     def _rows(self, name: str, values: Any) -> ndarray:
-        return agreed(self.comm, name, values, self._defined().points.shape)
+        return agree(self.comm, name, values, self._defined().points.shape)
 
     def _volume(self, values: Any, is_solvers: bool) -> ndarray:
         if not is_solvers:
-            return agreed(self.comm, "dXv", values, (3 * len(self._grid.rows),))
+            return agree(self.comm, "dXv", values, (3 * len(self._grid.rows),))
         order = self._solver()
-        return order.from_solver(agreed(self.comm, "dXv", values, (order.size,)))
+        return order.from_solver(agree(self.comm, "dXv", values, (order.size,)))
 
 
 class USMesh_C(USMesh):

@@ -426,7 +426,7 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
     files = [root / "constant" / region / PLAN]
     with name_errors_by(files[0]):
         export(plan, files[0], layer=_make_layer(content))
-    case = Decomposed(path) if (root / "processor0").is_dir() else ()
+    case: Any = Decomposed(path) if (root / "processor0").is_dir() else ()
     for k in range(len(case)):
         part = case.read(k)
         ids = global_nodes(part)
