@@ -14,7 +14,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from ._output import plural
-from ._requests import Deform, MethodFlags, Planned
+from ._requests import Deform, MethodFlags, Names, Planned
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 PlanRequest = Deform | Planned
@@ -44,12 +44,12 @@ def describe_method(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
 class Patches:
     mesh: jm.Mesh
     request: MethodFlags
-    moving: tuple[str, ...]
-    fixed: tuple[str, ...]
-    symmetry: tuple[str, ...] = ()
-    sliding: tuple[str, ...] = ()
+    moving: Names
+    fixed: Names
+    symmetry: Names = ()
+    sliding: Names = ()
     periodic: tuple[jm.Periodic, ...] = ()
-    free: tuple[str, ...] = ()
+    free: Names = ()
 
     @property
     def nodes(self) -> Int[np.ndarray, " m"]:
@@ -135,9 +135,7 @@ def _check_names(request: PlanRequest, mesh: jm.Mesh) -> None:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
 
 
-def _pair_periodic(
-    names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]
-) -> tuple[jm.Periodic, ...]:
+def _pair_periodic(names: Names, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
     if len(names) % 2:
         raise ValueError(

@@ -16,7 +16,7 @@ from jaxmorph import Mesh, io, shapes
 
 from ._early import is_given
 from ._output import format_place, some
-from ._requests import Deform, MotionFlags
+from ._requests import Deform, MotionFlags, Names
 
 Points = Float[np.ndarray, "m d"]
 Parametrised = tuple[shapes.AbstractShape, Any]
@@ -25,7 +25,7 @@ Parametrised = tuple[shapes.AbstractShape, Any]
 class MotionGroup(NamedTuple):
     """Patches that move: shapes and parameters by flag, and the rows of their nodes."""
 
-    patches: tuple[str, ...]
+    patches: Names
     shape: shapes.Chain
     values: dict[str, Any]
     rows: np.ndarray
@@ -40,7 +40,7 @@ class Motion:
     """
 
     groups: dict[str, MotionGroup]
-    sides: dict[tuple[str, ...], np.ndarray]
+    sides: dict[Names, np.ndarray]
     parameters: dict[str, dict[str, Any]]
 
     @property
@@ -55,7 +55,7 @@ class Motion:
             moved = moved.at[rows].set(self.alone(names, x, parameters)[rows])
         return moved
 
-    def alone(self, names: tuple[str, ...], x: Any, parameters: Mapping[str, Any]) -> Any:
+    def alone(self, names: Names, x: Any, parameters: Mapping[str, Any]) -> Any:
         for name in names:
             rows = self.groups[name].rows
             x = x.at[rows].set(self.groups[name].shape(x[rows], parameters[name]))
@@ -119,8 +119,8 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
 
 def _find_sides(
     groups: dict[str, MotionGroup], mesh: Mesh, moving: np.ndarray
-) -> dict[tuple[str, ...], np.ndarray]:
-    patches: dict[tuple[str, ...], list[str]] = {}
+) -> dict[Names, np.ndarray]:
+    patches: dict[Names, list[str]] = {}
     for patch in dict.fromkeys(itertools.chain(*(group.patches for group in groups.values()))):
         patches.setdefault(
             tuple(name for name, group in groups.items() if patch in group.patches), []
@@ -161,7 +161,7 @@ class MovingPatch(NamedTuple):
     group: MotionFlags
     mesh: Mesh
     nodes: np.ndarray
-    symmetry: tuple[str, ...]
+    symmetry: Names
 
     @property
     def points(self) -> Points:
@@ -243,7 +243,7 @@ def _translation_shape(patch: MovingPatch) -> Parametrised:
     )
 
 
-ANGLE_MOTIONS: dict[str, tuple[Callable, tuple[str, ...]]] = {
+ANGLE_MOTIONS: dict[str, tuple[Callable, Names]] = {
     "twist": (shapes.twist, ("about", "along", "length")),
     "bend": (shapes.bend, ("about", "along", "length", "axis")),
     "rotate": (shapes.rotate, ("about", "axis")),

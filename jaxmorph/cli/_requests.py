@@ -45,6 +45,10 @@ SHAPE_FLAGS: dict[str, Any] = {"section": "shapes", "everyday": True}
 SEVERAL: dict[str, Any] = {"default": (), "nargs": "+", "action": "extend"}
 
 Table = dict[str, Any]
+Names = tuple[str, ...]
+"""Several names, above all of patches."""
+Change = tuple[str, tuple[float, ...]]
+"""A design variable's name, and its new numbers."""
 TAG = re.compile(rb"(?m)^[ \t]*MARKER_?TAG[ \t]*=[ \t]*([^%\r\n]*)")
 
 
@@ -76,7 +80,7 @@ def steps(word: str) -> int | str:
     return AUTO if word == AUTO else positive(word)
 
 
-def _change(word: str) -> tuple[str, tuple[float, ...]]:
+def _change(word: str) -> Change:
     name, _, numbers = word.rpartition("=")
     try:
         return name, tuple(map(number, numbers.split(",")))
@@ -127,7 +131,7 @@ class MotionFlags:
     SECTION: ClassVar = MOTION
     SETTINGS: ClassVar = {"action": InGroup}
 
-    patches: tuple[str, ...] = _patch_flag(
+    patches: Names = _patch_flag(
         WHAT_MOVES, "--moving", section="surface", everyday=True, action=InGroup
     )
     displacement: Path | None = flag(
@@ -191,13 +195,13 @@ MOTIONS = (
 class BoundaryFlags:
     SECTION: ClassVar = "surface"
 
-    fixed: tuple[str, ...] = _patch_flag("patches that stay", everyday=True)
-    symmetry: tuple[str, ...] = _patch_flag("plane patches in which nodes slide", everyday=True)
-    sliding: tuple[str, ...] = _patch_flag("patches whose nodes slide along their faces")
-    periodic: tuple[str, ...] = _patch_flag(
+    fixed: Names = _patch_flag("patches that stay", everyday=True)
+    symmetry: Names = _patch_flag("plane patches in which nodes slide", everyday=True)
+    sliding: Names = _patch_flag("patches whose nodes slide along their faces")
+    periodic: Names = _patch_flag(
         "pairs of patches that repeat each other, one name after the other"
     )
-    free: tuple[str, ...] = _patch_flag("patches whose nodes follow like inner nodes")
+    free: Names = _patch_flag("patches whose nodes follow like inner nodes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -271,7 +275,7 @@ class Meshed(Spoken):
 @dataclasses.dataclass(frozen=True)
 class Planned(Meshed):
     file: MeshFile = positional(MESH, "IN")
-    moving: tuple[str, ...] = _patch_flag(WHAT_MOVES, section="surface", everyday=True)
+    moving: Names = _patch_flag(WHAT_MOVES, section="surface", everyday=True)
     boundary: BoundaryFlags = nest(BoundaryFlags)
     method: MethodFlags = nest(MethodFlags)
 
@@ -293,9 +297,7 @@ class Deform(Meshed):
         default=(), metadata={"fields": MotionFlags}
     )
     boundary: BoundaryFlags = nest(BoundaryFlags)
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(
-        CHANGES_HELP, section="design variables", **CHANGES
-    )
+    set: tuple[Change, ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
     method: MethodFlags = nest(MethodFlags)
     steps: int | str = flag(
         "steps (default 1), or auto: the fewest without folds",
@@ -323,7 +325,7 @@ class Deform(Meshed):
         return 1 if isinstance(self.steps, str) else self.steps
 
     @property
-    def moving(self) -> tuple[str, ...]:
+    def moving(self) -> Names:
         return tuple(dict.fromkeys(name for group in self.groups for name in group.patches))
 
 
@@ -355,7 +357,7 @@ class SensitivityRequest(Planned):
     job: Path | None = flag(
         "a job of deform: derivatives by its design variables (leave IN out)", everyday=True
     )
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
+    set: tuple[Change, ...] = flag(CHANGES_HELP, **CHANGES)
 
 
 @dataclasses.dataclass(frozen=True)

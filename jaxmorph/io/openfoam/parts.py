@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import os
 import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +20,7 @@ from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, content_of
+from .._text import PathLike
 from .case import (
     NAME,
     check_new_folder,
@@ -91,7 +91,7 @@ class Decomposed:
     """
 
     @checked
-    def __init__(self, path: str | os.PathLike[str]):
+    def __init__(self, path: PathLike):
         self.path, self.region = _find_region(pathlib.Path(path))
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
@@ -206,7 +206,7 @@ class Decomposed:
         return everywhere[first], points
 
     @checked
-    def check_output(self, path: str | os.PathLike[str]) -> None:
+    def check_output(self, path: PathLike) -> None:
         """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
         check_new_folder(
             output_path(path, folder=True), self.path, "a new folder for the moved case"
@@ -214,9 +214,7 @@ class Decomposed:
 
     @checked
     @contextlib.contextmanager
-    def writing(
-        self, path: str | os.PathLike[str], ranks: Ranks | None = None
-    ) -> Iterator["Writer"]:
+    def writing(self, path: PathLike, ranks: Ranks | None = None) -> Iterator["Writer"]:
         """Writes a new case part by part; it appears when complete, and not at all on failure.
 
         It has the `constant`, `system`, `0` and `0.orig` of the case and of each part, with other
@@ -392,7 +390,7 @@ def global_nodes(mesh: Mesh) -> Int[ndarray, " n"]:
 
 
 @checked
-def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pathlib.Path]:
+def export_case(path: PathLike, mesh: Mesh, plan: Plan) -> list[pathlib.Path]:
     """Writes `constant/jaxmorph.plan` for OpenFOAM's motion solver, and one in each `processor*`.
 
     ```python
