@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxmorph import METHODS
-from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES, is_folder
+from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 from jaxmorph.extend import input_path, output_path, patch_names
+from jaxmorph.io.kinds import is_folder
 
 from ._job import job_of
 from ._parser import (
