@@ -114,21 +114,9 @@ def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
     with out.progress("preparing"):
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
-    crossed = None
     if request.steps == AUTO:
-        with out.progress("inspecting the motion"):
-            path = attempt.path()
-            crossed = wall_crossings(plan, mesh, path, np.asarray(jm.deform(plan, path[-1])))
-    if crossed:  # no number of steps helps
-        request = dataclasses.replace(request, steps=1)
-        attempt = dataclasses.replace(attempt, request=request)
-    if request.steps == AUTO:
-        with out.progress("seeking the fewest steps"):
-            least = request.gates.min_jacobian_ratio or 0.0
-            at = functools.partial(attempt.motion.at, attempt.base[patches.nodes])
-            found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST_TRIED)
-        request = dataclasses.replace(request, steps=found.count)
-        attempt = dataclasses.replace(attempt, request=request, reached=found.fraction)
+        attempt = _find_steps(attempt, plan, out)
+        request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
@@ -145,6 +133,23 @@ def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
     with out.progress(f"deforming in {plural(request.step_count, 'step')}") as stage:
         way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.step_count, stage.done)
     return _write_result(attempt, way, nodes, plan, out)
+
+
+def _find_steps(attempt: Attempt, plan: jm.Plan, out: Output) -> Attempt:
+    """Finds the fewest steps; one where walls cross, of which no number of steps cures."""
+    request = attempt.request
+    mesh = attempt.patches.mesh
+    path = attempt.path()
+    with out.progress("inspecting the motion"):
+        crossed = wall_crossings(plan, mesh, path, np.asarray(jm.deform(plan, path[-1])))
+    if crossed:
+        return dataclasses.replace(attempt, request=dataclasses.replace(request, steps=1))
+    with out.progress("seeking the fewest steps"):
+        least = request.gates.min_jacobian_ratio or 0.0
+        at = functools.partial(attempt.motion.at, attempt.base[attempt.patches.nodes])
+        found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST_TRIED)
+    request = dataclasses.replace(request, steps=found.count)
+    return dataclasses.replace(attempt, request=request, reached=found.fraction)
 
 
 def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:

@@ -11,6 +11,7 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
 from .._host.package.errors import check_all_finite
 from .._host.package.rounding import Tree
+from .._host.ragged import Ragged
 
 BLOCK_SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
 FaceTables = list[ndarray]
@@ -25,6 +26,11 @@ def number_block(shape: tuple[int, ...], first: int) -> ndarray:
     """Numbers a block's nodes by i, j[, k] from `first`, i fastest, without axes of one node."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
+
+
+def join_rows(parts: Sequence[Ragged]) -> Ragged:
+    values = np.concatenate([part.values for part in parts])
+    return Ragged.of(values, np.concatenate([part.sizes for part in parts]))
 
 
 def make_block_cells(ids: ndarray) -> tuple[str, ndarray]:
