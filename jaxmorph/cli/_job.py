@@ -127,10 +127,8 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
     path = finder.parse_known_args(words)[0].job
     if path is None:
         return list(words), argparse.Namespace()
-    (values, files), given = (
-        read_job(path),
-        list(itertools.takewhile(lambda word: not word.startswith("-"), words)),
-    )
+    values, files = read_job(path)
+    given = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
     if "file" not in files and (command == "sensitivity" or (files and not given)):
         raise ValueError(f"{path}: file is missing: the mesh that the job moves.")
     if command == "sensitivity":

@@ -120,7 +120,16 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
             jm.Plane.of_patch(mesh, name)
             symmetry += (name,)
-    return Patches(mesh, request.method, moving, fixed, symmetry, sliding, periodic, free)
+    return Patches(
+        mesh,
+        request.method,
+        moving=moving,
+        fixed=fixed,
+        symmetry=symmetry,
+        sliding=sliding,
+        periodic=periodic,
+        free=free,
+    )
 
 
 def _check_names(request: PlanRequest, mesh: jm.Mesh) -> None:

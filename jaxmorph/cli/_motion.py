@@ -253,7 +253,8 @@ ANGLE_MOTIONS: dict[str, tuple[Callable, Names]] = {
 
 def _turn_shape(name: str, patch: MovingPatch) -> Parametrised:
     """Makes a motion by an angle; the line of a twist or bend ends where the surface does."""
-    (function, needs), flags = ANGLE_MOTIONS[name], patch.group
+    function, needs = ANGLE_MOTIONS[name]
+    flags = patch.group
     along: Any = flags.along or ([1.0, 0.0] if patch.dimension == 2 else None)
     length = flags.length
     if "along" in needs and along is None:

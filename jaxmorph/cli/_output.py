@@ -21,7 +21,9 @@ class Stage:
     """One stage of the work, and the share of it that is done, from 0 to 1."""
 
     def __init__(self, name: str):
-        self.name, self.began, self.share = name, time.monotonic(), 0.0
+        self.name = name
+        self.began = time.monotonic()
+        self.share = 0.0
 
     def done(self, share: float) -> None:
         self.share = share
@@ -56,7 +58,9 @@ class Output:
     """Output of one command: text as it comes, or with `as_json` facts, printed at the end."""
 
     def __init__(self, command: str, *, as_json: bool = False):
-        self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, False
+        self.name = f"jaxmorph {command}"
+        self.as_json = as_json
+        self.verbose = False
         self.is_silent = False
         """True in all processes of an MPI run but one, which prints for all."""
         self.facts: dict[str, Any] = {"command": command}

@@ -34,7 +34,8 @@ def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
 def _prepare_plan(request: PlanRequest, patches: Patches, out: Output, what: str = "") -> jm.Plan:
     with out.progress("preparing"):
         _, plan = next(patches.chunks())
-    (name, sources), n = describe_method(request.method, plan), len(patches.mesh.points)
+    name, sources = describe_method(request.method, plan)
+    n = len(patches.mesh.points)
     out.say(
         f"{title(request.file)}: {n} points, {what or plural(plan.n_moving, 'moving node')}",
         points=n,

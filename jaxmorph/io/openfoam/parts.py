@@ -151,14 +151,14 @@ class Decomposed:
         rows = np.unique(join_ids((*corners.values(), *mesh.patches.values())))
         rows = rows[np.argsort(ids[rows])]
         return Side(
-            ids[rows],
-            np.asarray(mesh.points)[rows],
-            {kind: ids[rows] for kind, rows in corners.items()},
-            {name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
-            mesh.source.groups,
-            tuple((a.name, b.name) for a, b in list_cyclic_pairs(boundary)),
-            mesh.source.symmetry,
-            mesh.kinds,
+            nodes=ids[rows],
+            points=np.asarray(mesh.points)[rows],
+            faces={kind: ids[rows] for kind, rows in corners.items()},
+            patches={name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
+            groups=mesh.source.groups,
+            pairs=tuple((a.name, b.name) for a, b in list_cyclic_pairs(boundary)),
+            symmetry=mesh.source.symmetry,
+            kinds=mesh.kinds,
         )
 
     @checked
