@@ -139,6 +139,22 @@ def test_methods_by_name(here, name):
     np.testing.assert_allclose(after.points, expected, rtol=0, atol=1e-12)
 
 
+def test_how_many_nodes_of_the_wall_are_sources_is_told(here, capsys):
+    """All of them, none, or those that the plan has chosen; never nodes of the far field."""
+    mesh = io.read("ring.su2")
+    wall = mesh.patch("wall")
+    few = jm.RBF(reduction=jm.KDTree.with_sources(9, np.asarray(mesh.points)[wall]))
+    method = jm.SurfaceReconstruction(jm.FittedRBF(few))
+    chosen = jm.prepare(mesh, "wall", "far", method=method).sources
+    count = int(np.isin(chosen, wall).sum())
+    assert 0 < count < min(len(wall), len(chosen))
+    words = ["export", "ring.su2", "a.plan", *SURFACE.split()]
+    assert f", {count} wall sources\n" in printed(capsys, [*words, "--sources", "9"])
+    for name, sources in (("rbf", len(wall)), ("graph", 0)):
+        facts = json.loads(printed(capsys, [*words, "--method", name, "--json"]))
+        assert facts["sources"] == sources
+
+
 @pytest.mark.nightly
 def test_order_of_the_motions(here):
     motion = (
