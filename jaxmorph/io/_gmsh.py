@@ -295,7 +295,7 @@ def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
             else [_read_records(stream, total)]
         )
     else:
-        count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
+        count, total = _take_counts(stream)
         blocks = [_read_nodes_of_entity(stream) for _ in range(count)]
     stream.end()
     tags = join_ids(tags for tags, _ in blocks)
@@ -303,6 +303,11 @@ def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
     return tags, places
+
+
+def _take_counts(stream: Stream) -> list[int]:
+    """Reads how many blocks and entries there are; in version 4.1 two tags follow."""
+    return stream.take("n", 4 if stream.version > 4 else 2)[:2].tolist()
 
 
 def _read_entity(stream: Stream) -> tuple[int, int, int]:
@@ -348,7 +353,7 @@ def read_elements(stream: Stream, groups: EntityGroups) -> list[ElementBlock]:
     if stream.version < 4:
         tables = gathered(_read_element_lines(stream) if stream.rows else _read_old_blocks(stream))
         return [_group_by_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
-    count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
+    count, total = _take_counts(stream)
     blocks = []
     for _ in range(count):
         dimension, tag, number = _read_entity(stream)
@@ -404,7 +409,7 @@ def _read_element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         kind, corners = _find_kind(number)
         chosen = np.flatnonzero(types == number)
         start = first[chosen, None]
-        tags = values[first[chosen, None] + 2]
+        tags = values[start + 2]
         stop = (first + counts)[chosen, None]
         wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
         rows.refuse(

@@ -248,9 +248,7 @@ def viewer_of(part: Any, motion: ndarray | None = None) -> ndarray:
     return directions[int(np.argmax(shown > 0.85 * shown.max()))]
 
 
-def add_bar(
-    plotter: Any, label: str | None, limits: tuple[float | int, float | int], beyond: dict[str, str]
-) -> None:
+def add_bar(plotter: Any, label: str | None, limits: Limits, beyond: dict[str, str]) -> None:
     title = label or UNNAMED.replace(" of", "\nof")
     title = title.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(
