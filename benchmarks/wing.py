@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 
 import jaxmorph as jm
 from jaxmorph import plot
-from jaxmorph._demo import Study, aligned, say, write_state
+from jaxmorph._demo import Study, align, say, write_state
 
 MOTIONS = ((1, 0.0735), (1, 0.1), (1, 0.25), (1, 0.5), (1, 0.75), (2, 0.2), (2, 0.3))
 """Mode, and motion of the tip's trailing edge in semi-spans.
@@ -205,9 +205,9 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
     return "\n".join(
         [
             *heading,
-            aligned([*heads, *rows], len(heads)),
+            align([*heads, *rows], len(heads)),
             "",
-            aligned([*cost_heads, *costs], len(cost_heads)),
+            align([*cost_heads, *costs], len(cost_heads)),
             *notes,
         ]
     )

@@ -73,7 +73,7 @@ def say(what: str) -> None:
         print(f"{what} ...", file=sys.stderr)
 
 
-def run(output: pathlib.Path, *, points: int | None = None) -> int:
+def run_paper_case(output: pathlib.Path, *, points: int | None = None) -> int:
     """Shows the case: tables on the terminal, pictures and meshes in the folder `output`.
 
     `points` asks for another mesh size than the paper's. Returns 0, or 1 for an inverted cell.
@@ -201,13 +201,13 @@ def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> 
 NACA0015 C-grid, {size}: rotated nose up by {ANGLES[-1]:g} degrees
 about the quarter chord in {len(ANGLES)} steps, far field fixed; wall + far-field sources.
 
-{aligned(last, 2)}
+{align(last, 2)}
 
 change at wall: mean absolute change of skewness in the {len(near_wall(mesh))} cells next to it;
 surface error in chords; first time: seconds for ids, compiling and three steps,
 once more: for the three steps again.
 
-{aligned(steps, 2)}"""
+{align(steps, 2)}"""
 
 
 def write_state(
@@ -221,7 +221,7 @@ def write_state(
     return [path, picture]
 
 
-def aligned(rows: Sequence[tuple[str, ...]], heads: int) -> str:
+def align(rows: Sequence[tuple[str, ...]], heads: int) -> str:
     """Text of columns: the first to the left, the others to the right, a line below the heads."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     first, *others = [f"{{:{'>' if k else '<'}{width}}}" for k, width in enumerate(widths)]
@@ -235,30 +235,16 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
     figure = Figure(figsize=SIZE, dpi=200, layout="constrained")
     axes = figure.subplots(2, len(outcomes), squeeze=False)
     letters = iter("abcdefgh")
+    shown: dict[str, Any] = {"limits": (0, SKEWEST), "bar": False}
+    frame = {"facecolor": "w", "linewidth": 0, "pad": 2}
+    letter: dict[str, Any] = {"va": "top", "weight": "bold", "bbox": frame}
     for row, window in zip(axes, (AIRFOIL, TRAILING_EDGE), strict=True):
         for axis, outcome in zip(row, outcomes, strict=True):
             skewness = np.asarray(outcome.reports[-1].skewness)
-            plot.mesh(
-                mesh,
-                outcome.points,
-                values=skewness,
-                limits=(0, SKEWEST),
-                window=window,
-                bar=False,
-                ax=axis,
-            )
+            plot.mesh(mesh, outcome.points, values=skewness, window=window, ax=axis, **shown)
             axis.set(xlabel="x / chord", ylabel="y / chord")
             axis.locator_params(nbins=3)
-            frame = {"facecolor": "w", "linewidth": 0, "pad": 2}
-            axis.text(
-                0.03,
-                0.95,
-                next(letters),
-                transform=axis.transAxes,
-                va="top",
-                weight="bold",
-                bbox=frame,
-            )
+            axis.text(0.03, 0.95, next(letters), transform=axis.transAxes, **letter)
     (left, right), (low, high) = TRAILING_EDGE
     for axis, outcome in zip(axes[0], outcomes, strict=True):
         axis.set_title(
@@ -272,13 +258,8 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence[Outcome]) -> N
         )
     for axis in axes[1]:
         axis.spines[:].set(color=plot.BLUE, linewidth=1.5)
-    figure.colorbar(
-        axes[0, 0].collections[0],
-        ax=axes,
-        location="bottom",
-        aspect=40,
-        label="skewness of the cells",
-    )
+    below: dict[str, Any] = {"location": "bottom", "aspect": 40}
+    figure.colorbar(axes[0, 0].collections[0], ax=axes, label="skewness of the cells", **below)
     figure.savefig(path)
 
 

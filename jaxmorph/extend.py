@@ -18,13 +18,14 @@ def attached(module, file):
         body = ast.parse(stub.read()).body
     imports = [node for node in body if isinstance(node, ast.ImportFrom) and node.level]
     homes = {each.name: f".{node.module or ''}" for node in imports for each in node.names}
+    package = module if file.endswith("__init__.py") else module.rpartition(".")[0]
 
     def attribute(name):
         if name not in homes:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         if homes[name] == ".":
             return importlib.import_module(f".{name}", module)
-        value = getattr(importlib.import_module(homes[name], __package__), name)
+        value = getattr(importlib.import_module(homes[name], package), name)
         setattr(sys.modules[module], name, value)  # the next use is as fast as that of any name
         return value
 

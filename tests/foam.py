@@ -68,21 +68,25 @@ def write_case(case, points, cells, patches, form=FORMS["ascii"]):
     assert not outer
     folder = pathlib.Path(case, "constant", "polyMesh")
     folder.mkdir(parents=True)
-    _file(folder, "points", "vectorField", _list(np.asarray(points, float), form, "scalar"), form)
-    _file(folder, "owner", "labelList", _list(np.array(owner), form, "label"), form)
-    _file(folder, "neighbour", "labelList", _list(np.array(neighbour, int), form, "label"), form)
+    write_file(
+        folder, "points", "vectorField", _list(np.asarray(points, float), form, "scalar"), form
+    )
+    write_file(folder, "owner", "labelList", _list(np.array(owner), form, "label"), form)
+    write_file(
+        folder, "neighbour", "labelList", _list(np.array(neighbour, int), form, "label"), form
+    )
     if form.separate:
         body = b"".join(_list(np.array(face), form, "label") for face in faces)
-        _file(folder, "faces", "faceList", f"{len(faces)}\n(".encode() + body + b"\n)", form)
+        write_file(folder, "faces", "faceList", f"{len(faces)}\n(".encode() + body + b"\n)", form)
     elif form.binary:
         starts = np.cumsum([0, *map(len, faces)])
         body = _list(starts, form, "label") + b"\n" + _list(np.concatenate(faces), form, "label")
-        _file(folder, "faces", "faceCompactList", body, form)
+        write_file(folder, "faces", "faceCompactList", body, form)
     else:
         # lists of more than ten labels take a line for each, as in OpenFOAM
         rows = [f"{len(f)}({' '.join(map(str, f))})" if len(f) <= 10 else
                 f"\n{len(f)}\n(\n" + "\n".join(map(str, f)) + "\n)\n" for f in faces]  # fmt: skip
-        _file(
+        write_file(
             folder, "faces", "faceList", f"{len(faces)}\n(\n{chr(10).join(rows)}\n)".encode(), form
         )
     rows = "".join(
@@ -90,7 +94,9 @@ def write_case(case, points, cells, patches, form=FORMS["ascii"]):
         f"        nFaces {count};\n        startFace {start};\n    }}\n"
         for name, kind, count, start in entries
     ).replace(" {\n        in", "\n        in")
-    _file(folder, "boundary", "polyBoundaryMesh", f"{len(entries)}\n(\n{rows})\n".encode(), Form())
+    write_file(
+        folder, "boundary", "polyBoundaryMesh", f"{len(entries)}\n(\n{rows})\n".encode(), Form()
+    )
     _system(pathlib.Path(case))
     return case
 
@@ -115,7 +121,7 @@ def write_parts(case, points, cells, patches, owner, form=FORMS["ascii"]):
         folder = pathlib.Path(case, f"processor{part}")
         write_case(folder, np.asarray(points)[ids], local, [between, *tests], form)
         body = _list(ids, form, "label")
-        _file(folder / "constant" / "polyMesh", "pointProcAddressing", "labelList", body, form)
+        write_file(folder / "constant" / "polyMesh", "pointProcAddressing", "labelList", body, form)
 
 
 def _list(values, form, what):
@@ -131,7 +137,7 @@ def _list(values, form, what):
     return count + ("\n" + "\n".join(rows) + "\n)").encode()
 
 
-def _file(folder, name, kind, body, form):
+def write_file(folder, name, kind, body, form):
     header = f"format {'binary' if form.binary else 'ascii'};\n{form.header}    class {kind};\n    object {name};\n"
     text = (
         f"{BANNER}FoamFile\n{{\n    version 2.0;\n    {header}}}\n{RULE}".encode()
@@ -213,7 +219,7 @@ def write_point_vectors(path, values, form=FORMS["ascii"]):
     body = b"dimensions [0 0 0 0 0 0 0];\n\ninternalField   nonuniform List<vector> "
     body += _list(np.asarray(values, float), form, "scalar") + rest
     path.parent.mkdir(parents=True, exist_ok=True)
-    _file(path.parent, path.name, "pointVectorField", body, form)
+    write_file(path.parent, path.name, "pointVectorField", body, form)
 
 
 HEXAHEDRON = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))

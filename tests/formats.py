@@ -19,7 +19,7 @@ from plot3d import write as write_plot3d
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._host.cells.topology import FACES
-from jaxmorph.io._registry import FORMATS
+from jaxmorph.io.kinds import FORMATS
 
 ENDINGS = [
     ".vtk",

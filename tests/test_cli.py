@@ -139,6 +139,22 @@ def test_methods_by_name(here, name):
     np.testing.assert_allclose(after.points, expected, rtol=0, atol=1e-12)
 
 
+def test_how_many_nodes_of_the_wall_are_sources_is_told(here, capsys):
+    """All of them, none, or those that the plan has chosen; never nodes of the far field."""
+    mesh = io.read("ring.su2")
+    wall = mesh.patch("wall")
+    few = jm.RBF(reduction=jm.KDTree.with_sources(9, np.asarray(mesh.points)[wall]))
+    method = jm.SurfaceReconstruction(jm.FittedRBF(few))
+    chosen = jm.prepare(mesh, "wall", "far", method=method).sources
+    count = int(np.isin(chosen, wall).sum())
+    assert 0 < count < min(len(wall), len(chosen))
+    words = ["export", "ring.su2", "a.plan", *SURFACE.split()]
+    assert f", {count} wall sources\n" in printed(capsys, [*words, "--sources", "9"])
+    for name, sources in (("rbf", len(wall)), ("graph", 0)):
+        facts = json.loads(printed(capsys, [*words, "--method", name, "--json"]))
+        assert facts["sources"] == sources
+
+
 @pytest.mark.nightly
 def test_order_of_the_motions(here):
     motion = (
@@ -308,13 +324,15 @@ def test_a_process_of_its_own_computes_in_double_precision(here):
     ]
     command += ["--translate", "1e-9", "0", "--method", "graph"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    (line,) = done.stderr.splitlines()
+    assert "has the motion the unit of the mesh" in line
     moved = io.read("own.su2").points[:24] - io.read("ring.su2").points[:24]
     np.testing.assert_allclose(moved[:, 0], 1e-9, rtol=1e-5)
 
 
 def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monkeypatch):
-    monkeypatch.setattr(_output, "PATIENCE", 0.01)
+    monkeypatch.setattr(_output, "ANNOUNCED_AFTER", 0.01)
     progress = _output.Output("test").progress
     with progress("sleeping"):
         time.sleep(0.1)
@@ -325,7 +343,7 @@ def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monke
     said = capsys.readouterr().err
     assert "jaxmorph test: sleeping ... 0 s" in said
     assert said.endswith("\r\033[K")
-    monkeypatch.setattr(_output, "PATIENCE", 60)
+    monkeypatch.setattr(_output, "ANNOUNCED_AFTER", 60)
     with progress("being quick"):
         pass
     assert capsys.readouterr().err == ""

@@ -78,7 +78,7 @@ def check_files(output, said, start, patch, motion, measure, methods):
 def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(_demo, "TREES", (1,))
     output = tmp_path / "made" / "for it"
-    assert _demo.run(output, points=2000) == 0
+    assert _demo.run_paper_case(output, points=2000) == 0
     said = capsys.readouterr()
     assert said.err == ""
     assert max(map(len, said.out.split("\nwrote")[0].splitlines())) <= 80

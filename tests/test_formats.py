@@ -20,7 +20,6 @@ from runs import over, refused
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.package.text import MESHES
 from jaxmorph.cli import main
 
 APART = (
@@ -130,7 +129,7 @@ def test_points_as_written_are_the_points_of_the_written_file(tmp_path, name):
     ending, make = HELD[name]
     make(tmp_path / f"in{ending}")
     mesh = io.read(tmp_path / f"in{ending}")
-    if ending not in (*MESHES["VTK"], ".xdmf"):  # written anew
+    if ending not in (".vtu", ".vtk", ".vts", ".vtp", ".pvtu", ".vtm", ".xdmf"):  # written anew
         io.write(tmp_path / f"same{ending}", mesh)
         same, old = tmp_path / f"same{ending}", tmp_path / f"in{ending}"
         assert (

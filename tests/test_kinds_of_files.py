@@ -20,12 +20,12 @@ from runs import over
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.package.text import MESHES, UNREAD
 from jaxmorph.cli import main
 from jaxmorph.io import _registry
-from jaxmorph.io._format import Format
+from jaxmorph.io.kinds import FORMATS, UNREAD, Format
 
 PAGE = pathlib.Path(__file__).parents[1] / "docs" / "pages" / "files.md"
+MESHES = {form.name: form.suffixes for form in FORMATS}
 FILES = {"OpenFOAM": "", "Medit": ".meshb"} | {
     name: endings[0] for name, endings in MESHES.items() if endings
 }
@@ -254,7 +254,6 @@ def test_a_file_is_known_by_its_first_bytes(tmp_path, ending, monkeypatch):
     assert _registry.format_to_write(tmp_path / f"new{ending}", None).name == known
     last = Format("Last", "_last", begins=b"last ")
     monkeypatch.setattr(_registry, "FORMATS", (*_registry.FORMATS[::-1], last))
-    monkeypatch.setattr(Format, "suffixes", property(lambda self: MESHES.get(self.name, ())))
     assert _registry.format_of(path).name == known
     assert _registry.format_to_write(tmp_path / f"new{ending}", None).name == known
     if not recognised(path):

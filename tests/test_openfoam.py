@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from foam import PATCHES, mixed, split, strip
 from formats import rewritten
+from meshes import bricks
 from runs import over
 
 import jaxmorph as jm
@@ -47,6 +48,26 @@ def test_every_form_comes_back_as_it_was(tmp_path, form):
     assert {
         name: text for name, text in foam.tree(tmp_path / "a").items() if "0.5" not in name
     } == before
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary", "binary-64-labels", "binary-big-endian-gz"])
+def test_a_list_of_equal_numbers_is_one_number_in_braces(tmp_path, form):
+    """As OpenFOAM writes the owners of the faces of one cell."""
+    grid = bricks(1)
+    sides = [("all", "wall", lambda face: True)]
+    cells = foam.hexahedra(grid.cells["hexahedron"])
+    form = foam.FORMS[form]
+    foam.write_case(tmp_path / "a", np.asarray(grid.points), cells, sides, form)
+    plain = io.read(tmp_path / "a")
+    kind = f"{form.order}i{form.label // 8}"
+    zero = np.zeros(1, kind).tobytes() if form.binary else b"0"
+    folder = tmp_path / "a" / "constant" / "polyMesh"
+    foam.write_file(folder, "owner", "labelList", b"6{" + zero + b"}", form)
+    mesh = io.read(tmp_path / "a")
+    np.testing.assert_array_equal(mesh.cells["hexahedron"], plain.cells["hexahedron"])
+    foam.write_file(folder, "owner", "labelList", b"7{" + zero + b"}", form)
+    with pytest.raises(ValueError, match="faces, owner and neighbour do not fit together"):
+        io.read(tmp_path / "a")
 
 
 @pytest.mark.parametrize("end", [" // x)", "\n\n// the end (1 2 3)\n// ) of the file //\n"])

@@ -9,7 +9,7 @@ import foam
 import numpy as np
 import pytest
 from meshes import grid
-from runs import all_refused, mpi_run, runs
+from runs import all_refused, mpi_run, printed, runs
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
@@ -121,6 +121,22 @@ def test_the_surface_is_that_of_the_whole(divided):
     for kind, corners in of_whole.items():
         there = {frozenset(row) for row in of_parts[kind].tolist()}
         assert {frozenset(row) for row in corners.tolist()} == there
+
+
+def test_an_export_says_which_plans_it_replaces(divided, capsys):
+    words = ["export", str(divided), "--moving", "floor", "--fixed", "roof", "--free", "sides"]
+    first = printed(capsys, words)
+    (divided / "processor1" / "constant" / "jaxmorph.plan").unlink()
+    second = printed(capsys, words)
+    plans = ["constant", "processor0/constant", "processor1/constant"]
+    for said, replaced in ((first, []), (second, plans[:2])):
+        wrote = [line for line in said.splitlines() if line.startswith("wrote ")]
+        assert [line.split()[1] for line in wrote] == [
+            str(divided / plan / "jaxmorph.plan") for plan in plans
+        ]
+        assert [line.endswith(", in place of an older file") for line in wrote] == [
+            plan in replaced for plan in plans
+        ]
 
 
 def test_summaries_of_parts_add_up_to_the_whole(divided):

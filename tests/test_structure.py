@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 
@@ -149,8 +150,9 @@ def test_imports_point_down():
 
 OUTER = ("cases", "cli", "integrations", "plot", "shapes")
 BORDER = {
-    # endings of files, TOML, mistyped names: told before NumPy and JAX are there, which `io` imports
+    # TOML and mistyped names, and endings of files: told before NumPy and JAX are there
     ("cli", "_host.package.text"),
+    ("cli", "io.kinds"),
     # names and sizes of a CGNS file's zones, by which IDWarp tells grids that overlap; a mesh has none
     ("integrations", "io.cgns.file"),
 }
@@ -172,13 +174,56 @@ def is_private(module: str) -> bool:
     return module.startswith("_") or ("." in module and not module.startswith("integrations."))
 
 
-def test_a_class_has_one_home():
+PROTOCOL = {"read": 17, "check": 7, "write": 3, "new": 2, "NAME": 16}
+"""What modules of `io` define under one name, since each is a format, and how many of them do."""
+
+SEVERAL = {
+    "functions": """
+        areas arms as_array behind_tips beside between bodies boundary_faces by_platform
+        candidates check checked closest corners cut edges faces_of guided in_order joined kept
+        least missed nearest_of norm normals number numbers passages placed points polynomial
+        prepare pullback read_sensitivity recorded rounding rows rows_of simplices targets trial
+        triangles turn turned unit values whole write write_gradient
+    """,
+    "constants": """
+        ALONG_AXIS BLOCK DEVIATION ENOUGH FEW INSIDE KINDS LEVELS MOST NEIGHBOURS PLANES ROUND
+        ROWS SAME SHAPES SLACK SLIVER STEP STEPS
+    """,
+}
+"""Names with more than one home. None is added; one that has a single home by now is taken out."""
+
+
+def defined(file: pathlib.Path) -> Iterator[tuple[str, str]]:
+    """Yields kind and name, without underscores before it, of what a file defines by itself."""
+    yield from (
+        ("classes", node.name) for node in ast.walk(tree_of(file)) if isinstance(node, ast.ClassDef)
+    )
+    for node in tree_of(file).body:
+        if isinstance(node, ast.FunctionDef) and node.name != "_":  # of `singledispatch`
+            yield "functions", node.name.lstrip("_")
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        for target in targets:
+            name = target.id.lstrip("_") if isinstance(target, ast.Name) else ""
+            if name.isupper() and not ast.unparse(node).startswith("T = TypeVar("):
+                yield "constants", name
+
+
+def test_a_name_has_one_home():
     homes = collections.defaultdict(set)
+    formats = collections.Counter()
     for file in FILES:
-        for node in ast.walk(tree_of(file)):
-            if isinstance(node, ast.ClassDef):
-                homes[node.name].add(file)
-    assert not {name for name, files in homes.items() if len(files) > 1}
+        for kind, name in defined(file):
+            is_of_format = name in PROTOCOL and room(module_of(file)) == "io"
+            formats[name] += is_of_format
+            homes[kind, name].add("io" if is_of_format else file)
+    assert +formats == PROTOCOL
+    several = {kind: set() for kind in ("classes", *SEVERAL)}
+    for (kind, name), files in homes.items():
+        if len(files) > 1:
+            several[kind].add(name)
+    assert not several["classes"]
+    for kind, names in SEVERAL.items():
+        assert not several[kind] - {*names.split()}, kind
 
 
 def test_no_room_uses_private_names_of_another():

@@ -16,7 +16,7 @@ from ._method import patches_of
 from ._motion import motion
 from ._output import Output, Stage, title
 from ._requests import Deform
-from ._way import Way, faults, is_kept, moved, say_verdict
+from ._way import Way, faults, is_kept, move_in_steps, say_verdict
 
 T = TypeVar("T")
 
@@ -30,7 +30,7 @@ STARTED = (*COUNTS, "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
 class _Bad(Exception): ...
 
 
-def deform_parts(request: Deform, out: Output) -> int:
+def run_decomposed(request: Deform, out: Output) -> int:
     ranks = _ranks()
     out.is_silent = ranks.rank > 0
     case = together(ranks, lambda: io.Decomposed(request.file))
@@ -46,14 +46,14 @@ def deform_parts(request: Deform, out: Output) -> int:
 
     prepared = together(
         ranks,
-        lambda: _prepared(request, case.surface(_by_part(gathered)), out) if gathered else None,
+        lambda: _prepare_half(request, case.surface(_by_part(gathered)), out) if gathered else None,
     )
     half, path = ranks.bcast(prepared)  # pyright: ignore[reportGeneralTypeIssues]
-    part = functools.partial(_part, request, case, half, path, largest)
+    part = functools.partial(_move_part, request, case, half, path, largest)
     try:
         with case.writing(request.output, ranks) as writer:
             with out.progress("moving and judging the parts") as stage:
-                verdict = _moved(part, len(case), ranks, writer, stage)
+                verdict = _move_parts(part, len(case), ranks, writer, stage)
             _say_warnings_of_all(out, ranks)
             say_verdict(verdict, out, is_straight=half.plan.is_linear, steps=len(path))
             out.say(faces_between_parts=verdict.between, parts=verdict.parts)
@@ -66,7 +66,7 @@ def deform_parts(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _moved(
+def _move_parts(
     part: Callable[[int], tuple[jm.Mesh, jm.Verdict]],
     count: int,
     ranks: Any,
@@ -128,7 +128,9 @@ def _ranks() -> Any:
     return world
 
 
-def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray]:
+def _prepare_half(
+    request: Deform, surface: jm.Mesh, out: Output
+) -> tuple[jm.SurfaceHalf, np.ndarray]:
     patches = patches_of(request, surface)
     moves = motion(request, surface, patches.nodes)
     path = moves.path(np.asarray(surface.points)[patches.nodes], request.step_count)
@@ -148,7 +150,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     return half, path
 
 
-def _part(
+def _move_part(
     request: Deform,
     case: io.Decomposed,
     half: jm.SurfaceHalf,
@@ -172,6 +174,6 @@ def _part(
     except jm.MeshError as error:
         raise ValueError(f"processor{k}: {error.renumbered(rows)}") from None
     here = np.flatnonzero(np.isin(ids, half.moving))
-    ends = tuple(moved(plan, path, base, here, path[:, half.rows(ids[here])]))
+    ends = tuple(move_in_steps(plan, path, base, here, path[:, half.rows(ids[here])]))
     way = Way(request.output, mesh, ends, plan.is_linear)
     return mesh.moved(ends[-1]), way.judge(request.gates.limits, part=k)

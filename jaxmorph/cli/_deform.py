@@ -18,9 +18,9 @@ from jaxmorph import Mesh, io
 from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
 from ._job import text_of
-from ._method import Chunks, Patches, described, mesh_of, patches_of
+from ._method import Chunks, Patches, describe_method, load_mesh, patches_of
 from ._motion import Distances, Motion, distances, motion
-from ._output import Output, coordinates, count, title, wrapped
+from ._output import Output, format_place, plural, title, wrap
 from ._requests import AUTO, Deform
 from ._way import (
     Points,
@@ -30,15 +30,15 @@ from ._way import (
     faults,
     finish,
     in_background,
-    moved,
+    move_in_steps,
     say_verdict,
     warn_of_size,
 )
 
-SMALL = 10_000
+SMALL_WORK = 10_000
 """Points, times steps, below which compile time dominates."""
 
-MOST = 16
+MOST_TRIED = 16
 """Steps that `--steps auto` tries at most."""
 
 PATIENCE = 120.0
@@ -85,7 +85,7 @@ class Attempt:
         for nodes, plan in chunks:
             here = np.flatnonzero(np.isin(nodes, wall))
             u = path[:, np.searchsorted(wall, nodes[here])]
-            for step, points in enumerate(moved(plan, path, base[nodes], here, u)):
+            for step, points in enumerate(move_in_steps(plan, path, base[nodes], here, u)):
                 if step in ends:
                     ends[step][nodes] = points
             is_moved[nodes] = True
@@ -97,15 +97,15 @@ class Attempt:
         return way.judge(self.request.gates.limits, self.before)
 
 
-def deform(request: Deform, out: Output) -> int:
+def run_deform(request: Deform, out: Output) -> int:
     io.check_output(request.output, request.file)
     with out.progress(f"reading {title(request.file)}"):
-        mesh = mesh_of(request.file, request.zone, request.tags)
-    with quickly_compiled(len(mesh.points) * request.step_count <= SMALL):
-        return _deform(request, mesh, out)
+        mesh = load_mesh(request.file, request.zone, request.tags)
+    with quickly_compiled(len(mesh.points) * request.step_count <= SMALL_WORK):
+        return _move_mesh(request, mesh, out)
 
 
-def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
+def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
     io.check_output(request.output, mesh)
     check_picture(request.picture)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
@@ -114,21 +114,9 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     with out.progress("preparing"):
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
-    crossed = None
     if request.steps == AUTO:
-        with out.progress("inspecting the motion"):
-            path = attempt.path()
-            crossed = wall_crossings(plan, mesh, path, np.asarray(jm.deform(plan, path[-1])))
-    if crossed:  # no number of steps helps
-        request = dataclasses.replace(request, steps=1)
-        attempt = dataclasses.replace(attempt, request=request)
-    if request.steps == AUTO:
-        with out.progress("seeking the fewest steps"):
-            least = request.gates.min_jacobian_ratio or 0.0
-            at = functools.partial(attempt.motion.at, attempt.base[patches.nodes])
-            found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST)
-        request = dataclasses.replace(request, steps=found.count)
-        attempt = dataclasses.replace(attempt, request=request, reached=found.fraction)
+        attempt = _find_steps(attempt, plan, out)
+        request = attempt.request
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
@@ -142,12 +130,29 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         out.say(f"steps    {request.step_count} {reach}", reached=attempt.reached)
     with out.progress("judging the cells"):
         judging.result()  # it raises for limits on measures that the cells do not have
-    with out.progress(f"deforming in {count(request.step_count, 'step')}") as stage:
+    with out.progress(f"deforming in {plural(request.step_count, 'step')}") as stage:
         way = attempt.way(itertools.chain([(nodes, plan)], chunks), request.step_count, stage.done)
-    return _written(attempt, way, nodes, plan, out)
+    return _write_result(attempt, way, nodes, plan, out)
 
 
-def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
+def _find_steps(attempt: Attempt, plan: jm.Plan, out: Output) -> Attempt:
+    """Finds the fewest steps; one where walls cross, of which no number of steps cures."""
+    request = attempt.request
+    mesh = attempt.patches.mesh
+    path = attempt.path()
+    with out.progress("inspecting the motion"):
+        crossed = wall_crossings(plan, mesh, path, np.asarray(jm.deform(plan, path[-1])))
+    if crossed:
+        return dataclasses.replace(attempt, request=dataclasses.replace(request, steps=1))
+    with out.progress("seeking the fewest steps"):
+        least = request.gates.min_jacobian_ratio or 0.0
+        at = functools.partial(attempt.motion.at, attempt.base[attempt.patches.nodes])
+        found = jm.fewest_steps(plan, mesh, at, min_jacobian_ratio=least, max_steps=MOST_TRIED)
+    request = dataclasses.replace(request, steps=found.count)
+    return dataclasses.replace(attempt, request=request, reached=found.fraction)
+
+
+def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
     """Inspects and judges the motion, and writes the mesh; `nodes` are those of `plan`."""
     request = attempt.request
     judging = in_background(attempt.judge, way)
@@ -161,11 +166,12 @@ def _written(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: 
         boundary = jm.boundary_quality(plan, way.stored[nodes]).renumbered(nodes)
     with out.progress("judging the cells"):
         verdict = judging.result()
-    _tell(attempt, way, verdict, inspection, off, out)
+    _say_measures(attempt, way, verdict, inspection, off, out)
     if boundary.nodes:
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(
-            wrapped(f"boundary: {boundary}"), boundary=measures | {"ended": boundary.ended.tolist()}
+            wrap(f"boundary: {boundary}"),
+            boundary=measures | {"ended": boundary.ended.tolist()},
         )
     write_job(request, out)
     picture = request.picture
@@ -206,7 +212,7 @@ def _draw_distances(file: Path, wall: jm.Facets, *distances: np.ndarray) -> None
     plt.close(figure)
 
 
-def _tell(
+def _say_measures(
     attempt: Attempt,
     way: Way,
     verdict: jm.Verdict,
@@ -248,7 +254,7 @@ def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, flo
     if not len(nodes):
         return []
     worst = nodes[[angle.argmax(), height.argmin()]]
-    steepest, lowest = (f"   node {node} near {coordinates(points[node])}" for node in worst)
+    steepest, lowest = (f"   node {node} near {format_place(points[node])}" for node in worst)
     return [
         ("mean wall angle", 0, float(angle.mean()), ""),
         ("max wall angle", 0, float(angle.max()), steepest),
@@ -263,25 +269,24 @@ def say_motion(
     way = np.linalg.norm(u, axis=1)
 
     def row(what: str, names: Iterable[Any], number: str) -> None:
-        out.say(wrapped(f"{what:<8} {', '.join(map(str, names))}: {number}"))
+        out.say(wrap(f"{what:<8} {', '.join(map(str, names))}: {number}"))
 
     for names in dict.fromkeys(group.patches for group in request.groups):
         nodes = mesh.patch(*names)
-        row(
-            "moving",
-            names,
-            f"{count(len(nodes), 'node')}, by up to {way[np.isin(patches.nodes, nodes)].max():.4g}",
-        )
+        largest = way[np.isin(patches.nodes, nodes)].max()
+        row("moving", names, f"{plural(len(nodes), 'node')}, by up to {largest:.4g}")
     still = np.setdiff1d(mesh.patch(*patches.fixed), patches.nodes)
-    row("fixed", request.boundary.fixed or ["no patch"], count(len(still), "node"))
+    row("fixed", request.boundary.fixed or ["no patch"], plural(len(still), "node"))
     for what, names in (("symmetry", patches.symmetry), ("sliding", patches.sliding)):
         if names:
-            row(what, names, count(len(mesh.patch(*names)), "node"))
+            row(what, names, plural(len(mesh.patch(*names)), "node"))
     for pair in patches.periodic:
-        row("periodic", (pair.patch, pair.partner), count(len(mesh.patch(str(pair.patch))), "pair"))
-    name, sources = described(request.method, plan)
+        row(
+            "periodic", (pair.patch, pair.partner), plural(len(mesh.patch(str(pair.patch))), "pair")
+        )
+    name, sources = describe_method(request.method, plan)
     out.say(
-        f"method   {name}, {count(request.step_count, 'step')}",
+        f"method   {name}, {plural(request.step_count, 'step')}",
         method=name,
         steps=request.step_count,
     )

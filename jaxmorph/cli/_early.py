@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxmorph import METHODS
-from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES, is_folder
+from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 from jaxmorph.extend import input_path, output_path, patch_names
+from jaxmorph.io.kinds import is_folder
 
 from ._job import job_of
 from ._parser import (
@@ -33,7 +34,7 @@ from ._requests import (
     Quality,
     Request,
     SensitivityRequest,
-    markers,
+    list_markers,
 )
 
 Files = list[tuple[str, Path]]
@@ -48,9 +49,9 @@ OWNERS = {
 """Flags that make sense only beside others, and these others."""
 
 
-def check(request: Request) -> None:
-    inputs = _checked(request, INPUTS)
-    outputs = _checked(request, OUTPUTS)
+def check_request(request: Request) -> None:
+    inputs = _check_files(request, INPUTS)
+    outputs = _check_files(request, OUTPUTS)
     if method := getattr(request, "method", None):
         _check_method(method)
     if type(request) in OF_COMMAND:
@@ -61,11 +62,11 @@ def check(request: Request) -> None:
         if both:
             raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
         names = itertools.chain(request.moving, *vars(request.boundary).values())
-        if request.file.suffix.lower() == ".su2" and (listed := markers(request.file)):
+        if request.file.suffix.lower() == ".su2" and (listed := list_markers(request.file)):
             patch_names(tuple(names), listed, {})
 
 
-def _checked(request: Any, kinds: tuple[Any, ...]) -> Files:
+def _check_files(request: Any, kinds: tuple[Any, ...]) -> Files:
     files: Files = []
     for field, value in values_of(request):
         kind = kind_of(field) or Path
@@ -178,7 +179,7 @@ def _check_sensitivity(request: SensitivityRequest, inputs: Files, _: Files) -> 
     if job is not None:
         _check_method(job.method)
         _check_motions(job)
-        inputs += _checked(job, INPUTS)
+        inputs += _check_files(job, INPUTS)
 
 
 def _check_export(request: ExportRequest, *_: Files) -> None:

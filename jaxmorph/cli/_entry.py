@@ -16,10 +16,10 @@ from typing import Any
 from . import _help
 from ._job import with_job
 from ._output import Output
-from ._parser import Parser, made, meant
+from ._parser import Parser, build_request, guess_meant
 from ._requests import COMMANDS, Request, Speech
 
-LIMIT = 256 * 2**20
+CACHE_SIZE = 256 * 2**20
 """Bytes in the cache at most; the least recently used go first."""
 
 
@@ -33,15 +33,15 @@ def answer(words: Sequence[str]) -> int:
     if not words:
         top.print_help()
         return 0
-    name = _checked(words, top, parsers)
+    name = _find_command(words, top, parsers)
     out = Output(name, as_json="--json" in words)
     with warnings.catch_warnings():
-        warnings.filterwarnings("always", DAMAGED)  # each entry, though two are of one name
+        warnings.filterwarnings("always", DAMAGED_ENTRY)  # each entry, though two are of one name
         warnings.showwarning = lambda message, *_: is_healed(message) or out.warn(one_line(message))
         try:
             request = request_of(words, parsers)
-            importlib.import_module("._early", __package__).check(request)
-            run = _command(name, request)
+            importlib.import_module("._early", __package__).check_request(request)
+            run = _load_command(name, request)
             out.verbose = getattr(request, "speech", Speech()).verbose
             return out.end(run(request, out))
         except (OSError, ValueError, ImportError) as error:
@@ -56,28 +56,28 @@ def answer(words: Sequence[str]) -> int:
     return out.end(2)
 
 
-def _checked(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -> str:
+def _find_command(words: Sequence[str], top: Parser, parsers: Mapping[str, Parser]) -> str:
     """Returns the command's name; ends the process for the program's own and for unknown flags."""
     name = words[0]
     if name.startswith("-"):
         top.check_flags(words)
         top.parse_args(words)
     if name not in COMMANDS:
-        top.error(f"there is no command {name}{meant(name, COMMANDS)}")
+        top.error(f"there is no command {name}{guess_meant(name, COMMANDS)}")
     parsers[name].check_flags(words[1:])
     return name
 
 
-def _native(request: Request, out: Output) -> int:
+def _say_native_folder(request: Request, out: Output) -> int:
     from jaxmorph import native
 
     out.say(str(native.folder), folder=str(native.folder))
     return 0
 
 
-def _command(name: str, request: Request) -> Callable[[Request, Output], int]:
+def _load_command(name: str, request: Request) -> Callable[[Request, Output], int]:
     if name == "native":
-        return _native  # needs no JAX
+        return _say_native_folder  # needs no JAX
     begin_jax()
     name = "decomposed" if getattr(request, "decomposed", False) else name
     module, function = RUNS[name].split(".")
@@ -85,16 +85,16 @@ def _command(name: str, request: Request) -> Callable[[Request, Output], int]:
 
 
 RUNS = {
-    "deform": "_deform.deform",
-    "decomposed": "_decomposed.deform_parts",
-    "modes": "_plans.modes",
-    "sensitivity": "_plans.sensitivity",
-    "export": "_plans.export",
-    "su2": "_su2.run",
-    "quality": "_inspect.quality",
-    "info": "_inspect.info",
-    "convert": "_inspect.convert",
-    "demo": "_inspect.demo",
+    "deform": "_deform.run_deform",
+    "decomposed": "_decomposed.run_decomposed",
+    "modes": "_plans.run_modes",
+    "sensitivity": "_plans.run_sensitivity",
+    "export": "_plans.run_export",
+    "su2": "_su2.run_su2",
+    "quality": "_inspect.run_quality",
+    "info": "_inspect.run_info",
+    "convert": "_inspect.run_convert",
+    "demo": "_inspect.run_demo",
 }
 """The function of each command, and its module, which imports JAX."""
 
@@ -114,7 +114,7 @@ def request_of(words: Sequence[str], parsers: Mapping[str, Parser] | None = None
     name = words[0]
     command = (parsers or parser()[1])[words[0]]
     rest, values = with_job(name, words[1:])
-    return made(COMMANDS[name], command.parse_args(rest, values))
+    return build_request(COMMANDS[name], command.parse_args(rest, values))
 
 
 def parser(*, is_short: bool = False) -> tuple[Parser, dict[str, Parser]]:
@@ -160,7 +160,7 @@ class Version(argparse.Action):
         parser.exit()
 
 
-DAMAGED = "Error (reading|writing) persistent compilation cache entry"
+DAMAGED_ENTRY = "Error (reading|writing) persistent compilation cache entry"
 """What JAX's warnings of a cut or changed file in its cache begin with."""
 
 
@@ -170,7 +170,7 @@ def is_healed(message: object) -> bool:
     JAX keeps damaged entries, and does not say which one it read: the one of the latest time of
     use. An entry without a time, from a process that ended early, keeps others from being written.
     """
-    if not re.match(DAMAGED, str(message)):
+    if not re.match(DAMAGED_ENTRY, str(message)):
         return False
     import jax
 
@@ -221,7 +221,7 @@ def begin_jax() -> None:
     is_mine = os.name != "posix" or (about.st_uid == os.getuid() and not about.st_mode & 0o022)
     if is_mine and os.access(folder, os.W_OK):
         config.update("jax_compilation_cache_dir", str(folder))
-        config.update("jax_compilation_cache_max_size", LIMIT)
+        config.update("jax_compilation_cache_max_size", CACHE_SIZE)
         config.update(
             "jax_persistent_cache_min_compile_time_secs", 0
         )  # reading takes a tenth of any compilation

@@ -9,15 +9,15 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from ._method import mesh_of
-from ._output import Output, count, some, title, wrapped
+from ._method import load_mesh
+from ._output import Output, plural, some, title, wrap
 from ._requests import Convert, Demo, Info, Quality
 from ._way import check_picture, draw, faults
 
 
-def quality(request: Quality, out: Output) -> int:
+def run_quality(request: Quality, out: Output) -> int:
     with out.progress("reading"):
-        mesh = mesh_of(request.file, request.zone, request.tags)
+        mesh = load_mesh(request.file, request.zone, request.tags)
         points = None if request.moved is None else _same_mesh(request, mesh, request.moved).points
     check_picture(request.picture)
     with out.progress("judging the cells"):
@@ -38,7 +38,7 @@ def quality(request: Quality, out: Output) -> int:
         )
         if proof.invalid:
             verb = "folds" if proof.invalid == 1 else "fold"
-            bad.append(f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside.")
+            bad.append(f"{proof.invalid} of {plural(proof.count, 'cell')} {verb} inside.")
     out.say("\n\n".join(tables))
     draw(request.picture, mesh, out, points, verdict=verdict)
     for sentence in bad:
@@ -47,9 +47,9 @@ def quality(request: Quality, out: Output) -> int:
 
 
 def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
-    moved = mesh_of(file, request.zone, request.tags)
-    ours = _ids(mesh)
-    theirs = _ids(moved)
+    moved = load_mesh(file, request.zone, request.tags)
+    ours = _find_cell_ids(mesh)
+    theirs = _find_cell_ids(moved)
     if ours.keys() != theirs.keys() or not all(
         np.array_equal(ids, theirs[name]) for name, ids in ours.items()
     ):
@@ -57,16 +57,16 @@ def _same_mesh(request: Quality, mesh: Mesh, file: Path) -> Mesh:
     return moved
 
 
-def _ids(mesh: Mesh) -> Mapping[str, Any]:
+def _find_cell_ids(mesh: Mesh) -> Mapping[str, Any]:
     """Collects the ids that define the cells, with faces of polyhedra: cuts depend on points."""
     return mesh.cells if mesh.polyhedra is None else vars(mesh.polyhedra.faces)
 
 
-def info(request: Info, out: Output) -> int:
+def run_info(request: Info, out: Output) -> int:
     with out.progress("reading"):
         is_su2 = request.file.suffix.lower() == ".su2"
         meshes = list(
-            io.read_zones(request.file) if is_su2 else [mesh_of(request.file, tags=request.tags)]
+            io.read_zones(request.file) if is_su2 else [load_mesh(request.file, tags=request.tags)]
         )
     if len(meshes) > 1 and request.picture is not None:
         raise ValueError(
@@ -76,19 +76,19 @@ def info(request: Info, out: Output) -> int:
     check_picture(request.picture)
     zones: list[dict[str, Any]] = []
     for number, mesh in enumerate(meshes, start=1):
-        facts = _facts(mesh)
+        facts = _list_facts(mesh)
         name = title(request.file) + (f" zone {number}" if len(meshes) > 1 else "")
-        out.say("\n".join(_lines(name, mesh, facts)))
+        out.say("\n".join(_describe_mesh(name, mesh, facts)))
         zones.append({key: value for key, value in facts.items() if value or key in ALWAYS})
     out.say(None, **(zones[0] if len(zones) == 1 else {"zones": zones}))
     draw(request.picture, meshes[0], out)
     return 0
 
 
-def convert(request: Convert, out: Output) -> int:
+def run_convert(request: Convert, out: Output) -> int:
     io.check_output(request.output, request.file)
     with out.progress("reading"):
-        mesh = mesh_of(request.file, tags=request.tags)
+        mesh = load_mesh(request.file, tags=request.tags)
     lost = list(io.losses(request.output, mesh))
     for sentence in lost:
         out.warn(sentence)
@@ -103,7 +103,7 @@ ALWAYS = ("dimension", "points", "cells", "low", "high", "patches", "kinds")
 """Facts that are printed even when they are empty."""
 
 
-def _facts(mesh: Mesh) -> dict[str, Any]:
+def _list_facts(mesh: Mesh) -> dict[str, Any]:
     points = np.asarray(mesh.points)
     faces = [] if mesh.polyhedra is None else [mesh.polyhedra.faces.labels]
     corners = map(np.ravel, (*mesh.cells.values(), *faces))
@@ -123,28 +123,30 @@ def _facts(mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def _lines(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
+def _describe_mesh(name: str, mesh: Mesh, facts: dict[str, Any]) -> Iterator[str]:
     yield f"{name}: {facts['dimension']}-D, {facts['points']} points"
     yield "cells    " + ", ".join(f"{number} {kind}" for kind, number in facts["cells"].items())
     for axis, least, most in zip("xyz", facts["low"], facts["high"], strict=False):
         yield f"{axis:<9}{least:.6g} to {most:.6g}"
     loose = facts["of_no_cell"]
     if loose:
-        yield f"no cell  {count(len(loose), 'node')}, at rest: {some(loose)}"
+        yield f"no cell  {plural(len(loose), 'node')}, at rest: {some(loose)}"
     yield "patches" if facts["patches"] else "patches  none"
     width = max(map(len, facts["patches"]), default=0)
     for patch, number in facts["patches"].items():
         yield f"  {patch:<{width}}  {number:>9} nodes  {facts['kinds'].get(patch, '')}".rstrip()
-    yield from _list(
+    yield from _format_list(
         "groups", [f"{group}: {', '.join(names)}" for group, names in facts["groups"].items()]
     )
-    yield from _list("periodic", [f"--periodic {' '.join(pair)}" for pair in facts["periodic"]])
-    yield from _list("boxes", list(map(_line_of_box, io.boxes(mesh))))
-    yield from _list("notes", facts["notes"])
+    yield from _format_list(
+        "periodic", [f"--periodic {' '.join(pair)}" for pair in facts["periodic"]]
+    )
+    yield from _format_list("boxes", list(map(_line_of_box, io.boxes(mesh))))
+    yield from _format_list("notes", facts["notes"])
 
 
-def _list(what: str, lines: list[str]) -> list[str]:
-    return [what, *(wrapped(f"  {line}", 4) for line in lines)] if lines else []
+def _format_list(what: str, lines: list[str]) -> list[str]:
+    return [what, *(wrap(f"  {line}", 4) for line in lines)] if lines else []
 
 
 def _line_of_box(box: io.Box) -> str:
@@ -155,7 +157,7 @@ def _line_of_box(box: io.Box) -> str:
     )
 
 
-def demo(request: Demo, out: Output) -> int:
+def run_demo(request: Demo, out: Output) -> int:
     from jaxmorph import _demo  # with matplotlib
 
-    return _demo.run(request.output)
+    return _demo.run_paper_case(request.output)

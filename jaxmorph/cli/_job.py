@@ -10,16 +10,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from jaxmorph._host.package.text import read
+from jaxmorph._host.package.text import parse_toml
 
 from ._parser import (
     Parser,
+    build_request,
     flag_of,
     flags_of,
+    guess_meant,
     is_switch,
     kind_of,
-    made,
-    meant,
     settings_of,
     values_of,
 )
@@ -38,9 +38,9 @@ Keys = Mapping[str, dataclasses.Field]
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
 """Flags that are not keys of a job; `set` is a table of it."""
 
-MOTION: Keys = {field.name: field for field, _ in flags_of(MotionFlags)}
-JOB: Keys = {
-    field.name: field for field, _ in flags_of(Deform) if field.name not in (*MOTION, *NO_KEYS)
+MOTION_KEYS: Keys = {field.name: field for field, _ in flags_of(MotionFlags)}
+JOB_KEYS: Keys = {
+    field.name: field for field, _ in flags_of(Deform) if field.name not in (*MOTION_KEYS, *NO_KEYS)
 }
 
 
@@ -62,17 +62,19 @@ class JobParser(Parser):
             self.error(f"set is a table of names and numbers, found {reprlib.repr(changes)}")
         words = ["", ""]
         for name, value in job.items():
-            words += self.words(JOB[name], value)
+            words += self.words(JOB_KEYS[name], value)
         for name, value in changes.items():
-            words += ["--set", f"{name}={','.join(map(str, listed(value)))}"]
+            words += ["--set", f"{name}={','.join(map(str, as_list(value)))}"]
         for group in groups:
-            words += self.group(known_keys(self.path, "[[moving]]", group, MOTION))
+            words += self.group(check_keys(self.path, "[[moving]]", group, MOTION_KEYS))
         return self.parse_args(words)
 
     def group(self, group: dict[str, Any]) -> list[str]:
         patches = group.pop("patches", None) or self.error("a [[moving]] without patches")
         values = {"patches": patches, **group}
-        return [word for name, value in values.items() for word in self.words(MOTION[name], value)]
+        return [
+            word for name, value in values.items() for word in self.words(MOTION_KEYS[name], value)
+        ]
 
     def words(self, field: dataclasses.Field, value: Any) -> list[str]:
         name = field.name
@@ -88,7 +90,7 @@ class JobParser(Parser):
             ]
         if isinstance(value, list) and "nargs" not in settings:
             self.error(f"{name} is one value, found {reprlib.repr(value)}")
-        words = [self.word(entry, kind_of(field) is not None) for entry in listed(value)]
+        words = [self.word(entry, kind_of(field) is not None) for entry in as_list(value)]
         return [f"{flag}={words[0]}"] if len(words) == 1 else [flag, *words]
 
     def boolean(self, name: str, value: Any) -> bool:
@@ -97,12 +99,12 @@ class JobParser(Parser):
         return value
 
     def pairs(self, value: Any) -> list[list[Any]]:
-        if not all(isinstance(pair, list) and len(pair) == 2 for pair in listed(value)):
+        if not all(isinstance(pair, list) and len(pair) == 2 for pair in as_list(value)):
             found = reprlib.repr(value)
             self.error(
                 f'mode is a list of files with amplitudes, [["FILE", 0.1], ...], found {found}'
             )
-        return listed(value)
+        return as_list(value)
 
     def word(self, value: Any, is_path: bool) -> str:
         if isinstance(value, dict):
@@ -110,7 +112,7 @@ class JobParser(Parser):
         return str(self.path.parent / str(value) if is_path else value)
 
 
-def listed(value: Any) -> list[Any]:
+def as_list(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
@@ -125,10 +127,8 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
     path = finder.parse_known_args(words)[0].job
     if path is None:
         return list(words), argparse.Namespace()
-    (values, files), given = (
-        read_job(path),
-        list(itertools.takewhile(lambda word: not word.startswith("-"), words)),
-    )
+    values, files = read_job(path)
+    given = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
     if "file" not in files and (command == "sensitivity" or (files and not given)):
         raise ValueError(f"{path}: file is missing: the mesh that the job moves.")
     if command == "sensitivity":
@@ -138,7 +138,9 @@ def with_job(command: str, words: Sequence[str]) -> tuple[list[str], argparse.Na
 
 def read_job(path: Path) -> tuple[argparse.Namespace, dict[str, str]]:
     """Reads the values of a job, and its mesh files; paths are relative to the job's folder."""
-    job = known_keys(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
+    job = check_keys(
+        path, "a job", parse_toml(str(path), path.read_bytes()), (*JOB_KEYS, "set", "moving")
+    )
     files = {
         name: str(path.parent / str(job.pop(name))) for name in ("file", "output") if name in job
     }
@@ -148,12 +150,12 @@ def read_job(path: Path) -> tuple[argparse.Namespace, dict[str, str]]:
     return values, files
 
 
-def known_keys(path: Path, what: str, table: dict[str, Any], names: Any) -> dict[str, Any]:
+def check_keys(path: Path, what: str, table: dict[str, Any], names: Any) -> dict[str, Any]:
     table = {key.replace("-", "_"): value for key, value in table.items()}
     foreign = next((key for key in table if key not in names), None)
     if foreign is not None:
-        hint = meant(foreign, names) or "."
-        if foreign in MOTION and "moving" in names:
+        hint = guess_meant(foreign, names) or "."
+        if foreign in MOTION_KEYS and "moving" in names:
             hint = ": it belongs to a motion, below a [[moving]]."
         raise ValueError(f"{path}: {what} has no {foreign}{hint} It may have {', '.join(names)}.")
     return table
@@ -176,24 +178,26 @@ def job_of(request: SensitivityRequest) -> Deform | None:
     vars(values).update(
         file=request.file, output=request.output, job=request.job, set=[*values.set, *request.set]
     )
-    return made(Deform, values)
+    return build_request(Deform, values)
 
 
 def text_of(request: Deform, folder: Path) -> str:
-    lines = list(_lines(JOB, request, folder))
+    lines = list(_format_fields(JOB_KEYS, request, folder))
     if request.set:
         changes = {
             name: numbers[0] if len(numbers) == 1 else numbers for name, numbers in request.set
         }
         lines.append(f"set = {toml(changes, folder)}")
     for group in request.groups:
-        lines += ["", "[[moving]]", *_lines(MOTION, group, folder)]
+        lines += ["", "[[moving]]", *_format_fields(MOTION_KEYS, group, folder)]
     return "\n".join(lines) + "\n"
 
 
-def _lines(keys: Keys, request: Any, folder: Path) -> Iterator[str]:
+def _format_fields(keys: Keys, request: Any, folder: Path) -> Iterator[str]:
     for field, value in values_of(request):
-        unsaid = (field.default,) if keys is MOTION or is_switch(settings_of(field)) else (None, ())
+        unsaid = (
+            (field.default,) if keys is MOTION_KEYS or is_switch(settings_of(field)) else (None, ())
+        )
         if keys.get(field.name) is field and value not in unsaid:
             yield f"{field.name} = {toml(value, folder)}"
 

@@ -13,23 +13,23 @@ from jaxtyping import Int
 import jaxmorph as jm
 from jaxmorph import io
 
-from ._output import count
-from ._requests import Deform, MethodFlags, Planned
+from ._output import plural
+from ._requests import Deform, MethodFlags, Names, Planned
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 PlanRequest = Deform | Planned
 
 
-def mesh_of(path: Path, zone: int | None = None, tags: Path | None = None) -> jm.Mesh:
+def load_mesh(path: Path, zone: int | None = None, tags: Path | None = None) -> jm.Mesh:
     if zone is None or tags is not None:
         return io.read(path, tags=tags)
     meshes = io.read_zones(path)
     if not 1 <= zone <= len(meshes):
-        raise ValueError(f"--zone {zone}: {path} has {count(len(meshes), 'zone')}.")
+        raise ValueError(f"--zone {zone}: {path} has {plural(len(meshes), 'zone')}.")
     return meshes[zone - 1]
 
 
-def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
+def describe_method(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
     is_carrying = request.method == "default" and isinstance(plan.method, jm.InverseDistance)
     listed = jm.METHODS["turning" if is_carrying else request.method]
     sources = plan.n_moving * (listed.sources == "all")
@@ -44,12 +44,12 @@ def described(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:
 class Patches:
     mesh: jm.Mesh
     request: MethodFlags
-    moving: tuple[str, ...]
-    fixed: tuple[str, ...]
-    symmetry: tuple[str, ...] = ()
-    sliding: tuple[str, ...] = ()
+    moving: Names
+    fixed: Names
+    symmetry: Names = ()
+    sliding: Names = ()
     periodic: tuple[jm.Periodic, ...] = ()
-    free: tuple[str, ...] = ()
+    free: Names = ()
 
     @property
     def nodes(self) -> Int[np.ndarray, " m"]:
@@ -105,7 +105,9 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
     _check_names(request, mesh)
     lists = (request.moving, flags.symmetry, flags.sliding, flags.free)
     moving, symmetry, sliding, free = (mesh.patch_names(*names) for names in lists)
-    periodic = _periodic(flags.periodic, mesh, {*moving, *flags.fixed, *symmetry, *sliding, *free})
+    periodic = _pair_periodic(
+        flags.periodic, mesh, {*moving, *flags.fixed, *symmetry, *sliding, *free}
+    )
     repeating = [str(side) for pair in periodic for side in (pair.patch, pair.partner)]
     elsewhere = {*moving, *symmetry, *sliding, *repeating}
     fixed = tuple(
@@ -118,7 +120,16 @@ def patches_of(request: PlanRequest, mesh: jm.Mesh) -> Patches:
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
             jm.Plane.of_patch(mesh, name)
             symmetry += (name,)
-    return Patches(mesh, request.method, moving, fixed, symmetry, sliding, periodic, free)
+    return Patches(
+        mesh,
+        request.method,
+        moving=moving,
+        fixed=fixed,
+        symmetry=symmetry,
+        sliding=sliding,
+        periodic=periodic,
+        free=free,
+    )
 
 
 def _check_names(request: PlanRequest, mesh: jm.Mesh) -> None:
@@ -133,7 +144,7 @@ def _check_names(request: PlanRequest, mesh: jm.Mesh) -> None:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
 
 
-def _periodic(names: tuple[str, ...], mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
+def _pair_periodic(names: Names, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
     if len(names) % 2:
         raise ValueError(

@@ -15,8 +15,8 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io, shapes
 
 from ._early import is_given
-from ._output import coordinates, some
-from ._requests import Deform, MotionFlags
+from ._output import format_place, some
+from ._requests import Deform, MotionFlags, Names
 
 Points = Float[np.ndarray, "m d"]
 Parametrised = tuple[shapes.AbstractShape, Any]
@@ -25,7 +25,7 @@ Parametrised = tuple[shapes.AbstractShape, Any]
 class MotionGroup(NamedTuple):
     """Patches that move: shapes and parameters by flag, and the rows of their nodes."""
 
-    patches: tuple[str, ...]
+    patches: Names
     shape: shapes.Chain
     values: dict[str, Any]
     rows: np.ndarray
@@ -40,7 +40,7 @@ class Motion:
     """
 
     groups: dict[str, MotionGroup]
-    sides: dict[tuple[str, ...], np.ndarray]
+    sides: dict[Names, np.ndarray]
     parameters: dict[str, dict[str, Any]]
 
     @property
@@ -55,7 +55,7 @@ class Motion:
             moved = moved.at[rows].set(self.alone(names, x, parameters)[rows])
         return moved
 
-    def alone(self, names: tuple[str, ...], x: Any, parameters: Mapping[str, Any]) -> Any:
+    def alone(self, names: Names, x: Any, parameters: Mapping[str, Any]) -> Any:
         for name in names:
             rows = self.groups[name].rows
             x = x.at[rows].set(self.groups[name].shape(x[rows], parameters[name]))
@@ -77,7 +77,7 @@ class Motion:
                     f"{' then '.join(first)} and {' then '.join(names)} move {len(wrong)} common "
                     "nodes differently, by up to "
                     f"{off.max():.3g}: nodes {some(moving[wrong])}, the first near "
-                    f"{coordinates(x[wrong[0]])}. Name both "
+                    f"{format_place(x[wrong[0]])}. Name both "
                     "patches after one --moving, or take the common nodes out of one of the "
                     "patches."
                 )
@@ -101,7 +101,7 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
     groups: dict[str, MotionGroup] = {}
     for flags in request.groups:
         try:
-            groups[_name(flags, groups)] = _group(flags, request, mesh, moving)
+            groups[_name_group(flags, groups)] = _make_group(flags, request, mesh, moving)
         except ValueError as error:
             raise ValueError(
                 f"{flags.title}: {error}" if len(request.groups) > 1 else str(error)
@@ -109,7 +109,7 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
     parameters = {name: group.values for name, group in groups.items()}
     try:
         made = Motion(
-            groups, _sides(groups, mesh, moving), shapes.varied(parameters, dict(request.set))
+            groups, _find_sides(groups, mesh, moving), shapes.varied(parameters, dict(request.set))
         )
     except ValueError as error:
         raise ValueError(f"--set: {error}") from None
@@ -117,10 +117,10 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
     return made
 
 
-def _sides(
+def _find_sides(
     groups: dict[str, MotionGroup], mesh: Mesh, moving: np.ndarray
-) -> dict[tuple[str, ...], np.ndarray]:
-    patches: dict[tuple[str, ...], list[str]] = {}
+) -> dict[Names, np.ndarray]:
+    patches: dict[Names, list[str]] = {}
     for patch in dict.fromkeys(itertools.chain(*(group.patches for group in groups.values()))):
         patches.setdefault(
             tuple(name for name, group in groups.items() if patch in group.patches), []
@@ -128,7 +128,7 @@ def _sides(
     return {names: np.searchsorted(moving, mesh.patch(*own)) for names, own in patches.items()}
 
 
-def _name(flags: MotionFlags, others: Mapping[str, Any]) -> str:
+def _name_group(flags: MotionFlags, others: Mapping[str, Any]) -> str:
     """Names a group by `--name` or by its patches, with a number if the name is taken."""
     name = flags.name or "+".join(flags.patches)
     if flags.name in others:
@@ -140,7 +140,7 @@ def _name(flags: MotionFlags, others: Mapping[str, Any]) -> str:
     )
 
 
-def _group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) -> MotionGroup:
+def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) -> MotionGroup:
     patch = MovingPatch(flags, mesh, mesh.patch(*flags.patches), request.boundary.symmetry)
     if not len(patch.nodes):
         raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
@@ -161,7 +161,7 @@ class MovingPatch(NamedTuple):
     group: MotionFlags
     mesh: Mesh
     nodes: np.ndarray
-    symmetry: tuple[str, ...]
+    symmetry: Names
 
     @property
     def points(self) -> Points:
@@ -176,7 +176,7 @@ class MovingPatch(NamedTuple):
         return np.array(self.group.about or np.zeros(self.dimension))
 
 
-def _displacement(patch: MovingPatch) -> Parametrised:
+def _displacement_shape(patch: MovingPatch) -> Parametrised:
     group = patch.group
     assert group.displacement is not None
     is_position = group.displacement_is == "position"
@@ -185,7 +185,7 @@ def _displacement(patch: MovingPatch) -> Parametrised:
     return shapes.Function(lambda x, share: x + turn.at(share), 0.0), 1.0
 
 
-def _onto(patch: MovingPatch) -> Parametrised:
+def _onto_shape(patch: MovingPatch) -> Parametrised:
     mesh = patch.mesh
     d = patch.dimension
     sides = [mesh.patch(name) for name in mesh.patch_names(*patch.symmetry)]
@@ -215,7 +215,7 @@ def distances(request: Deform, mesh: Mesh, points: Points) -> Distances:
     return found
 
 
-def _modes(patch: MovingPatch) -> Parametrised:
+def _modes_shape(patch: MovingPatch) -> Parametrised:
     files, amplitudes = zip(*patch.group.mode, strict=True)
     fields = [
         io.read_displacement(file, patch.mesh, patch.nodes, is_position=False) for file in files
@@ -223,12 +223,12 @@ def _modes(patch: MovingPatch) -> Parametrised:
     return shapes.Modes(np.stack(fields)), np.array(amplitudes)
 
 
-def _box(patch: MovingPatch) -> Parametrised:
+def _box_shape(patch: MovingPatch) -> Parametrised:
     assert patch.group.box is not None
     return io.read_box(patch.group.box, patch.dimension)
 
 
-def _scale(patch: MovingPatch) -> Parametrised:
+def _scale_shape(patch: MovingPatch) -> Parametrised:
     about = patch.about
     given = patch.group.scale or []
     factors = given[0] if len(given) == 1 else np.array(given)
@@ -237,13 +237,13 @@ def _scale(patch: MovingPatch) -> Parametrised:
     ), factors
 
 
-def _translate(patch: MovingPatch) -> Parametrised:
+def _translation_shape(patch: MovingPatch) -> Parametrised:
     return shapes.Function(shapes.translate, np.zeros(patch.dimension)), np.array(
         patch.group.translate
     )
 
 
-TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
+ANGLE_MOTIONS: dict[str, tuple[Callable, Names]] = {
     "twist": (shapes.twist, ("about", "along", "length")),
     "bend": (shapes.bend, ("about", "along", "length", "axis")),
     "rotate": (shapes.rotate, ("about", "axis")),
@@ -251,9 +251,10 @@ TURNS: dict[str, tuple[Callable, tuple[str, ...]]] = {
 """Motions by an angle, and their other arguments."""
 
 
-def _turned(name: str, patch: MovingPatch) -> Parametrised:
+def _turn_shape(name: str, patch: MovingPatch) -> Parametrised:
     """Makes a motion by an angle; the line of a twist or bend ends where the surface does."""
-    (function, needs), flags = TURNS[name], patch.group
+    function, needs = ANGLE_MOTIONS[name]
+    flags = patch.group
     along: Any = flags.along or ([1.0, 0.0] if patch.dimension == 2 else None)
     length = flags.length
     if "along" in needs and along is None:
@@ -270,14 +271,14 @@ def _turned(name: str, patch: MovingPatch) -> Parametrised:
 
 
 PARTS: dict[str, Callable[[MovingPatch], Parametrised]] = {
-    "displacement": _displacement,
-    "onto": _onto,
-    "mode": _modes,
-    "box": _box,
-    "scale": _scale,
-    "twist": functools.partial(_turned, "twist"),
-    "bend": functools.partial(_turned, "bend"),
-    "rotate": functools.partial(_turned, "rotate"),
-    "translate": _translate,
+    "displacement": _displacement_shape,
+    "onto": _onto_shape,
+    "mode": _modes_shape,
+    "box": _box_shape,
+    "scale": _scale_shape,
+    "twist": functools.partial(_turn_shape, "twist"),
+    "bend": functools.partial(_turn_shape, "bend"),
+    "rotate": functools.partial(_turn_shape, "rotate"),
+    "translate": _translation_shape,
 }
 """Makers of shapes by field of a group, in the order in which the shapes are applied."""

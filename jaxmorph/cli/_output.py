@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
-PATIENCE = 2.0
+ANNOUNCED_AFTER = 2.0
 """Seconds after which a stage is announced."""
 
 
@@ -21,7 +21,9 @@ class Stage:
     """One stage of the work, and the share of it that is done, from 0 to 1."""
 
     def __init__(self, name: str):
-        self.name, self.began, self.share = name, time.monotonic(), 0.0
+        self.name = name
+        self.began = time.monotonic()
+        self.share = 0.0
 
     def done(self, share: float) -> None:
         self.share = share
@@ -45,7 +47,7 @@ class Stage:
     def announce(self, command: str, over: threading.Event) -> None:
         """Shows the stage on a terminal's line after `PATIENCE`; the line vanishes at the end."""
         has_line = False
-        while not over.wait(0.5 if has_line else PATIENCE):
+        while not over.wait(0.5 if has_line else ANNOUNCED_AFTER):
             has_line = True
             print(f"\r\033[K{command}: {self}", end="", file=sys.stderr, flush=True)
         if has_line:
@@ -56,7 +58,9 @@ class Output:
     """Output of one command: text as it comes, or with `as_json` facts, printed at the end."""
 
     def __init__(self, command: str, *, as_json: bool = False):
-        self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, False
+        self.name = f"jaxmorph {command}"
+        self.as_json = as_json
+        self.verbose = False
         self.is_silent = False
         """True in all processes of an MPI run but one, which prints for all."""
         self.facts: dict[str, Any] = {"command": command}
@@ -83,7 +87,7 @@ class Output:
     def say(self, text: str | None = None, **facts: Any) -> None:
         self.facts.update(facts)
         if text is not None and not self.as_json and not self.is_silent:
-            _show(text)
+            _print_line(text)
 
     def complain(self, text: str, key: str = "problems") -> None:
         self.facts.setdefault(key, []).append(text)
@@ -115,18 +119,18 @@ class Output:
             plain = json.loads(
                 json.dumps(facts), parse_constant=lambda _: None
             )  # JSON has no NaN, no infinity
-            _show(json.dumps(plain, allow_nan=False))
+            _print_line(json.dumps(plain, allow_nan=False))
         elif self.verbose:
             stages = self.stages | {"all": self.seconds}
             lines = [
                 f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s"
                 for name, taken in stages.items()
             ]
-            _show("\n".join(["timings", *lines]))
+            _print_line("\n".join(["timings", *lines]))
         return status
 
 
-def _show(text: str) -> None:
+def _print_line(text: str) -> None:
     with open_ended():
         print(text, flush=True)
 
@@ -142,13 +146,13 @@ def open_ended() -> Iterator[None]:
         os.close(nowhere)
 
 
-def wrapped(text: str, indent: int = 9) -> str:
+def wrap(text: str, indent: int = 9) -> str:
     return textwrap.fill(
         text, 80, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
     )
 
 
-def count(number: int, what: str) -> str:
+def plural(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 
@@ -156,7 +160,7 @@ def some(ids: Any) -> str:
     return ", ".join(map(str, ids[:5])) + (", ..." if len(ids) > 5 else "")
 
 
-def coordinates(x: Any) -> str:
+def format_place(x: Any) -> str:
     return "(" + ", ".join(f"{number:.3g}" for number in x.tolist()) + ")"
 
 

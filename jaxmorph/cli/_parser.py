@@ -97,7 +97,7 @@ def switch(what: str, *names: str, default: bool = False, **settings: Any) -> An
     )
 
 
-def part(fields: Fields) -> Any:
+def nest(fields: Fields) -> Any:
     return dataclasses.field(default_factory=fields, metadata={"fields": fields})
 
 
@@ -136,12 +136,12 @@ def is_switch(settings: dict[str, Any]) -> bool:
     return str(settings.get("action")).startswith("store_")
 
 
-def made(fields: type[T], values: argparse.Namespace) -> T:
+def build_request(fields: type[T], values: argparse.Namespace) -> T:
     arguments = {}
     for field in dataclasses.fields(fields):  # pyright: ignore[reportArgumentType]
         is_part = field.default is dataclasses.MISSING and "fields" in field.metadata
         value = (
-            made(field.metadata["fields"], values)
+            build_request(field.metadata["fields"], values)
             if is_part
             else getattr(values, field.name, field.default)
         )
@@ -195,7 +195,7 @@ class Parser(argparse.ArgumentParser):
             name = word.partition("=")[0]
             if name.startswith("--") and name not in self.flags:
                 hint = (
-                    meant(name, self.flags)
+                    guess_meant(name, self.flags)
                     or f"; a patch of this name is written with =, as in --moving={name}"
                 )
                 self.error(f"there is no flag {name}{hint}")
@@ -211,6 +211,6 @@ def flag_of(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def meant(word: str, known: Iterable[str]) -> str:
+def guess_meant(word: str, known: Iterable[str]) -> str:
     near = similar(word, known)
     return f"; did you mean {near}?" if near else ""

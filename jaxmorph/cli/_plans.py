@@ -15,28 +15,29 @@ from jaxmorph import io, shapes
 
 from ._early import check_apart
 from ._job import job_of
-from ._method import Patches, PlanRequest, described, mesh_of, patches_of
+from ._method import Patches, PlanRequest, describe_method, load_mesh, patches_of
 from ._motion import Motion, motion
-from ._output import LISTED, Output, coordinates, count, steepest, title
+from ._output import LISTED, Output, format_place, plural, steepest, title
 from ._requests import ExportRequest, ModesRequest, SensitivityRequest
-from ._way import Points, Way, faults, in_double, instants
+from ._way import Points, Way, faults, instants, to_double
 
 BATCH = 8
 """Motions computed together."""
 
 
-def _read(request: PlanRequest, out: Output) -> Patches:
+def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
     with out.progress(f"reading {title(request.file)}"):
-        mesh = mesh_of(request.file, getattr(request, "zone", None), request.tags)
+        mesh = load_mesh(request.file, getattr(request, "zone", None), request.tags)
     return patches_of(request, mesh)
 
 
-def _prepared(request: PlanRequest, patches: Patches, out: Output, what: str = "") -> jm.Plan:
+def _prepare_plan(request: PlanRequest, patches: Patches, out: Output, what: str = "") -> jm.Plan:
     with out.progress("preparing"):
         _, plan = next(patches.chunks())
-    (name, sources), n = described(request.method, plan), len(patches.mesh.points)
+    name, sources = describe_method(request.method, plan)
+    n = len(patches.mesh.points)
     out.say(
-        f"{title(request.file)}: {n} points, {what or count(plan.n_moving, 'moving node')}",
+        f"{title(request.file)}: {n} points, {what or plural(plan.n_moving, 'moving node')}",
         points=n,
     )
     out.say(f"method   {name}", method=name, sources=sources)
@@ -51,10 +52,10 @@ class Case(NamedTuple):
     time: float
 
 
-def modes(request: ModesRequest, out: Output) -> int:
+def run_modes(request: ModesRequest, out: Output) -> int:
     cases = _cases(request)
     io.check_output(cases[0].output, request.file)
-    patches = _read(request, out)
+    patches = _look_up_patches(request, out)
     limits = request.gates.limits
     mesh = patches.mesh
     outputs = [request.output, *(case.output for case in cases)]
@@ -64,13 +65,10 @@ def modes(request: ModesRequest, out: Output) -> int:
     check_apart(inputs, [("OUT", file) for file in outputs])
     with out.progress("reading the modes"):
         u = np.stack(
-            [
-                io.read_displacement(file, mesh, patches.nodes, is_position=False)
-                for file in request.mode
-            ]
+            [io.read_displacement(m, mesh, patches.nodes, is_position=False) for m in request.mode]
         )
-    what = f"{count(len(u), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
-    plan = _prepared(request, patches, out, what)
+    what = f"{plural(len(u), 'mode')} at {plural(len(request.amplitude), 'amplitude')}"
+    plan = _prepare_plan(request, patches, out, what)
     if request.gates.proven:
         out.say(
             f"proven   cells that fold nowhere inside, {instants(plan.is_linear, 1)}",
@@ -78,19 +76,17 @@ def modes(request: ModesRequest, out: Output) -> int:
         )
     before = jm.judge(mesh, None, limits)
     ratio = list(before.rows)[-1][1][0].upper()  # of volumes, or of Jacobians
-    out.say(
-        f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10} "
-        " mode"
-    )
+    columns = f"{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}"
+    out.say(f"\n{'':>6}{'amplitude':>12}{columns}  mode")
     good = []
     bad = 0
     replaced = 0
     with out.progress("moving") as stage:
-        for case, points in _moved(mesh, plan, u, cases):
+        for case, points in _move_cases(mesh, plan, u, cases):
             way = Way(case.output, mesh, (points,), plan.is_linear)
             verdict = way.judge(limits, before)
             bad += not verdict.ok
-            _tell(case, request.mode[case.mode], verdict, out)
+            _say_case(case, request.mode[case.mode], verdict, out)
             if verdict.ok or request.allow_inverted:
                 replaced += case.output.is_file()
                 way.write(verdict)
@@ -104,14 +100,14 @@ def _end(request: ModesRequest, good: list[Case], total: int, replaced: int, out
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"
-        old = f", in place of {count(replaced, 'older file')}" if replaced else ""
+        old = f", in place of {plural(replaced, 'older file')}" if replaced else ""
         out.say(f"wrote {files} ({out.seconds:.1f} s){old}", replaced=replaced)
     if request.output.suffix == ".pvd" and good:
         was_there = request.output.is_file()
         io.write_pvd(request.output, [case.output for case in good], [case.time for case in good])
         out.wrote(request.output, was_there)
     if len(good) < total:
-        missing = f"{total - len(good)} of {count(total, 'case')}"
+        missing = f"{total - len(good)} of {plural(total, 'case')}"
         out.complain(f"{missing} not written; --allow-inverted writes them anyway.")
 
 
@@ -128,7 +124,7 @@ def _cases(request: ModesRequest) -> list[Case]:
     ]
 
 
-def _moved(
+def _move_cases(
     mesh: jm.Mesh, plan: jm.Plan, u: Float[np.ndarray, "k m d"], cases: list[Case]
 ) -> Iterator[tuple[Case, Points]]:
     """Yields the points of each case. `BATCH` cases together cost much less than single cases."""
@@ -144,10 +140,10 @@ def _moved(
         for case, points, move in zip(
             cases[first:], np.asarray(together(some)), some, strict=False
         ):
-            yield case, in_double(base, points, nodes, move, plan.method.exact)
+            yield case, to_double(base, points, nodes, move, plan.method.exact)
 
 
-def _tell(case: Case, file: Path, verdict: jm.Verdict, out: Output) -> None:
+def _say_case(case: Case, file: Path, verdict: jm.Verdict, out: Output) -> None:
     rows = verdict.rows
     failed = faults(verdict)
     inverted = verdict.inverted
@@ -173,10 +169,10 @@ def _tell(case: Case, file: Path, verdict: jm.Verdict, out: Output) -> None:
         out.complain(f"case {case.number}: {sentence}")
 
 
-def sensitivity(request: SensitivityRequest, out: Output) -> int:
+def run_sensitivity(request: SensitivityRequest, out: Output) -> int:
     job = job_of(request)
     asked = job or request
-    patches = _read(asked, out)
+    patches = _look_up_patches(asked, out)
     mesh = patches.mesh
     moving = patches.nodes
     wall = np.asarray(mesh.points, float)[moving]
@@ -185,11 +181,11 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
     if len(given) == len(mesh.points):
-        plan = _prepared(asked, patches, out)
+        plan = _prepare_plan(asked, patches, out)
         if job is None or moves is None:
             _write_nodes(request, plan, given, out)
         else:
-            with out.progress(f"pulling back through {count(job.step_count, 'step')}"):
+            with out.progress(f"pulling back through {plural(job.step_count, 'step')}"):
                 plans, _ = jm.march(plan, moves.path(wall, job.step_count))
                 gradient = shapes.pullback(moves.shape, plans, moves.parameters, given)
             _write_variables(request, moves, gradient, out)
@@ -201,7 +197,7 @@ def sensitivity(request: SensitivityRequest, out: Output) -> int:
         )
     else:
         out.say(
-            f"{title(request.file)}: {count(len(given), 'moving node')}, sensitivities of the "
+            f"{title(request.file)}: {plural(len(given), 'moving node')}, sensitivities of the "
             "surface"
         )
         _write_variables(
@@ -220,7 +216,7 @@ def _write_nodes(
         slope = np.asarray(jm.pullback(plan, np.zeros(wall.shape), given), float)
     size = np.linalg.norm(slope, axis=1)
     worst = int(size.argmax())
-    place = coordinates(wall[worst])
+    place = format_place(wall[worst])
     out.say(
         f"largest  {size[worst]:.5g}, at node {moving[worst]} near {place}",
         largest=float(size[worst]),
@@ -244,7 +240,7 @@ def _write_variables(
     for k in steepest(slopes):
         out.say(f"{slopes[k]:>16.6g}{values[k]:>16.6g}  {names[k]}")
     out.say(
-        f"{'... ' if len(names) > LISTED else ''}{count(len(names), 'design variable')} in "
+        f"{'... ' if len(names) > LISTED else ''}{plural(len(names), 'design variable')} in "
         f"{request.output.name}\n"
     )
     out.say(variables=dict(zip(names, slopes.tolist(), strict=True)))
@@ -252,10 +248,10 @@ def _write_variables(
         io.write_gradient(request.output, moves.parameters, gradient)
 
 
-def export(request: ExportRequest, out: Output) -> int:
-    patches = _read(request, out)
-    plan = _prepared(request, patches, out)
-    old = request.output is not None and request.output.is_file()
+def run_export(request: ExportRequest, out: Output) -> int:
+    patches = _look_up_patches(request, out)
+    plan = _prepare_plan(request, patches, out)
+    older = _older_plans(request)
     with out.progress("writing the plan"):
         if request.output is None:
             files = io.export_case(request.file, patches.mesh, plan)
@@ -264,5 +260,16 @@ def export(request: ExportRequest, out: Output) -> int:
             files = [request.output]
     out.say(moving=plan.n_moving)
     for file in files:
-        out.wrote(file, old)
+        out.wrote(file, file in older)
+    out.say(replaced=not older.isdisjoint(files))
     return 0
+
+
+def _older_plans(request: ExportRequest) -> set[Path]:
+    """Finds the plan at OUT, or those of a case: in `constant`, also of a region and of parts."""
+    if request.output is not None:
+        return {request.output} if request.output.is_file() else set()
+    place = request.file
+    root = place.parent.parent if place.parent.name == "constant" else place
+    places = ("constant", "constant/*", "processor*/constant", "processor*/constant/*")
+    return {file for folder in places for file in root.glob(f"{folder}/jaxmorph.plan")}

@@ -22,8 +22,8 @@ from ._parser import (
     Picture,
     Written,
     flag,
+    nest,
     number,
-    part,
     positional,
     positive,
     switch,
@@ -41,14 +41,18 @@ BY_SKEWNESS = "draw the mesh by its skewness: .png"
 
 AUTO = "auto"  # as many steps as it takes
 OUTPUT = ("--output", "-o")
-SHAPES: dict[str, Any] = {"section": "shapes", "everyday": True}
+SHAPE_FLAGS: dict[str, Any] = {"section": "shapes", "everyday": True}
 SEVERAL: dict[str, Any] = {"default": (), "nargs": "+", "action": "extend"}
 
 Table = dict[str, Any]
+Names = tuple[str, ...]
+"""Several names, above all of patches."""
+Change = tuple[str, tuple[float, ...]]
+"""A design variable's name, and its new numbers."""
 TAG = re.compile(rb"(?m)^[ \t]*MARKER_?TAG[ \t]*=[ \t]*([^%\r\n]*)")
 
 
-def markers(file: Path) -> list[str]:
+def list_markers(file: Path) -> list[str]:
     """Lists the names of patches in an SU2 file, without reading the mesh."""
     return [decoded(name.strip()) for name in TAG.findall(file.read_bytes())]
 
@@ -57,7 +61,7 @@ def _completer(prefix: str, parsed_args: argparse.Namespace, **_: object) -> lis
     """Lists patches and groups of the mesh that the words before name; none for what is no mesh."""
     with contextlib.suppress(Exception):  # the shell's line is no place for a fault
         if parsed_args.file.suffix.lower() == ".su2":
-            return markers(parsed_args.file)
+            return list_markers(parsed_args.file)
         from jaxmorph import io
 
         mesh = io.read(parsed_args.file, tags=parsed_args.tags)
@@ -76,7 +80,7 @@ def steps(word: str) -> int | str:
     return AUTO if word == AUTO else positive(word)
 
 
-def _change(word: str) -> tuple[str, tuple[float, ...]]:
+def _change(word: str) -> Change:
     name, _, numbers = word.rpartition("=")
     try:
         return name, tuple(map(number, numbers.split(",")))
@@ -91,7 +95,7 @@ CHANGES = SEVERAL | {"metavar": "NAME=NUMBER[,...]", "type": _change}
 CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0.1'"
 
 
-def _patches(what: str, *names: str, **settings: Any) -> Any:
+def _patch_flag(what: str, *names: str, **settings: Any) -> Any:
     return flag(what, *names, **SEVERAL | {"metavar": "NAME", "completer": _completer} | settings)
 
 
@@ -127,7 +131,7 @@ class MotionFlags:
     SECTION: ClassVar = MOTION
     SETTINGS: ClassVar = {"action": InGroup}
 
-    patches: tuple[str, ...] = _patches(
+    patches: Names = _patch_flag(
         WHAT_MOVES, "--moving", section="surface", everyday=True, action=InGroup
     )
     displacement: Path | None = flag(
@@ -191,13 +195,13 @@ MOTIONS = (
 class BoundaryFlags:
     SECTION: ClassVar = "surface"
 
-    fixed: tuple[str, ...] = _patches("patches that stay", everyday=True)
-    symmetry: tuple[str, ...] = _patches("plane patches in which nodes slide", everyday=True)
-    sliding: tuple[str, ...] = _patches("patches whose nodes slide along their faces")
-    periodic: tuple[str, ...] = _patches(
+    fixed: Names = _patch_flag("patches that stay", everyday=True)
+    symmetry: Names = _patch_flag("plane patches in which nodes slide", everyday=True)
+    sliding: Names = _patch_flag("patches whose nodes slide along their faces")
+    periodic: Names = _patch_flag(
         "pairs of patches that repeat each other, one name after the other"
     )
-    free: tuple[str, ...] = _patches("patches whose nodes follow like inner nodes")
+    free: Names = _patch_flag("patches whose nodes follow like inner nodes")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,7 +264,7 @@ class Speech:
 
 @dataclasses.dataclass(frozen=True)
 class Spoken:
-    speech: Speech = part(Speech)
+    speech: Speech = nest(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -271,9 +275,9 @@ class Meshed(Spoken):
 @dataclasses.dataclass(frozen=True)
 class Planned(Meshed):
     file: MeshFile = positional(MESH, "IN")
-    moving: tuple[str, ...] = _patches(WHAT_MOVES, section="surface", everyday=True)
-    boundary: BoundaryFlags = part(BoundaryFlags)
-    method: MethodFlags = part(MethodFlags)
+    moving: Names = _patch_flag(WHAT_MOVES, section="surface", everyday=True)
+    boundary: BoundaryFlags = nest(BoundaryFlags)
+    method: MethodFlags = nest(MethodFlags)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -292,11 +296,9 @@ class Deform(Meshed):
     groups: tuple[MotionFlags, ...] = dataclasses.field(
         default=(), metadata={"fields": MotionFlags}
     )
-    boundary: BoundaryFlags = part(BoundaryFlags)
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(
-        CHANGES_HELP, section="design variables", **CHANGES
-    )
-    method: MethodFlags = part(MethodFlags)
+    boundary: BoundaryFlags = nest(BoundaryFlags)
+    set: tuple[Change, ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
+    method: MethodFlags = nest(MethodFlags)
     steps: int | str = flag(
         "steps (default 1), or auto: the fewest without folds",
         default=1,
@@ -309,7 +311,7 @@ class Deform(Meshed):
         "prepare and move N points at a time: less memory before cells are judged, more time",
         section="method",
     )
-    gates: Gates = part(Gates)
+    gates: Gates = nest(Gates)
     allow_inverted: bool = switch(
         "write OUT even when cells are inverted or a gate fails", section=BAD
     )
@@ -323,7 +325,7 @@ class Deform(Meshed):
         return 1 if isinstance(self.steps, str) else self.steps
 
     @property
-    def moving(self) -> tuple[str, ...]:
+    def moving(self) -> Names:
         return tuple(dict.fromkeys(name for group in self.groups for name in group.patches))
 
 
@@ -335,12 +337,12 @@ class ModesRequest(Planned):
     mode: tuple[Path, ...] = flag(
         "displacements of the moving nodes: rows of node id, x, y[, z], or .npz",
         required=True,
-        **SHAPES,
+        **SHAPE_FLAGS,
     )
     amplitude: tuple[float, ...] = flag(
-        "factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPES
+        "factors for each mode (default 1)", metavar="A", default=(1.0,), **SHAPE_FLAGS
     )
-    gates: Gates = part(Gates)
+    gates: Gates = nest(Gates)
     allow_inverted: bool = switch("write bad meshes too", section=BAD)
 
 
@@ -355,7 +357,7 @@ class SensitivityRequest(Planned):
     job: Path | None = flag(
         "a job of deform: derivatives by its design variables (leave IN out)", everyday=True
     )
-    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
+    set: tuple[Change, ...] = flag(CHANGES_HELP, **CHANGES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -388,7 +390,7 @@ class SU2(Spoken):
     definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
     zone: int | None = flag(ZONE)
     picture: Picture | None = flag("def: draw the mesh before and after: .png", everyday=True)
-    method: MethodFlags = part(MethodFlags)
+    method: MethodFlags = nest(MethodFlags)
     allow_inverted: bool = switch("write OUT even when cells are inverted", section=BAD)
 
 
@@ -399,7 +401,7 @@ class Quality(Meshed):
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
     zone: int | None = flag("of SU2 files with several zones the zone IZONE= N")
     picture: Picture | None = flag(BY_SKEWNESS, everyday=True)
-    gates: Gates = part(Gates)
+    gates: Gates = nest(Gates)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,10 +10,10 @@ from jaxmorph import io, shapes
 from jaxmorph.extend import quickly_compiled, wall_crossings
 from jaxmorph.integrations import su2
 
-from ._deform import SMALL
+from ._deform import SMALL_WORK
 from ._early import check_apart
-from ._method import Patches, described
-from ._output import Output, count, steepest, title
+from ._method import Patches, describe_method
+from ._output import Output, plural, steepest, title
 from ._requests import SU2
 from ._way import (
     Way,
@@ -26,7 +26,7 @@ from ._way import (
 )
 
 
-def run(request: SU2, out: Output) -> int:
+def run_su2(request: SU2, out: Output) -> int:
     if request.action == "def":
         options = su2.read_options(request.file)
         io.check_output(request.output or options.output, options.mesh_file)
@@ -37,45 +37,45 @@ def run(request: SU2, out: Output) -> int:
     n, d = mesh.points.shape
     out.say(f"{mesh.source.path.name}: {n} points in {d}-D", points=n)
     out.say(
-        f"values   {'; '.join(_values(config, factors)) or 'none: nothing is deformed'}",
+        f"values   {'; '.join(_list_values(config, factors)) or 'none: nothing is deformed'}",
         variables=dict(zip(config.names, config.parameters.tolist(), strict=True)),
         factors=dict(zip(config.names, factors.tolist(), strict=True)),
     )
-    nodes = count(len(mesh.patch(*config.moving)), "node")
+    nodes = plural(len(mesh.patch(*config.moving)), "node")
     out.say(f"moving   {', '.join(config.moving)}: {nodes}", moving=list(config.moving))
-    with quickly_compiled(n * config.steps <= SMALL):
+    with quickly_compiled(n * config.steps <= SMALL_WORK):
         return (
-            _deform(request, config, out)
+            _move_by_config(request, config, out)
             if request.action == "def"
-            else _project(request, config, out)
+            else _write_derivatives(request, config, out)
         )
 
 
-def _values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
+def _list_values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
     kinds = np.array([name.partition("[")[0] for name in config.names])
     relaxed = config.options.relaxation
     for kind in dict.fromkeys(kinds.tolist()):
         own = factors[kinds == kind]
-        text = _listed(config.parameters[kinds == kind])
-        of = "" if (own == relaxed).all() else f"{_listed(own)}, of DEFINITION_DV and "
+        text = _format_numbers(config.parameters[kinds == kind])
+        of = "" if (own == relaxed).all() else f"{_format_numbers(own)}, of DEFINITION_DV and "
         yield f"{len(own)} {kind}: {text}" + (
             f", times {of}OPT_RELAX_FACTOR= {relaxed:g}" if (own != 1).any() else ""
         )
 
 
-def _listed(numbers: np.ndarray) -> str:
+def _format_numbers(numbers: np.ndarray) -> str:
     if len(numbers) > 4:
         return f"{numbers.min():g} to {numbers.max():g}"
     return ", ".join(f"{number:g}" for number in numbers)
 
 
-def _prepared(request: SU2, config: su2.Config, out: Output) -> jm.Plan:
+def _prepare_config(request: SU2, config: su2.Config, out: Output) -> jm.Plan:
     patches = Patches(config.mesh, request.method, config.moving, config.fixed, config.symmetry)
     with out.progress("preparing"):
         return next(patches.chunks())[1]
 
 
-def _deform(request: SU2, config: su2.Config, out: Output) -> int:
+def _move_by_config(request: SU2, config: su2.Config, out: Output) -> int:
     mesh = config.mesh
     output = request.output or config.output
     bad = []
@@ -84,16 +84,16 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
     moved = mesh
     verdict = None
     if config.names:
-        plan = _prepared(request, config, out)
-        name, _ = described(request.method, plan)
-        out.say(f"method   {name}, {count(config.steps, 'step')}", method=name, steps=config.steps)
+        plan = _prepare_config(request, config, out)
+        name, _ = describe_method(request.method, plan)
+        out.say(f"method   {name}, {plural(config.steps, 'step')}", method=name, steps=config.steps)
         out.say(f"fixed    {', '.join(config.fixed) or 'no patch'}", fixed=list(config.fixed))
         if config.symmetry:
             out.say(f"symmetry {', '.join(config.symmetry)}", symmetry=list(config.symmetry))
         text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
         out.say(text, largest=config.largest, share=config.share)
         warn_of_size(config.share, out)
-        with out.progress(f"deforming in {count(config.steps, 'step')}"):
+        with out.progress(f"deforming in {plural(config.steps, 'step')}"):
             moved = mesh.moved(
                 np.asarray(jm.march(plan, config.path.astype(plan.points.dtype))[1], float)
             )
@@ -117,7 +117,7 @@ def _deform(request: SU2, config: su2.Config, out: Output) -> int:
     return finish(bad, request.allow_inverted, output, lambda: io.write(output, moved), out)
 
 
-def _project(request: SU2, config: su2.Config, out: Output) -> int:
+def _write_derivatives(request: SU2, config: su2.Config, out: Output) -> int:
     fault = next(iter(config.constants), "" if config.names else "no design variable")
     if fault:
         raise ValueError(
@@ -133,7 +133,7 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
         "--sensitivity": sensitivities.path,
     }
     check_apart(list(files.items()), [("OUT", output)])
-    gradient = _gradient(request, config, sensitivities, out)
+    gradient = _compute_derivatives(request, config, sensitivities, out)
     angle = sensitivities.by_angle
     if config.angles:
         gradient[config.angles] = angle or 0
@@ -155,7 +155,7 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     return 0
 
 
-def _gradient(
+def _compute_derivatives(
     request: SU2, config: su2.Config, sensitivities: su2.Sensitivity, out: Output
 ) -> np.ndarray:
     mesh = config.mesh
@@ -165,7 +165,7 @@ def _gradient(
     wall = np.asarray(mesh.points, float)[mesh.patch(*config.moving)]
     if len(by_nodes) == len(mesh.points):
         kind = "volume"
-        plan = _prepared(request, config, out)
+        plan = _prepare_config(request, config, out)
         with out.progress("pulling back"):
             by_nodes = np.asarray(jm.pullback(plan, np.zeros(wall.shape), by_nodes))
     out.say(f"reading  {path.name}: dJ/d(nodes) of the {kind}", sensitivity=str(path), kind=kind)

@@ -14,14 +14,14 @@ from jaxtyping import ArrayLike, Float, Int
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from ._output import Output, wrapped
+from ._output import Output, wrap
 from ._parser import flag_of
 
-SMALLEST = 1e-4
-LARGEST = 10.0
+SMALLEST_MOTION = 1e-4
+LARGEST_MOTION = 10.0
 """Displacements over the length of what moves beyond which units are doubted."""
 
-PROVEN = "min_proven_margin"
+PROVEN_GATE = "min_proven_margin"
 
 T = TypeVar("T")
 Points = Float[np.ndarray, "n d"]
@@ -81,14 +81,16 @@ class Way:
             io.write(self.path, moved)
 
 
-def moved(plan: jm.Plan, path: Any, base: Points, nodes: np.ndarray, u: Any) -> Iterator[Points]:
+def move_in_steps(
+    plan: jm.Plan, path: Any, base: Points, nodes: np.ndarray, u: Any
+) -> Iterator[Points]:
     """Yields the points after each step of a path; those at `nodes` move by `u` (k, m, d)."""
     plans, end = jm.march(plan, path)
     for move, points in zip(u, [*(step.points for step in plans[1:]), end], strict=True):
-        yield in_double(base, np.asarray(points)[: len(base)], nodes, move, plan.method.exact)
+        yield to_double(base, np.asarray(points)[: len(base)], nodes, move, plan.method.exact)
 
 
-def in_double(
+def to_double(
     base: Points,
     moved: Float[ArrayLike, "n d"],
     nodes: Int[np.ndarray, " m"],
@@ -107,7 +109,7 @@ def in_double(
 
 def warn_of_size(share: float, out: Output) -> None:
     """Warns of a motion by a `share` of the length of what moves that looks like another unit."""
-    if 0 < share < SMALLEST or share > LARGEST:
+    if 0 < share < SMALLEST_MOTION or share > LARGEST_MOTION:
         out.warn(
             f"the wall moves by {share:.3g} times the length of what moves: has the motion the "
             "unit of the mesh (m or mm), and are angles in degrees?"
@@ -138,7 +140,9 @@ def draw(
 
 def faults(verdict: jm.Verdict) -> list[str]:
     return verdict.faults(
-        lambda gate: "--proven" if gate.name == PROVEN else f"{flag_of(gate.name)} {gate.limit:g}"
+        lambda gate: (
+            "--proven" if gate.name == PROVEN_GATE else f"{flag_of(gate.name)} {gate.limit:g}"
+        )
     )
 
 
@@ -180,11 +184,11 @@ def say_verdict(
         gates=verdict.gate_facts,
     )
     if verdict.note:
-        out.say(f"{wrapped(verdict.note)}\n", folded_before=verdict.before.inverted)
-    for gate in (gate for gate in verdict.gates if gate.name == PROVEN):
+        out.say(f"{wrap(verdict.note)}\n", folded_before=verdict.before.inverted)
+    for gate in (gate for gate in verdict.gates if gate.name == PROVEN_GATE):
         valid = verdict.cells - gate.beyond
         when = instants(is_straight, steps)
-        out.say(wrapped(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {when}."))
+        out.say(wrap(f"proven: {valid} of {verdict.cells} cells fold nowhere inside, {when}."))
         out.say(proven={"cells": valid, "steps": steps, "on_the_way": is_straight})
 
 

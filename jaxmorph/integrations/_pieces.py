@@ -61,11 +61,11 @@ def _mark_ids(
         rows = np.flatnonzero(is_shared[corners].all(axis=1))
         is_first = np.ones(len(corners), dtype=bool)
         is_twice = np.zeros(len(corners), dtype=bool)
-        is_first[rows], is_twice[rows] = owned(comm, np.sort(nodes[corners[rows]], axis=1))
+        is_first[rows], is_twice[rows] = mark_owned(comm, np.sort(nodes[corners[rows]], axis=1))
         yield kind, corners, is_first, is_twice
 
 
-def owned(comm: Any, keys: ndarray) -> tuple[ndarray, ndarray]:
+def mark_owned(comm: Any, keys: ndarray) -> tuple[ndarray, ndarray]:
     """Marks keys, ids (k,) or rows (k, c), that this process has first, or others have too."""
     # Keys go to their keeper, which finds the first of equal keys in the order of the processes.
     # Its answers go back in the order in which it was asked.
@@ -98,10 +98,25 @@ class WholeSurface:
     listed: int
     known: int
 
-    def boundary(self, symmetry: Any, is_open: bool) -> jm.Boundary:
+    def half(
+        self,
+        planes: Sequence[jm.Plane],
+        shares: Sequence[Any],
+        method: jm.AbstractMethod | None,
+        is_open: bool,
+    ) -> jm.SurfaceHalf:
+        """Prepares the surface; `shares` has the boundary faces of each piece, or None of each."""
         free = np.arange(self.listed, self.known if is_open else self.listed)
         moving, fixed = np.split(np.arange(self.listed), [self.moving])
-        return jm.Boundary(self.points, moving, fixed, symmetry=symmetry, free=free)
+        known: dict[str, Any] = {"is_open": is_open}
+        if shares[0] is not None:
+            faces = {kind: np.concatenate([own[kind] for own in shares]) for kind in shares[0]}
+            known = {"faces": {kind: self.rows(ids) for kind, ids in faces.items()}}
+        try:
+            boundary = jm.Boundary(self.points, moving, fixed, symmetry=planes, free=free)
+            return jm.prepare_surface(boundary, nodes=self.names, method=method, **known)
+        except jm.MeshError as error:
+            raise error.renumbered(self.names) from None
 
     def rows(self, ids: ndarray) -> ndarray:
         order = np.argsort(self.names, kind="stable")

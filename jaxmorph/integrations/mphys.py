@@ -70,15 +70,13 @@ class VolumeBuilder(Builder):
         self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True
     ):
         super().__init__()
-        # OpenMDAO refuses values of other types
-        Volume(plan=plan, mesh=mesh, raise_if_inverted=raise_if_inverted)
+        self.plan = plan
+        self.judged = {"mesh": mesh, "raise_if_inverted": raise_if_inverted}
+        Volume(plan=plan, **self.judged)  # OpenMDAO refuses values of other types
         if plan.points.shape[1] != 3:
             raise ValueError(
                 f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D."
             )
-        self.plan = plan
-        self.mesh = mesh
-        self.raise_if_inverted = raise_if_inverted
 
     def initialize(self, comm) -> None:
         if comm.size > 1:
@@ -93,7 +91,7 @@ class VolumeBuilder(Builder):
         return component
 
     def get_coupling_group_subsystem(self, scenario_name=None) -> "Volume":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
-        return Volume(plan=self.plan, mesh=self.mesh, raise_if_inverted=self.raise_if_inverted)
+        return Volume(plan=self.plan, **self.judged)
 
     def get_number_of_nodes(self) -> int:
         return self.plan.n_moving

@@ -19,7 +19,7 @@ from numpy import ndarray
 import jaxmorph as jm
 from jaxmorph.extend import Agreement, real_array, together
 
-from ._pieces import check_comm, faces_of_piece, gather_surface, owned
+from ._pieces import check_comm, faces_of_piece, gather_surface, mark_owned
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,30 +154,14 @@ def prepare(
     """
     check_comm(comm)
     mesh = points if isinstance(points, jm.Mesh) else None
-    own, ids = together(comm, lambda: _own(points, nodes, moving, fixed))
-    marks = owned(comm, ids)
+    own, ids, planes = together(comm, lambda: _own(points, nodes, moving, fixed, symmetry))
+    marks = mark_owned(comm, ids)
     faces = faces_of_piece(comm, mesh, ids, marks[1])
-    planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
-    known = [plane for plane in planes if isinstance(plane, jm.Plane)]  # others are refused below
-    surface = gather_surface(comm, own, ids, faces, known)
+    surface = gather_surface(comm, own, ids, faces, planes)
     shares = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
-        if comm.rank:
-            return None
-        known: dict[str, Any] = {"is_open": is_open}
-        if faces is not None:
-            known = {
-                "faces": {
-                    kind: surface.rows(np.concatenate([own[kind] for own in shares]))
-                    for kind in faces
-                }
-            }
-        try:
-            boundary = surface.boundary(planes, is_open)
-            return jm.prepare_surface(boundary, nodes=surface.names, method=method, **known)
-        except jm.MeshError as error:
-            raise error.renumbered(surface.names) from None
+        return None if shares is None else surface.half(planes, shares, method, is_open)
 
     shared: Any = comm.bcast(together(comm, half))
     plan = together(comm, lambda: shared.attach(own.points, ids))
@@ -185,10 +169,18 @@ def prepare(
     return Piece(comm, plan, ids, own.moving, rows, *marks)
 
 
-def _own(points: Any, nodes: Any, moving: Any, fixed: Any) -> tuple[jm.Boundary, ndarray]:
-    """Returns the boundary of a piece, and the ids (n,) of its points."""
+def _own(
+    points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any
+) -> tuple[jm.Boundary, ndarray, list[jm.Plane]]:
+    """Returns the boundary of a piece, the ids (n,) of its points, and the symmetry planes."""
     x = points.points if isinstance(points, jm.Mesh) else points
     boundary = jm.Boundary(x, moving, fixed)
+    planes: list[Any] = [symmetry] if isinstance(symmetry, jm.Plane | str) else list(symmetry)
+    wrong = [plane for plane in planes if not isinstance(plane, jm.Plane)]
+    if wrong:
+        raise ValueError(
+            f"`symmetry` holds {wrong[0]!r}: pass jm.Plane(normal=(0, 1), origin=(0, 0))."
+        )
     ids = np.asarray(nodes)
     n = len(boundary.points)
     if (
@@ -198,7 +190,7 @@ def _own(points: Any, nodes: Any, moving: Any, fixed: Any) -> tuple[jm.Boundary,
         or len(np.unique(ids)) < n
     ):
         raise ValueError(f"`nodes` must be one id for each of {n} points, from 0 on, no id twice.")
-    return boundary, ids.astype(np.int64)
+    return boundary, ids.astype(np.int64), planes
 
 
 def attach(
@@ -229,4 +221,4 @@ def attach(
     plan = together(comm, attached)
     ids = np.asarray(nodes)
     moving = np.flatnonzero(np.isin(ids, half.moving))
-    return Piece(comm, plan, ids, moving, half.rows(ids[moving]), *owned(comm, ids))
+    return Piece(comm, plan, ids, moving, half.rows(ids[moving]), *mark_owned(comm, ids))

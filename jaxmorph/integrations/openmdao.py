@@ -24,7 +24,7 @@ PointsOrArray = Float[Array, "n d"]
 Traced = Callable[[ValuesByName], Any]
 """A pytree that computes one array from arrays by name."""
 
-OPTIONS: dict[str, dict[str, Any]] = {
+COMPONENT_OPTIONS: dict[str, dict[str, Any]] = {
     "plan": {"types": jm.Plan, "recordable": False, "desc": "what jaxmorph.prepare returned"},
     "mesh": {
         "types": jm.Mesh,
@@ -66,7 +66,7 @@ class TracedComponent(om.ExplicitComponent):
 
     def initialize(self) -> None:
         for name in self.option_names:
-            self.options.declare(name, **OPTIONS[name])
+            self.options.declare(name, **COMPONENT_OPTIONS[name])
 
     def traced(self) -> Traced:
         raise NotImplementedError
@@ -169,7 +169,7 @@ class MeshDeformation(MovedMesh):
         self.add("points", plan.points, self.add_output)
 
     def traced(self) -> Traced:
-        return eqx.Partial(_deformed, self.options["plan"])
+        return eqx.Partial(_deform_by_name, self.options["plan"])
 
 
 class ShapeDisplacement(TracedComponent):
@@ -240,7 +240,7 @@ def _name_variable(path: Any) -> str:
     return jax.tree_util.keystr(path, simple=True, separator=":") or "parameters"
 
 
-def _deformed(plan: jm.Plan, values: ValuesByName) -> PointsOrArray:
+def _deform_by_name(plan: jm.Plan, values: ValuesByName) -> PointsOrArray:
     return jm.deform(plan, jnp.reshape(values["displacements"], plan.moving_points.shape))
 
 

@@ -16,7 +16,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._host.package.files import complete, input_path, output_path
-from jaxmorph._host.package.text import LATTICES, read
+from jaxmorph._host.package.text import LATTICES, parse_toml
 from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import gathered
 
@@ -64,7 +64,7 @@ def read_box(
     table = (
         dict(source)
         if isinstance(source, Mapping)
-        else read(where, input_path(source).read_bytes())
+        else parse_toml(where, input_path(source).read_bytes())
     )
     with faults_of(Path(where)):
         box = _make_box(table, dimensions)

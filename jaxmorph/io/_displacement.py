@@ -21,6 +21,10 @@ from ._format import faults_of
 from ._registry import read
 from ._text import PathLike, Section, decoded, parse, scan
 
+NodeIds = Int[ndarray, " m"]
+RowsOfNodes = Float[ndarray, "m d"]
+IdsAndRows = tuple[NodeIds, RowsOfNodes]
+
 OFF = 0.01
 """Distance of a moving node off the surface, as a share of its bounding box's diagonal."""
 
@@ -77,7 +81,7 @@ def read_displacement(
     return values - points[moving] if is_position else values
 
 
-def take_labels(mesh: Mesh, nodes: Int[ndarray, " m"]) -> ndarray | None:
+def take_labels(mesh: Mesh, nodes: NodeIds) -> ndarray | None:
     """Returns the numbers that the mesh's file gives some nodes; None where it has no others."""
     labels = getattr(mesh.source, "labels", None)
     return None if labels is None or len(labels) != len(mesh.points) else labels[nodes]
@@ -257,9 +261,7 @@ def read_surface(path: PathLike, d: int) -> tuple[Int[ndarray, " m"], Float[ndar
         return read_table(path, d)
 
 
-def read_table(
-    path: Path, d: int, wanted: tuple[str, ...] = ()
-) -> tuple[Int[ndarray, " m"], Float[ndarray, "m d"]]:
+def read_table(path: Path, d: int, wanted: tuple[str, ...] = ()) -> IdsAndRows:
     """Reads node ids and d numbers for each; with `wanted` those of columns with these headers."""
     text = path.read_bytes()
     if wanted and text[:4] in MAGICS:
@@ -295,8 +297,8 @@ def read_table(
 
 
 def read_named(
-    path: Path, names: tuple[str, ...], ids: Int[ndarray, " m"] | None = None
-) -> tuple[Int[ndarray, " m"], ndarray, str]:
+    path: Path, names: tuple[str, ...], ids: NodeIds | None = None
+) -> tuple[NodeIds, ndarray, str]:
     """Reads node ids (if absent `ids`, or 0, 1, 2, ...), an array of `names`, and its name."""
     arrays = read_arrays(path)
     found = [name for name in names if name in arrays]
@@ -317,10 +319,10 @@ def sort_by_id(
     ids: ndarray,
     values: ndarray,
     d: int,
-    wanted: Int[ndarray, " m"],
+    wanted: NodeIds,
     known: tuple[ndarray, str],
     labels: ndarray | None = None,
-) -> Float[ndarray, "m d"]:
+) -> RowsOfNodes:
     """Returns the values of the nodes `wanted` from a file's, in the order of its `ids`.
 
     The ids count from 0. Or they are the mesh file's own numbers, the `labels` (m,) of `wanted`.

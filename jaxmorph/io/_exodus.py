@@ -27,6 +27,8 @@ from ._tree import Coordinates, TreePoints, open_tree, read_labels, read_text
 
 NAME = "Exodus"
 EXODUS_FILE = "an Exodus file"
+Tree = Mapping[str, Any]
+"""The file's arrays by name."""
 EXODUS_TYPES = pairs_of(
     "TRI triangle QUA quad TET tetra PYR pyramid WED wedge HEX hexahedron "
     "BAR line BEA line TRU line EDG line ROD line SPH vertex CIR vertex POI vertex NOD vertex"
@@ -98,7 +100,7 @@ def read(path: Path) -> Parts:
         return of_grid(path, NAME, content, grid, patches, notes, labels=labels)
 
 
-def _find_coordinates(file: Mapping[str, Any]) -> Iterator[Coordinates]:
+def _find_coordinates(file: Tree) -> Iterator[Coordinates]:
     if "coord" in file:
         d, n = file["coord"].shape
         yield Coordinates(file["coord"], slice(0, n), slice(0, d))
@@ -108,12 +110,12 @@ def _find_coordinates(file: Mapping[str, Any]) -> Iterator[Coordinates]:
         yield Coordinates(file[name], slice(0, file[name].size), slice(axis, axis + 1))
 
 
-def _check_length(file: Mapping[str, Any], name: str, count: int) -> None:
+def _check_length(file: Tree, name: str, count: int) -> None:
     if file[name].shape != (count,):
         raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
 
 
-def _read_blocks(path: Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Block]:
+def _read_blocks(path: Path, file: Tree, dimension: int) -> Iterator[_Block]:
     """Yields the blocks of elements. A block that the file has no array of is empty."""
     for _, name, own, array in _read_entries(file, ("eb", "connect", "block"), "num_el_blk"):
         if array is None:
@@ -149,7 +151,7 @@ def _list_sides(kind: str, is_shell: bool) -> list[ndarray]:
     ]
 
 
-def _note_unread_sets(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[str]:
+def _note_unread_sets(file: Tree, solid: list[_Block]) -> Iterator[str]:
     if len(solid) > 1 or any(block.name != block.own for block in solid):
         yield from regions_note(block.name for block in solid)
     for dimension, what in UNREAD_SETS.items():
@@ -158,7 +160,7 @@ def _note_unread_sets(file: Mapping[str, Any], solid: list[_Block]) -> Iterator[
 
 
 def _read_sets(
-    file: Mapping[str, Any], what: tuple[str, str, str], number: str, blocks: list[_Block]
+    file: Tree, what: tuple[str, str, str], number: str, blocks: list[_Block]
 ) -> Iterator[Patch]:
     for at, name, own, members in _read_entries(file, what, number):
         rows = join_ids([] if members is None else [members[()]]).astype(np.int64) - 1
@@ -168,7 +170,7 @@ def _read_sets(
 
 
 def _read_entries(
-    file: Mapping[str, Any], what: tuple[str, str, str], number: str
+    file: Tree, what: tuple[str, str, str], number: str
 ) -> Iterator[tuple[int, str, str, Any]]:
     """Yields place, name, own name, array of blocks or sets; None for empty ones, of status 0."""
     prefix, array, word = what

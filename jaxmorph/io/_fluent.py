@@ -21,6 +21,7 @@ from jaxmorph._mesh.faces import Faces, following
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
 from ._format import Source
+from ._joined import join_rows
 from ._places import CoordinatePart, PlacedPoints
 from ._text import Section, decoded
 
@@ -148,11 +149,9 @@ class _FluentText:
         return PlacedPoints(points, text, places, singles=singles)
 
     def table(self) -> FaceTable:
-        nodes = [table.nodes for _, table in self.faces]
-        labels = np.concatenate([each.values for each in nodes])
-        sizes = np.concatenate([each.sizes for each in nodes])
-        cells = np.concatenate([table.cells for _, table in self.faces])
-        return FaceTable(Ragged.of(labels, sizes), cells)
+        tables = [table for _, table in self.faces]
+        nodes = join_rows([table.nodes for table in tables])
+        return FaceTable(nodes, np.concatenate([table.cells for table in tables]))
 
     def zones(self) -> Iterator[FaceZone]:
         first = 0

@@ -2,11 +2,9 @@
 
 import contextlib
 import dataclasses
-import importlib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -16,7 +14,6 @@ from jaxmorph._boundary.periodic import Periodic
 from jaxmorph._host.cells.pieces import owned_sides
 from jaxmorph._host.cells.topology import CORNERS, EDGES, SHAPES
 from jaxmorph._host.package.errors import place_of, warn
-from jaxmorph._host.package.text import MESHES
 from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Grid, Parts, Patch, checked_parts, intact_source, parts
 from jaxmorph._mesh.polyhedra import Polyhedra
@@ -123,44 +120,6 @@ class Source:
 
 MeshLike = Mesh | Parts
 """What a format writes."""
-
-
-class Format(NamedTuple):
-    """A format: its name, and the module of this package (or the codec) that reads and writes it.
-
-    `begins` is a pattern of the first bytes of its files, after blanks; None where any may come.
-    One that `takes_any` writes meshes of other formats, too.
-    The module, and with it an extra, is imported at first use. It defines
-
-    - `read(path) -> Parts`: `ValueError` names file, place and what was found;
-    - `new(mesh)`: yields the bytes of a new file, for a mesh from elsewhere. For one that came from
-      the format, `write(path, points)` of its source's content makes the file;
-    - `write(path, mesh)`, in place of both: one that `holds_arrays` takes `point_data` and
-      `cell_data` too, in the order of `mesh.cells`, type by type. A folder is written complete or
-      not at all;
-    - `check(path, mesh)`: raises `ValueError` for a mesh that cannot be written, whatever its
-      points. Without it the format takes back only meshes that came from it.
-    """
-
-    name: str
-    module: Any
-    holds_arrays: bool = False
-    is_folder: bool = False
-    begins: bytes | None = None
-    takes_any: bool = False
-
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        return MESHES[self.name]
-
-    def recognises(self, first: bytes) -> bool:
-        """Checks whether a file that begins so is one of the format, by its bytes alone."""
-        return self.begins is not None and re.match(self.begins, first, re.DOTALL) is not None
-
-    def codec(self) -> Any:
-        if not isinstance(self.module, str):
-            return self.module
-        return importlib.import_module(f"{__package__}.{self.module}")
 
 
 def source_of(mesh: MeshLike, format_name: str) -> Source | None:

@@ -214,17 +214,11 @@ def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     if head.strip() == b"$NOD":
         return MeshFormat(1.0, True)
     if head.strip() != b"$MeshFormat":
-        mark = (
-            " The file begins with a byte order mark: save it without."
-            if data.startswith(codecs.BOM_UTF8)
-            else ""
-        )
-        number = 1 + data.count(b"\n", 0, start)
+        has_mark = data.startswith(codecs.BOM_UTF8)
+        remedy = " The file begins with a byte order mark: save it without." * has_mark
         first = decoded(head).strip()[:40]
-        raise ValueError(
-            f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not "
-            f"{first!r}.{mark}"
-        )
+        message = f"not a .msh file; $MeshFormat is expected here, not {first!r}.{remedy}"
+        raise Section(path, data, start + len(head) + 1, len(data)).error(message)
     found = _VERSION_LINE.match(words)
     if found is None:
         said = decoded(words).strip()[:40]
@@ -238,14 +232,9 @@ def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
         raise ValueError(
             f"{path}: a binary .msh file without the number 1 that tells its byte order."
         )
-    is_last = version > 4
-    return MeshFormat(
-        version if is_last else version // 1,
-        not binary,
-        order,
-        int(size) if is_last else 8,
-        version > 2,
-    )
+    if version > 4:
+        return MeshFormat(version, not binary, order, int(size))
+    return MeshFormat(version // 1, not binary, order, has_levels=version > 2)
 
 
 def cut_sections(path: pathlib.Path, data: bytes, at: int) -> Iterator[tuple[str, Section]]:
@@ -306,7 +295,7 @@ def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
             else [_read_records(stream, total)]
         )
     else:
-        count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
+        count, total = _take_counts(stream)
         blocks = [_read_nodes_of_entity(stream) for _ in range(count)]
     stream.end()
     tags = join_ids(tags for tags, _ in blocks)
@@ -314,6 +303,11 @@ def read_nodes(stream: Stream, is_parametric: bool) -> TaggedNodes:
     if len(tags) != total:
         raise ValueError(f"{len(tags)} nodes, and {total} announced")
     return tags, places
+
+
+def _take_counts(stream: Stream) -> list[int]:
+    """Reads how many blocks and entries there are; in version 4.1 two tags follow."""
+    return stream.take("n", 4 if stream.version > 4 else 2)[:2].tolist()
 
 
 def _read_entity(stream: Stream) -> tuple[int, int, int]:
@@ -359,7 +353,7 @@ def read_elements(stream: Stream, groups: EntityGroups) -> list[ElementBlock]:
     if stream.version < 4:
         tables = gathered(_read_element_lines(stream) if stream.rows else _read_old_blocks(stream))
         return [_group_by_tags(kind, table[:, 2:], table[:, :2]) for kind, table in tables.items()]
-    count, total, *_ = stream.take("n", 4 if stream.version > 4 else 2).tolist()
+    count, total = _take_counts(stream)
     blocks = []
     for _ in range(count):
         dimension, tag, number = _read_entity(stream)
@@ -415,7 +409,7 @@ def _read_element_lines(stream: Stream) -> Iterator[tuple[str, ndarray]]:
         kind, corners = _find_kind(number)
         chosen = np.flatnonzero(types == number)
         start = first[chosen, None]
-        tags = values[first[chosen, None] + 2]
+        tags = values[start + 2]
         stop = (first + counts)[chosen, None]
         wrong = ((tags < 0) | (stop - start != 3 + tags + corners)).ravel()
         rows.refuse(
@@ -471,11 +465,10 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         return
     for name in mesh.patches:
         if any(mark in name for mark in '"\r\n') or not name:
-            message = (
+            raise ValueError(
                 f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or "
                 "a line break."
             )
-            raise ValueError(message)
     patch_faces(mesh)
 
 

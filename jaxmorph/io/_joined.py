@@ -11,8 +11,11 @@ from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 from .._host.cells.adjacency import columns_of, is_single, parts_of, sorted_columns
 from .._host.package.errors import check_all_finite
 from .._host.package.rounding import Tree
+from .._host.ragged import Ragged
 
 BLOCK_SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
+FaceTables = list[ndarray]
+"""Faces (k, corners) of one shape each."""
 NODE_TOLERANCE = 1e-3
 """Distance between duplicates of a node, as a share of the shortest edge at them."""
 COPIES = 12
@@ -23,6 +26,11 @@ def number_block(shape: tuple[int, ...], first: int) -> ndarray:
     """Numbers a block's nodes by i, j[, k] from `first`, i fastest, without axes of one node."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
+
+
+def join_rows(parts: Sequence[Ragged]) -> Ragged:
+    values = np.concatenate([part.values for part in parts])
+    return Ragged.of(values, np.concatenate([part.sizes for part in parts]))
 
 
 def make_block_cells(ids: ndarray) -> tuple[str, ndarray]:
@@ -38,7 +46,7 @@ def make_block_cells(ids: ndarray) -> tuple[str, ndarray]:
     return "quad" if ids.ndim == 2 else "hexahedron", np.stack(corners, axis=1)
 
 
-def make_block_sides(ids: ndarray) -> list[ndarray]:
+def make_block_sides(ids: ndarray) -> FaceTables:
     """Makes the faces (edges in 2-D) of each side of a block, in the order of `SIDES`."""
     sides = []
     for axis in range(ids.ndim):
@@ -55,7 +63,7 @@ def make_block_sides(ids: ndarray) -> list[ndarray]:
     return sides
 
 
-def select_open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> list[ndarray]:
+def select_open_faces(faces: FaceTables, patches: list[ndarray], n: int) -> FaceTables:
     """Selects the faces that are not inside of a patch: where blocks may meet."""
     covered = [np.zeros(len(corners), bool) for corners in faces]
     inside = np.zeros(n, bool)
@@ -67,7 +75,7 @@ def select_open_faces(faces: list[ndarray], patches: list[ndarray], n: int) -> l
     return [corners[~mask] for corners, mask in zip(faces, covered, strict=True)]
 
 
-def find_shared_nodes(points: ndarray, faces: list[ndarray]) -> ndarray:
+def find_shared_nodes(points: ndarray, faces: FaceTables) -> ndarray:
     """Finds each point's first duplicate (see `TOLERANCE`) on `faces`; else its own id."""
     n = len(points)
     size = np.full(n, np.inf)
@@ -94,7 +102,7 @@ def join_zones(
     points: ndarray,
     cells: Iterable[tuple[str, ndarray]],
     patches: Mapping[str, Sequence[ndarray]],
-    faces: list[ndarray],
+    faces: FaceTables,
     names: Sequence[str] = (),
 ) -> tuple[Parts, ndarray]:
     """Joins zones to one mesh in the file's node order, 2-D if z is constant; with its nodes (N,).
@@ -120,7 +128,7 @@ def join_zones(
 
 
 def _name_rest(
-    faces: list[ndarray], names: Sequence[str], patches: Mapping[str, Any]
+    faces: FaceTables, names: Sequence[str], patches: Mapping[str, Any]
 ) -> Iterator[tuple[str, ndarray]]:
     """Yields names and nodes of faces that no other zone meets."""
     rest = "unnamed" if patches else "boundary"
@@ -133,7 +141,7 @@ def _name_rest(
             yield name, corners[mask].ravel()
 
 
-def _mark_single(faces: list[ndarray]) -> list[ndarray]:
+def _mark_single(faces: FaceTables) -> FaceTables:
     """Finds faces that come once and are not shrunk to a line or point: a mask for each array."""
     width = max((corners.shape[1] for corners in faces), default=0)
     columns = [sorted_columns(columns_of(corners), width) for corners in faces]

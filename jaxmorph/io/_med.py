@@ -42,24 +42,11 @@ def read(path: Path) -> Parts:
                 corners = corners[:, *digits(MED_PLACES[ours])]
             blocks.append((ours, corners))
             families.append(_read_families(group, len(corners)))
-        of_nodes = _read_families(step["NOE"], n)
-        cells = {
-            group: [np.flatnonzero(np.isin(family, ids)) for family in families]
-            for group, ids in _read_groups_of_families(file, name, "ELEME").items()
-        }
-        nodes = {
-            group: np.flatnonzero(np.isin(of_nodes, ids))
-            for group, ids in _read_groups_of_families(file, name, "NOEUD").items()
-        }
-        grid = Grid(
-            content.points,
-            blocks,
-            {},
-            {},
-            cell_sets=cells,
-            point_sets=nodes,
-            own=("elements", "nodes"),
-        )
+        of_nodes = [_read_families(step["NOE"], n)]
+        cells = _read_groups_of_families(file, name, "ELEME", families)
+        nodes = _read_groups_of_families(file, name, "NOEUD", of_nodes)
+        sets = {"cell_sets": cells, "point_sets": {group: rows[0] for group, rows in nodes.items()}}
+        grid = Grid(content.points, blocks, {}, {}, **sets, own=("elements", "nodes"))
         return of_grid(path, NAME, content, grid, labels=read_labels(step["NOE"], "NUM", n))
 
 
@@ -81,7 +68,10 @@ def _find_step(file: Any) -> tuple[str, Any]:
     return name, mesh if "NOE" in mesh else take_only(mesh, "steps of time")[1]
 
 
-def _read_groups_of_families(file: Any, name: str, kind: str) -> dict[str, list[int]]:
+def _read_groups_of_families(
+    file: Any, name: str, kind: str, of_blocks: list[ndarray]
+) -> dict[str, list[ndarray]]:
+    """Reads the members of each group, rows in each block, from the families of their rows."""
     families = file["FAS"][name] if "FAS" in file and name in file["FAS"] else {}
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
@@ -89,4 +79,7 @@ def _read_groups_of_families(file: Any, name: str, kind: str) -> dict[str, list[
             groups.setdefault(read_text(np.asarray(characters, np.uint8)), []).append(
                 int(family.attrs["NUM"])
             )
-    return groups
+    return {
+        group: [np.flatnonzero(np.isin(own, ids)) for own in of_blocks]
+        for group, ids in groups.items()
+    }

@@ -10,13 +10,13 @@ import numpy as np
 from numpy import ndarray
 
 from jaxmorph._host.cells.topology import CORNERS, Pair, codes, invert_table, pairs_of
-from jaxmorph._host.package.text import ending
 from jaxmorph._mesh.exchange import Grid, Parts
 
 from ._format import EVERYTHING, MeshLike, check_form, note_unread, of_grid
 from ._gmsh import BYTE_ORDERS
 from ._places import PlacedPoints, Stream
 from ._text import Section, blank_out, decoded, split_sections
+from .kinds import ending
 
 NAME = "Medit"
 MEDIT_CELLS = pairs_of(

@@ -230,7 +230,9 @@ def _read_space(parts: dict[str, Section]) -> Space:
             f"nodes of {name[:40]} are not read; H1 and L2_T1 of order 1 and 2 are."
         )
     numbers = section._replace(start=section.start + head.end())
-    return Space(numbers, count, int(known[2]), int(head[2]), head[3] == b"0", known[1] != "H1")
+    by_nodes = head[3] == b"0"
+    is_torn = known[1] != "H1"
+    return Space(numbers, count, int(known[2]), int(head[2]), by_nodes=by_nodes, is_torn=is_torn)
 
 
 def _gather_attributes(sides: list[AttributedCells], nodes: list[ndarray]) -> ArraysByName:

@@ -19,58 +19,12 @@ from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import check_all_finite, place_of, warn
 from jaxmorph._host.package.files import complete, output_path
-from jaxmorph._host.package.text import ending, is_folder, plugin
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
-from ._format import Format, Source, faults_of, only_of, own_source, source_of, warn_of_loss
+from ._format import Source, faults_of, only_of, own_source, source_of, warn_of_loss
 from ._text import PathLike
+from .kinds import FOREIGN, FORMATS, Format, ending, is_folder, plugin
 
-XML = rb"(?:<\?xml.{0,200}?\?>\s*)?(?:<!(?:--.*?--|DOCTYPE[^<\[>]*(?:\[.*?\]\s*)?)>\s*)*"
-"""What comes before the first element of a file in XML."""
-HDF = rb"\x89HDF"
-
-FORMATS = (
-    Format(
-        "SU2",
-        "_su2",
-        begins=rb"(?:%[^\n]*\s+)*(?:NDIME|NZONE|IZONE|NELEM|NPOIN|NMARK)\s*=",
-        takes_any=True,
-    ),
-    Format(
-        "VTK",
-        "_vtk",
-        holds_arrays=True,
-        begins=rb"# vtk DataFile|" + XML + rb"<VTKFile\b",
-        takes_any=True,
-    ),
-    Format("gmsh", "_gmsh", begins=rb"\$(?:MeshFormat|NOD|Comments)\b", takes_any=True),
-    Format("Fluent", "_fluent", begins=rb"\(\s*\d+\s"),
-    Format("Fluent HDF5", "_fluent_h5", begins=HDF),
-    Format("CGNS", "cgns.file", begins=HDF + rb"|.{4}ADF Database"),
-    Format("MFEM", "_mfem", begins=rb"MFEM "),
-    Format("MED", "_med", begins=HDF),
-    Format("Exodus", "_exodus", begins=HDF + rb"|CDF[\1\2\5]"),
-    Format("PLOT3D", "_plot3d"),
-    Format("Medit", "_medit", begins=rb"(?:#[^\n]*\s+)*MeshVersion|\x01\0\0\0|\0\0\0\x01"),
-    Format("Abaqus", "_abaqus", begins=rb"\*"),
-    Format("I-deas", "_ideas", begins=rb"-1\s*\n\s*\d+\s*\n"),
-    Format("AFLR", "_aflr"),
-    Format("XDMF", "_xdmf", begins=XML + rb"<Xdmf\b"),
-    Format("OpenFOAM", "openfoam.case", is_folder=True),
-)
-"""The formats; their order means nothing."""
-FOREIGN = {
-    "a UCD file of AVS; deal.II writes .msh too, and ParaView .vtu": (
-        rb"(?:#[^\n]*\s+)*\d+(?:[ \t]+\d+){4}\s*\n"
-    ),
-    "a mesh of FreeFem; its savegmsh writes .msh": (
-        rb"\d+[ \t]+\d+[ \t]+\d+[ \t\r]*\n\s*\S+[ \t]+\S+[ \t]+\d+\s*\n"
-    ),
-    "a mesh of GiD; a calculation's export to .med, .msh or .cgns keeps its groups": (
-        rb"(?:#[^\n]*\s+)*(?i:mesh)\b[^\n]*\b(?i:dimension)\b"
-    ),
-}
-"""What files are that begin so, and that no format reads."""
 FIRST_BYTES = 4096
 """Bytes by which a file is known."""
 QUALITIES = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
@@ -234,7 +188,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
     with files.unpack(path) as file:
         try:
             with faults_of(file):
-                mesh = _read(file, tags)
+                mesh = _read_by_format(file, tags)
         except ValueError as error:
             raise ValueError(str(error).replace(str(file), str(path))) from error
     if file != path:
@@ -257,7 +211,7 @@ def read(path: PathLike, *, tags: PathLike | None = None) -> Mesh:
     return Mesh(*mesh._replace(source=source))
 
 
-def _read(file: Path, tags: PathLike | None) -> Parts:
+def _read_by_format(file: Path, tags: PathLike | None) -> Parts:
     chosen = format_of(file)
     if tags is None:
         return chosen.codec().read(file)

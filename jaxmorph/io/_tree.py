@@ -31,6 +31,9 @@ from ._format import FilePoints
 from ._text import decoded
 
 CGNS_FILE = "a CGNS file in HDF5 or ADF"
+Span = tuple[int, int]
+Spans = list[Span]
+"""Two places in a file, or a place and a number of bytes."""
 
 
 @contextlib.contextmanager
@@ -126,7 +129,7 @@ class TreePoints(FilePoints):
     path: Path
     find: Find
     what: str
-    stamp: tuple[int, int]
+    stamp: Span
 
     @classmethod
     def of(cls, path: Path, tree: Any, find: Find, what: str = CGNS_FILE) -> "TreePoints":
@@ -164,7 +167,7 @@ class TreePoints(FilePoints):
                     array[...] = (new if by_rows else new.T).reshape(shape).astype(array.dtype)
 
 
-def _read_stamp(path: Path) -> tuple[int, int]:
+def _read_stamp(path: Path) -> Span:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
@@ -188,7 +191,7 @@ class Array:
         file: BinaryIO,
         dtype: np.dtype,
         shape: tuple[int, ...],
-        pieces: list[tuple[int, int]],
+        pieces: Spans,
         attrs: Mapping[str, bytes] | None = None,
     ):
         self._file = file
@@ -223,7 +226,7 @@ class Node(dict[str, Any]):
         self.attrs = {"label": label}
 
 
-def check_spans(spans: list[tuple[int, int]], size: int) -> None:
+def check_spans(spans: Spans, size: int) -> None:
     """Raises `ValueError` for parts of a file that share a byte, or lie beyond its end."""
     places = np.array(sorted(spans))
     if (places[1:, 0] < places[:-1, 1]).any() or places[
@@ -335,7 +338,7 @@ class Reader:
         entries = self._table(below, (b"sntb", b"snte"), ENTRY, parse_hexadecimal(children))
         return node, [self._pointer(entry[-POINTER:]) for entry in entries]
 
-    def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:
+    def _pieces(self, number: int, raw: bytes) -> Spans:
         if number < 2:
             return [self._part(raw, (b"data", b"dend"))] if number else []
         pieces = []
@@ -356,7 +359,7 @@ class Reader:
             raise ValueError(f"a table of {width * number} bytes in {count}")
         return [self._read(first + k * width, width) for k in range(number)]
 
-    def _part(self, raw: bytes, tags: tuple[bytes, bytes]) -> tuple[int, int]:
+    def _part(self, raw: bytes, tags: tuple[bytes, bytes]) -> Span:
         """Finds a part's content, behind the place of the last one, and its number of bytes."""
         at = self._pointer(raw)
         head = self._read(at, TAG_SIZE + POINTER)

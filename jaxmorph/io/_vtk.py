@@ -64,7 +64,7 @@ class VTKContent(NamedTuple):
 
 
 def read(path: Path) -> Parts:
-    content = _read(path)
+    content = _read_content(path)
     mesh = vtk.mesh_of(vtk.unstructured(content.data))
     places = vtk.coordinates(content.data)
     points = FilePoints(
@@ -176,7 +176,7 @@ def _encoding(raw: bytes) -> Encoding:
     return Encoding(False, mode, b'encoding="raw"' in raw, compressor, header, order)
 
 
-def _read(path: Path) -> VTKContent:
+def _read_content(path: Path) -> VTKContent:
     raw = path.read_bytes()
     named = []
     if path.suffix.lower() in FILES_OF_FILES:

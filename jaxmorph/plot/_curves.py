@@ -10,7 +10,7 @@ import jaxmorph as jm
 from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
-from ._plane import Axes, given_or_new, legend_above, plt
+from ._plane import Axes, choose_axes, legend_above, plt
 from ._style import BLUE, DARK, GREEN, GREY, LINE_WIDTH, ORANGE, RULE, PlotColumn
 
 
@@ -40,7 +40,7 @@ def histogram(
             "`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}."
         )
     values = {name: _counted_values(report, measure) for name, report in reports.items()}
-    ax = given_or_new(ax)
+    ax = choose_axes(ax)
     bins = np.histogram_bin_edges(np.concatenate(list(values.values())), bins=60).tolist()
     colours = itertools.cycle((GREY, BLUE, ORANGE, GREEN, DARK))
     style: dict[str, Any] = {"histtype": "bar", "alpha": 0.5}

@@ -24,7 +24,7 @@ from ._style import (
     PlotPlaces,
     body_patches,
     check_cells,
-    finite_points,
+    choose_points,
 )
 
 FLAT_VIEW = 0.45  # height over width of a window below which two of them stand one above the other
@@ -56,9 +56,7 @@ def picture(
     **Raises:** `ValueError` for another ending.
     """
     check_cells(before)
-    places = finite_points(
-        before.points if points is None else before.moved(np.asarray(points)).points
-    )
+    places = choose_points(before, points)
     path = output_path(path, ".png")
     nodes = (
         _draw_moved(before, places)
@@ -117,7 +115,7 @@ def _draw_in_2d(path: pathlib.Path, side: "FlatSide", moving: ndarray, verdict: 
     seen = np.flatnonzero(np.isin(side.nodes, moving))
     window = _plane.window_of(mesh, seen, *(points for points, _ in states.values()))
     figure, axes = _panels(window, len(states))
-    colours = [_averaged(mesh, _values_of_cells(own)[side.cells]) for _, own in states.values()]
+    colours = [_average(mesh, _values_of_cells(own)[side.cells]) for _, own in states.values()]
     largest = np.nanmax([np.nanmax(values, initial=0) for values in colours])
     for axis, values, (state, (points, own)) in zip(
         axes.ravel(), colours, states.items(), strict=True
@@ -152,7 +150,7 @@ def _panels(window: _plane.Window, count: int) -> tuple[Figure, Any]:
     return figure, figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
 
 
-def _averaged(mesh: jm.Mesh, values: PlotColumn) -> PlotColumn:
+def _average(mesh: jm.Mesh, values: PlotColumn) -> PlotColumn:
     """Means over the cells at each node, then over its nodes: single triangles are noise."""
     kinds = [np.asarray(ids) for ids in mesh.cells.values()]
     cell = np.repeat(

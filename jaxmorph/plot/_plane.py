@@ -30,8 +30,9 @@ from ._style import (
     body_patches,
     cell_values,
     check_cells,
+    choose_points,
     finite_points,
-    refined,
+    refine_cells,
     scale_of,
 )
 
@@ -114,11 +115,11 @@ def mesh(
     drawn = cells.drawn(window)
     window = window_of(mesh, None, points) if window is None else window
     if every is None:
-        ax = show(given_or_new(ax, window), window)
+        ax = show(choose_axes(ax, window), window)
     else:
-        seen = seen_in(cells.outlines, window)
+        seen = find_seen(cells.outlines, window)
         colours, ends, *beyond = scale_of(every[seen], cells.areas[seen], limits)
-        ax = show(given_or_new(ax, window, bar=bar), window)
+        ax = show(choose_axes(ax, window, bar=bar), window)
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
         ax.set_facecolor(BODY)
         faces.set_array(every[drawn])
@@ -150,7 +151,7 @@ def before_after(
     old = before.drawn(window)
     new = after.drawn(window)
     window = window_of(mesh, None, None, points) if window is None else window
-    ax = show(given_or_new(ax, window, above=0.35), window)
+    ax = show(choose_axes(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
     fill(ax, before.outlines[old], facecolors="white")
     draw_lines(ax, after, new, window, BLUE)
@@ -194,7 +195,7 @@ def graph(
     if u is not None:
         points = np.asarray(jm.deform(plan, finite_array("u", u, (plan.n_moving, 2))))
     window = window_round(points[moving], points) if window is None else window
-    ax = show(given_or_new(ax, window, above=0.35), window)
+    ax = show(choose_axes(ax, window, above=0.35), window)
     if interior:
         ax.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
     edges = np.unique(
@@ -204,7 +205,7 @@ def graph(
         LineCollection(list(points[edges]), colors=DARK, linewidths=0.25), autolim=False
     )
     for ids, colour, name in ((moving, ORANGE, "moving nodes"), (fixed, BLUE, "fixed nodes")):
-        label = name if len(seen_in(points[ids][:, None], window)) else None
+        label = name if len(find_seen(points[ids][:, None], window)) else None
         ax.plot(*points[ids].T, ".", color=colour, markersize=5, label=label, zorder=3)
     if ax.get_legend_handles_labels()[1]:
         legend_above(ax)
@@ -234,13 +235,11 @@ class PlaneCells:
                 "`plot.before_after_3d`."
             )
         check_cells(mesh)
-        places = finite_points(
-            mesh.points if points is None else mesh.moved(np.asarray(points)).points
-        )
+        places = choose_points(mesh, points)
         fine = mesh
         cell = np.arange(len(mesh.cell_ids))
         if mesh.is_curved:
-            fine, cell = refined(mesh.moved(places), PLANE_PIECES)
+            fine, cell = refine_cells(mesh.moved(places), PLANE_PIECES)
             places = np.asarray(fine.points)
         ids = [
             np.asarray(ids)[:, [*range(ids.shape[1]), -1, -1][:4]] for ids in fine.cells.values()
@@ -260,7 +259,7 @@ class PlaneCells:
 
     def drawn(self, window: Window | None) -> PlotIds:
         """Lists the cells in a given window; else all, for views that move."""
-        return np.arange(len(self.ids)) if window is None else seen_in(self.outlines, window)
+        return np.arange(len(self.ids)) if window is None else find_seen(self.outlines, window)
 
     def edges(self, cells: PlotIds) -> tuple[ndarray, ndarray, ndarray]:
         """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""
@@ -284,7 +283,7 @@ class PlaneCells:
         return self.points[edges], np.bincount(which.ravel(), count[shown]), narrowest
 
 
-def seen_in(corners: Outlines, window: Window) -> PlotIds:
+def find_seen(corners: Outlines, window: Window) -> PlotIds:
     low = corners.min(axis=1)
     high = corners.max(axis=1)
     (left, right), (bottom, top) = window
@@ -322,7 +321,7 @@ def draw_walls(ax: Axes, cells: PlaneCells, colour: str) -> None:
     )
 
 
-def given_or_new(
+def choose_axes(
     ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1
 ) -> Axes:
     if ax is not None:

@@ -9,7 +9,7 @@ from matplotlib.patches import Rectangle
 import jaxmorph as jm
 from jaxmorph.extend import checked
 
-from ._plane import FIGURE_ROOM, Axes, Window, given_or_new, in_2d, legend_above, show, whole
+from ._plane import FIGURE_ROOM, Axes, Window, choose_axes, in_2d, legend_above, show, whole
 from ._style import GREEN, GREY, ORANGE, PlotPlaces
 
 FEW_SOURCES = 30  # sources up to which they are drawn as large dots, without covering each other
@@ -48,7 +48,7 @@ def sources(
         drawn = np.concatenate([nodes, *corners])
         room = FIGURE_ROOM / 10 * np.ptp(drawn, axis=0).max()
         window = whole(np.concatenate([drawn - room, drawn + room]))
-    ax = show(given_or_new(ax, window, above=0.35), window)
+    ax = show(choose_axes(ax, window, above=0.35), window)
     for k, (low, high) in enumerate(corners):
         label = f"{len(corners)} leaves" if k == 0 else None
         ax.add_patch(Rectangle(low, *(high - low), fill=False, color=GREEN, lw=1.2, label=label))

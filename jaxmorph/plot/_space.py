@@ -23,8 +23,8 @@ from ._style import (
     body_patches,
     cell_values,
     check_cells,
-    finite_points,
-    refined,
+    choose_points,
+    refine_cells,
     scale_of,
 )
 
@@ -146,7 +146,7 @@ def cut(
     is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
     near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
     section, walls = (
-        _cropped(
+        _crop(
             part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:]
         )
         for part in (grid, outside(mesh, points, None, ()))
@@ -160,7 +160,7 @@ def cut(
     return drawn
 
 
-def _cropped(section: Any, body: ndarray | None, axes: Sequence[ndarray]) -> Any:
+def _crop(section: Any, body: ndarray | None, axes: Sequence[ndarray]) -> Any:
     if body is None:
         return section
     room = FIGURE_ROOM * max(np.ptp(body @ axis) for axis in axes)
@@ -197,12 +197,13 @@ def _colours_of(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[
     colours, limits, is_below, is_above = scale_of(values, sizes, limits)
     style = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
     ends = {}
-    if is_below:
-        style["below_color"] = plt.get_cmap(colours)(0.0)
-        ends["below_label"] = "<"
-    if is_above:
-        style["above_color"] = plt.get_cmap(colours)(1.0)
-        ends["above_label"] = ">"
+    for is_beyond, side, share, mark in (
+        (is_below, "below", 0.0, "<"),
+        (is_above, "above", 1.0, ">"),
+    ):
+        if is_beyond:
+            style[f"{side}_color"] = plt.get_cmap(colours)(share)
+            ends[f"{side}_label"] = mark
     return style, ends
 
 
@@ -247,9 +248,7 @@ def viewer_of(part: Any, motion: ndarray | None = None) -> ndarray:
     return directions[int(np.argmax(shown > 0.85 * shown.max()))]
 
 
-def add_bar(
-    plotter: Any, label: str | None, limits: tuple[float | int, float | int], beyond: dict[str, str]
-) -> None:
+def add_bar(plotter: Any, label: str | None, limits: Limits, beyond: dict[str, str]) -> None:
     title = label or UNNAMED.replace(" of", "\nof")
     title = title.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(
@@ -422,14 +421,9 @@ def _skin(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -
     surface, owner = mesh.moved(places).skin(*patches)
     if not len(owner):
         return pyvista().PolyData()
-    face = np.arange(len(owner))
-    if mesh.is_curved:
-        surface, face = refined(surface)
-    grid = surface.to_pyvista()
+    grid, face = _as_grid(surface, mesh, values, owner)
     if mesh.is_curved:
         grid.cell_data["whole"] = face
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[owner][face]
     from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
     used = vtkGeometryFilter()  # leaves out points of no face
@@ -467,7 +461,7 @@ def _space_points(mesh: jm.Mesh, points: Any) -> ndarray:
         raise ValueError(
             f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`."
         )
-    return finite_points(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+    return choose_points(mesh, points)
 
 
 def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: ndarray, origin: ndarray) -> Any:
@@ -486,12 +480,20 @@ def _near_plane(mesh: jm.Mesh, points: Any, values: Any, normal: ndarray, origin
     cells = np.flatnonzero(np.concatenate(is_met))
     if not len(cells):
         raise ValueError(NOTHING_CUT)
-    near = jm.Mesh(x, chosen)
-    owner = np.arange(len(cells))
-    if mesh.is_curved:
-        near, owner = refined(near)
-    grid = near.to_pyvista()
-    grid.cell_data["whole"] = np.asarray(mesh.cell_ids)[cells][owner]
-    if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)[cells][owner]
+    grid, piece_of = _as_grid(jm.Mesh(x, chosen), mesh, values, cells)
+    grid.cell_data["whole"] = np.asarray(mesh.cell_ids)[cells][piece_of]
     return grid
+
+
+def _as_grid(part: jm.Mesh, mesh: jm.Mesh, values: Any, cells: ndarray) -> tuple[Any, ndarray]:
+    """Makes a grid of a part, of which each entry is of one of the mesh's `cells`.
+
+    Curved ones are cut. Also returned is the entry that each piece is of.
+    """
+    entry = np.arange(len(cells))
+    if mesh.is_curved:
+        part, entry = refine_cells(part)
+    grid = part.to_pyvista()
+    if values is not None:
+        grid.cell_data["values"] = cell_values(mesh, values)[cells][entry]
+    return grid, entry

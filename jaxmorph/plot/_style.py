@@ -50,12 +50,17 @@ def finite_points(points: Any) -> ndarray:
     return finite_array("points", array, array.shape)
 
 
+def choose_points(mesh: jm.Mesh, points: Any) -> ndarray:
+    """Returns where the nodes are: `points`, or the mesh's own for None."""
+    return finite_points(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+
+
 def check_cells(mesh: jm.Mesh) -> None:
     if not sum(map(len, mesh.cells.values())):
         raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
 
 
-def refined(mesh: jm.Mesh, most: int = MOST_PIECES) -> tuple[jm.Mesh, PlotIds]:
+def refine_cells(mesh: jm.Mesh, most: int = MOST_PIECES) -> tuple[jm.Mesh, PlotIds]:
     """Cuts curved cells into linear pieces, which share points; returns the cell of each too."""
     types = [(lagrange_types()[kind], len(ids)) for kind, ids in mesh.cells.items() if len(ids)]
     order = max(cell.order for cell, _ in types)

@@ -1,96 +1,18 @@
-"""What users write: endings of files, TOML, mistyped names. It needs no NumPy."""
+"""What users write: TOML, mistyped names, names of patches. It needs no NumPy."""
 
 import contextlib
 import difflib
-import pathlib
 import re
 import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-_ENDINGS = {
-    "SU2": ".su2",
-    "VTK": ".vtu .vtk .vts .vtp .pvtu .vtm",
-    "gmsh": ".msh .msh2 .msh4",
-    "Fluent": ".cas .msh",
-    "Fluent HDF5": ".h5",
-    "CGNS": ".cgns",
-    "MFEM": ".mesh",
-    "MED": ".med",
-    "Exodus": ".e .exo .ex2 .exoii .g",
-    "PLOT3D": ".xyz .p3d .p3dfmt .x .g .grd .fmt .ufmt .bin .p2d .p2dfmt",
-    "Medit": ".mesh .meshb",
-    "Abaqus": ".inp .msh",
-    "I-deas": ".unv",
-    "XDMF": ".xdmf .xmf",
-    "AFLR": ".ugrid",
-    "OpenFOAM": "",
-}
-MESHES = {name: tuple(endings.split()) for name, endings in _ENDINGS.items()}
-"""Endings of meshes by the name of their format; a case of OpenFOAM is a folder."""
-
 SENSITIVITIES = (".csv", ".npz")
 GRADIENTS = (".csv", ".json")
 LATTICES = (".vts",)
 
-_KINDS_UNREAD = {
-    ".neu": "a Gambit neutral file; OpenFOAM's gambitToFoam keeps its patches",
-    ".ccm": "a mesh of STAR-CCM+; its export to CGNS, or OpenFOAM's ccmToFoam, keeps its patches",
-    ".vrt .cel .bnd": "a mesh of STAR-CD; OpenFOAM's star4ToFoam keeps its patches",
-    ".node .ele": "a mesh of TetGen; OpenFOAM's tetgenToFoam keeps its patches",
-    ".cdb": "an archive of Ansys; its export to Fluent's .msh or to CGNS keeps its patches",
-    ".bdf .nas .fem": ("a deck of Nastran; gmsh makes a .msh of it, where no GRID has a system CP"),
-    ".vol": "a mesh of Netgen; its export to gmsh's .msh keeps its patches",
-    ".re2": "a mesh of Nek5000; the .msh or .exo that it was made of is read",
-    ".plt .tec .szplt": "a file of Tecplot; ParaView opens it, and saves .vtm with its zones",
-    ".case": "EnSight's; ParaView opens it, and saves .vtm with its parts",
-    ".foam": "ParaView's mark of an OpenFOAM case: give the folder of the case",
-    ".pvd": "ParaView's list of files: give one of them",
-    ".stl .obj .ply .off": ("a surface, without cells; gmsh or snappyHexMesh make a mesh of it"),
-    ".step .stp .iges .igs .brep .geo": "a geometry; gmsh makes a mesh of it",
-}
-UNREAD = {name: what for names, what in _KINDS_UNREAD.items() for name in names.split()}
-"""What files with other known endings are, and what makes a mesh of them that is read."""
 
-# entry points by which other packages bring formats, named by their endings
-PLUGINS = "jaxmorph.formats"
-
-
-def ending(path: pathlib.Path) -> str:
-    """Returns the ending in small letters; that of what a .gz holds."""
-    packed = path.suffix.lower() == ".gz"
-    return (path.with_suffix("") if packed else path).suffix.lower()
-
-
-def plugin(path: pathlib.Path) -> Any:
-    """Finds the entry point of a format that another package brings; None if there is none."""
-    from importlib import metadata
-
-    points = metadata.entry_points(group=PLUGINS)
-    return next((point for point in points if f".{point.name}" == ending(path)), None)
-
-
-def is_folder(path: pathlib.Path) -> bool:
-    if any(ending(path) in endings for endings in MESHES.values()):
-        return False
-    if path.is_dir() or ending(path).strip(".0123456789") == "":
-        return True
-    if plugin(path) is not None:
-        return False
-    if ending(path) in UNREAD:
-        raise ValueError(f"{path}: by its ending this is {UNREAD[ending(path)]}.")
-    known = ", ".join(
-        f"{name} ({', '.join(endings) or 'folders'})" for name, endings in MESHES.items()
-    )
-    raise ValueError(
-        f"{path}: unknown file ending {ending(path)!r}; known are {known}. Write one of them "
-        "where the file was made. Or let "
-        "meshio, which knows more formats, make one: `meshio convert FILE FILE.vtu`, in Python "
-        "jaxmorph.Mesh.from_meshio."
-    )
-
-
-def read(name: str, content: bytes) -> dict[str, Any]:
+def parse_toml(name: str, content: bytes) -> dict[str, Any]:
     try:
         text = content.decode()
         return tomllib.loads(text.replace("\r\n", "\n"))

@@ -212,6 +212,6 @@ def reals(name: str, values: Any, shape: tuple[int | None, ...]) -> ndarray:
     return finite_array(name, values, shape).astype(float)
 
 
-def agreed(comm: Any, name: str, values: Any, shape: tuple[int, ...]) -> ndarray:
+def agree(comm: Any, name: str, values: Any, shape: tuple[int, ...]) -> ndarray:
     """Checks numbers in each process; all raise together."""
     return together(comm, lambda: reals(name, values, shape))

@@ -18,7 +18,7 @@ from ._grid import (
     GridCoordinates,
     GridPoints,
     SolverOrder,
-    agreed,
+    agree,
     communicator,
     faces,
     solver_order,
@@ -26,7 +26,7 @@ from ._grid import (
 )
 from ._surface import Definition, Follower, boundary_of, patches_by_kind
 
-OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
+IDWARP_OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
     "gridFile": ((str,), None),
     "fileType": ((str,), "CGNS"),
     "specifiedSurfaces": ((list, tuple), None),
@@ -72,20 +72,22 @@ def complete_options(options: Any) -> dict[str, Any]:
             _check_option(name, value)
     if values.get("gridFile") is None:
         raise ValueError("`gridFile` must be the name of a grid; its ending tells what it is.")
-    return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {
+    return {name: values.get(name, default) for name, (_, default) in IDWARP_OPTIONS.items()} | {
         "told": tuple(values)
     }
 
 
 def name_of(name: str) -> str:
-    known = {option.lower(): option for option in OPTIONS}
+    known = {option.lower(): option for option in IDWARP_OPTIONS}
     if str(name).lower() not in known:
-        raise ValueError(f"`options`: IDWarp has no option {name}; it has {', '.join(OPTIONS)}.")
+        raise ValueError(
+            f"`options`: IDWarp has no option {name}; it has {', '.join(IDWARP_OPTIONS)}."
+        )
     return known[name.lower()]
 
 
 def _check_option(name: str, value: Any) -> None:
-    kinds: Any = OPTIONS[name][0]
+    kinds: Any = IDWARP_OPTIONS[name][0]
     expected = EXPECTED.get(name, " or ".join(kind.__name__ for kind in kinds))
     try:
         if not isinstance(value, kinds) or (type(value) is bool and bool not in kinds):
@@ -411,13 +413,13 @@ class USMesh:
         return self._order
 
     def _rows(self, name: str, values: Any) -> ndarray:
-        return agreed(self.comm, name, values, self._defined().points.shape)
+        return agree(self.comm, name, values, self._defined().points.shape)
 
     def _volume(self, values: Any, is_solvers: bool) -> ndarray:
         if not is_solvers:
-            return agreed(self.comm, "dXv", values, (3 * len(self._grid.rows),))
+            return agree(self.comm, "dXv", values, (3 * len(self._grid.rows),))
         order = self._solver()
-        return order.from_solver(agreed(self.comm, "dXv", values, (order.size,)))
+        return order.from_solver(agree(self.comm, "dXv", values, (order.size,)))
 
 
 class USMesh_C(USMesh):

@@ -18,7 +18,7 @@ from ._grid import (
     GridCoordinates,
     GridPoints,
     SolverOrder,
-    agreed,
+    agree,
     communicator,
     faces,
     solver_order,
@@ -103,7 +103,7 @@ class MultiUSMesh:
         move.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
-        zones = agreed(self.comm, "cgnsBlockIDs", np.ravel(cgnsBlockIDs), sizes.shape).astype(int)
+        zones = agree(self.comm, "cgnsBlockIDs", np.ravel(cgnsBlockIDs), sizes.shape).astype(int)
         zones = together(self.comm, lambda: rows_of("cgnsBlockIDs", zones, len(self._zones)))
         self._coordinates = points.astype(self._number)
         self._rows = []
@@ -126,8 +126,8 @@ class MultiUSMesh:
         parts = self._parts()
         shape = self._coordinates.shape
         is_real = self._number is float
-        points = agreed(self.comm, "pts", pts if is_real else np.real(pts), shape)
-        points = points if is_real else points + 1j * agreed(self.comm, "pts", np.imag(pts), shape)
+        points = agree(self.comm, "pts", pts if is_real else np.real(pts), shape)
+        points = points if is_real else points + 1j * agree(self.comm, "pts", np.imag(pts), shape)
         for rows, mesh in parts:
             mesh.setSurfaceCoordinates(points[rows])
 
@@ -154,7 +154,7 @@ class MultiUSMesh:
             raise ValueError(
                 "`solverVec` must be True here; `meshes` have an order of their own each."
             )
-        values = agreed(self.comm, "dXv", dXv, (self._solver().size,))
+        values = agree(self.comm, "dXv", dXv, (self._solver().size,))
         for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
             mesh.warpDeriv(values[chosen])
         return self.getdXs()
@@ -169,7 +169,7 @@ class MultiUSMesh:
     def warpDerivFwd(self, dXs: Any) -> GridCoordinates:
         """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
         parts = self._parts()
-        tangent = agreed(self.comm, "dXs", dXs, self._coordinates.shape)
+        tangent = agree(self.comm, "dXs", dXs, self._coordinates.shape)
         change = np.zeros(self._solver().size)
         for (rows, mesh), chosen in zip(parts, self._chosen, strict=True):
             change[chosen] = mesh.warpDerivFwd(tangent[rows])

@@ -18,6 +18,8 @@ from jaxmorph.extend import warn
 from ._motion import AbstractPart, PatchNamesOfMotion, check_axis
 from ._options import VARIABLE_KINDS, Options, Variable
 
+ControlValues = Float[Array, "..."]
+"""Places or displacements (*counts, d) of a box's control points."""
 Fixed = tuple[frozenset[int], ...]
 """Planes of control points that stay, in each direction of a box."""
 PLANES_BEHIND = {"NO_DERIVATIVE": 1, "1ST_DERIVATIVE": 2, "2ND_DERIVATIVE": 3, "USER_INPUT": 0}
@@ -37,13 +39,13 @@ class BoxPart(AbstractPart):
     variables: tuple[Variable, ...] = eqx.field(static=True)
     fixed: Fixed = eqx.field(static=True)
     length: float = eqx.field(static=True)
-    control: Float[Array, "..."]
+    control: ControlValues
     operator: Callable[[Any], Array]
 
     def __call__(self, x, values):
         return self.operator(self.change(values)).astype(x.dtype)
 
-    def change(self, values: Float[Array, " k"]) -> Float[Array, "..."]:
+    def change(self, values: Float[Array, " k"]) -> ControlValues:
         """Computes the displacements (*counts, d) of the control points."""
         start = self.control.astype(values.dtype)
         control = start
@@ -53,12 +55,16 @@ class BoxPart(AbstractPart):
             if variable.kind in TURN_KINDS:
                 change = TURN_KINDS[variable.kind](self, variable, part[0], control)
             else:
-                factors = np.zeros((variable.size, *start.shape))  # what a unit of each value adds
-                ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
-                change = jnp.tensordot(part, jnp.asarray(factors, part.dtype), 1)
+                change = jnp.tensordot(part, jnp.asarray(self.factors(variable), part.dtype), 1)
             control = control + change
             row = row + variable.size
         return control - start
+
+    def factors(self, variable: Variable) -> ndarray:
+        """Computes what a unit of each value of a variable adds (size, *counts, d)."""
+        factors = np.zeros((variable.size, *self.control.shape))
+        ADDS[variable.kind.removesuffix("_2D")](self, variable, factors)
+        return factors
 
     def is_fixed(self, *index: int) -> bool:
         return any(value in planes for value, planes in zip(index, self.fixed, strict=True))
@@ -125,7 +131,7 @@ ADDS = {
 """Displacements of control points per unit of the value, by kind."""
 
 
-def _turn_about_axis(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+def _turn_about_axis(part: BoxPart, variable: Variable, value, control) -> ControlValues:
     """Turns the control points about an axis by degrees; the numbers have its two ends."""
     d = control.shape[-1]
     ends = np.array(variable.numbers)
@@ -137,7 +143,7 @@ def _turn_about_axis(part: BoxPart, variable: Variable, value, control) -> Float
     return (shapes.rotate(points, *turn) - points).reshape(control.shape)
 
 
-def _control_surface(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+def _control_surface(part: BoxPart, variable: Variable, value, control) -> ControlValues:
     """Turns the other way, without the last two planes of i and the outer two of j each side."""
     chosen = np.zeros(control.shape[:-1], bool)
     chosen[:-2, 2:-2] = True
@@ -146,7 +152,7 @@ def _control_surface(part: BoxPart, variable: Variable, value, control) -> Float
     )
 
 
-def _turn_plane(part: BoxPart, variable: Variable, value, control) -> Float[Array, "..."]:
+def _turn_plane(part: BoxPart, variable: Variable, value, control) -> ControlValues:
     """Turns one plane's control points about an axis along y, where a line meets the plane."""
     (j,) = variable.index
     start = np.array(variable.numbers[1:4])
@@ -282,13 +288,11 @@ def box_parts(
 def _warn_of_held(options: Options, part: BoxPart) -> None:
     """Warns of variables whose control points are all held, so that they move nothing."""
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *PLANES_BEHIND)
-    held = []
-    for variable in part.variables:
-        if variable.kind not in TURN_KINDS:
-            factors = np.zeros((variable.size, *part.control.shape))
-            ADDS[variable.kind.removesuffix("_2D")](part, variable, factors)
-            if not factors.any():
-                held.append(f"{variable.box} ({', '.join(map(str, variable.index))})")
+    held = [
+        f"{variable.box} ({', '.join(map(str, variable.index))})"
+        for variable in part.variables
+        if variable.kind not in TURN_KINDS and not part.factors(variable).any()
+    ]
     if held:
         warn(
             f"{options.path}: {len(held)} of {len(part.variables)} design variables move nothing, "

@@ -18,7 +18,7 @@ from jaxmorph.extend import checked, complete, finite_array, input_path, output_
 
 from ._boxes import BoxPart, box_parts, boxes_of
 from ._motion import AbstractPart, DesignVariables, PatchNamesOfMotion, wall_parts
-from ._options import VARIABLE_KINDS, Options, Variable, checked_variables, read_options
+from ._options import VARIABLE_KINDS, Options, Variable, read_options, read_variables
 
 LARGE = 0.5
 """Motion of a wall over its own length that counts as a mistake."""
@@ -153,7 +153,7 @@ def read_config(
     numbers of `DV_PARAM`, and a wall that moves by more than half of its length.
     """
     options = read_options(pathlib.Path(path))
-    listed, markers = checked_variables(options, definition)
+    listed, markers = read_variables(options, definition)
     mesh = _read_mesh(options, zone)
     kinds = {variable.kind for variable in listed}
     sorts = {VARIABLE_KINDS[kind].sort for kind in kinds}
@@ -181,8 +181,8 @@ def read_config(
         shape=shape,
         parameters=_read_values(options, shape, definition),
         moving=moving,
-        symmetry=_without(planes, moving),
-        fixed=_without(mesh.patches, (*moving, *planes, *inner)),
+        symmetry=_leave_out(planes, moving),
+        fixed=_leave_out(mesh.patches, (*moving, *planes, *inner)),
         steps=options.whole("DEFORM_NONLINEAR_ITER"),
         boxes=boxes,
         options=options,
@@ -202,7 +202,7 @@ def _read_mesh(options: Options, zone: int | None) -> Mesh:
     return zones[zone - 1]
 
 
-def _without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
+def _leave_out(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in others)
 
 
@@ -360,7 +360,7 @@ def _find_file(options: Options, is_normal: bool) -> pathlib.Path:
         for option, default in defaults.items()
     }
     for name in names.values():
-        if found := _existing(name, kind):
+        if found := _find_existing(name, kind):
             return found
     tried = ", ".join(f"{option}= {name.name}" for option, name in names.items())
     raise ValueError(
@@ -369,7 +369,7 @@ def _find_file(options: Options, is_normal: bool) -> pathlib.Path:
     )
 
 
-def _existing(name: pathlib.Path, kind: str) -> pathlib.Path | None:
+def _find_existing(name: pathlib.Path, kind: str) -> pathlib.Path | None:
     """Finds the file of a name, with or without the objective and an ending; one alone for `*`."""
     is_full = name.suffix in (".dat", ".csv")
     stem, ending = (name.stem, name.suffix) if is_full else (name.name, ".dat")

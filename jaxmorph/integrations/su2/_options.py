@@ -264,7 +264,7 @@ Listed = tuple[list[Variable], Words]
 """Design variables, and names of their markers."""
 
 
-def checked_variables(options: Options, definition: bool) -> Listed:
+def read_variables(options: Options, definition: bool) -> Listed:
     """Lists the design variables and their markers, and reads every number.
 
     `definition` takes the variables of `DEFINITION_DV`. Raises `ValueError` for unsupported kinds
@@ -306,7 +306,7 @@ def _read_kinds(options: Options) -> Listed:
 
 def _read_definition(options: Options) -> Listed:
     entries = [
-        _defined(options, text)
+        _read_defined(options, text)
         for text in filter(split_values, options.text("DEFINITION_DV").split(";"))
     ]
     if not entries:
@@ -319,7 +319,7 @@ def _read_definition(options: Options) -> Listed:
     return [variable for variable, _ in entries], entries[0][1]
 
 
-def _defined(options: Options, text: str) -> tuple[Variable, Words]:
+def _read_defined(options: Options, text: str) -> tuple[Variable, Words]:
     """Reads one variable and its markers: ( kind, scale | markers | parameters )."""
     name = "DEFINITION_DV"
     head, *rest = [split_values(part) for part in text.split("|")]

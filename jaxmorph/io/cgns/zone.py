@@ -16,7 +16,7 @@ from jaxmorph._host.rows import Rows
 from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import Polyhedra, cells_of_faces
 
-from .._joined import make_block_cells, make_block_sides, number_block
+from .._joined import join_rows, make_block_cells, make_block_sides, number_block
 from .._text import decoded
 from .._tree import Coordinates, read_text
 
@@ -35,13 +35,13 @@ class Block(NamedTuple):
 
 def _find_cells_beside(numbers: ndarray, cells: list[Ragged]) -> ndarray:
     """Finds the cells (2, n) on both sides of faces by their `numbers`, -1 for none."""
-    used = np.concatenate([rows.values for rows in cells])
-    cell = Ragged.of(used, np.concatenate([rows.sizes for rows in cells])).row
+    rows = join_rows(cells)
+    used = rows.values
     face = Rows(numbers).of(np.abs(used))
     if (face < 0).any():
         raise ValueError("NFACE_n names faces that are in no section NGON_n")
     sides = np.full((2, len(numbers)), -1)
-    sides[(used < 0).astype(int), face] = cell
+    sides[(used < 0).astype(int), face] = rows.row
     if (sides >= 0).sum() != len(used):
         raise ValueError("NFACE_n has faces on the same side of two cells")
     return sides
@@ -242,8 +242,8 @@ class Zone:
         parents = np.concatenate(parents)
         if not volumes and not parents.any():
             return content
-        labels = np.concatenate([rows.values for rows in corners]) - 1
-        rows = Ragged.of(labels, np.concatenate([rows.sizes for rows in corners]))
+        rows = join_rows(corners)
+        rows = Ragged(rows.values - 1, rows.starts)
         numbers = [first + np.arange(len(own)) for first, (own, _) in polygons.items()]
         try:
             if volumes:

@@ -125,11 +125,12 @@ def read(path: pathlib.Path) -> Parts:
         mesh, ids, whole, plane = (_make_in_plane if planes else _make_in_space)(
             faces, points, nodes, planes
         )
-    to_others = [patch.faces for patch in boundary if patch.is_between]
-    between = faces.padded(join_ids(to_others))
+    between = faces.padded(join_ids(patch.faces for patch in boundary if patch.is_between))
     # a caller may change the mesh's points in place, and the file's values must stay
     kept = points.copy() if plane is None else points
     content = CaseContent(file, kept, folder, plane, np.unique(between[between >= 0]))
+    if plane is not None:
+        between = plane.ids(between).reshape(-1, 2)
     joined = np.concatenate([ids[kind] for kind in mesh.cells])
     source = Source(
         file.path,
@@ -137,15 +138,8 @@ def read(path: pathlib.Path) -> Parts:
         content,
         whole,
         None if (joined[1:] > joined[:-1]).all() else joined,
-        between=None
-        if not len(between)
-        else between
-        if plane is None
-        else plane.ids(between).reshape(-1, 2),
-        notes=(
-            *_note_zones(folder, planes),
-            *(_note_other_times(content) if here == folder else ()),
-        ),
+        between=between if len(between) else None,
+        notes=(*_note_zones(folder, planes), *_note_other_times(content, here)),
         **content.known,
         **_describe_patches(boundary, mesh, plane),
     )
@@ -412,10 +406,11 @@ def _note_zones(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
         yield f"the planes {names} are no patches: the mesh lies in one of them."
 
 
-def _note_other_times(content: CaseContent) -> Iterator[str]:
-    """Names the last time folder that has points of its own for the mesh in `constant`."""
+def _note_other_times(content: CaseContent, here: pathlib.Path) -> Iterator[str]:
+    """Names the last time folder that has points of its own for the mesh read in `constant`."""
     case = content.case
-    if case is None or content.topology.resolve().relative_to(case).parts[0] != "constant":
+    folder = content.topology
+    if case is None or here != folder or folder.resolve().relative_to(case).parts[0] != "constant":
         return
     times = [
         folder

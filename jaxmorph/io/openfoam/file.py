@@ -290,14 +290,14 @@ def _read_patch(file: FoamFile, name: str, body: Any) -> FoamPatch:
     groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
     try:
         return FoamPatch(
-            name.strip('"'),
-            firsts["type"],
-            int(firsts["startFace"]),
-            int(firsts["nFaces"]),
-            tuple(word.strip('"') for word in groups),
-            firsts.get("neighbourPatch", ""),
-            firsts.get("referPatch", ""),
-            int(firsts.get("neighbProcNo", -1)),
+            name=name.strip('"'),
+            type=firsts["type"],
+            start=int(firsts["startFace"]),
+            size=int(firsts["nFaces"]),
+            groups=tuple(word.strip('"') for word in groups),
+            neighbour=firsts.get("neighbourPatch", ""),
+            refers=firsts.get("referPatch", ""),
+            part=int(firsts.get("neighbProcNo", -1)),
         )
     except (KeyError, ValueError) as error:
         raise file.error(

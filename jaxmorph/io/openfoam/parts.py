@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import os
 import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +20,7 @@ from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, content_of
+from .._text import PathLike
 from .case import (
     NAME,
     check_new_folder,
@@ -91,12 +91,8 @@ class Decomposed:
     """
 
     @checked
-    def __init__(self, path: str | os.PathLike[str]):
-        self.path = pathlib.Path(path)
-        self.region = ""
-        if self.path.parent.name == "constant":
-            self.region = self.path.name
-            self.path = self.path.parent.parent
+    def __init__(self, path: PathLike):
+        self.path, self.region = _find_region(pathlib.Path(path))
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
         self.count = _count_parts(self.path)
@@ -155,14 +151,14 @@ class Decomposed:
         rows = np.unique(join_ids((*corners.values(), *mesh.patches.values())))
         rows = rows[np.argsort(ids[rows])]
         return Side(
-            ids[rows],
-            np.asarray(mesh.points)[rows],
-            {kind: ids[rows] for kind, rows in corners.items()},
-            {name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
-            mesh.source.groups,
-            tuple((a.name, b.name) for a, b in list_cyclic_pairs(boundary)),
-            mesh.source.symmetry,
-            mesh.kinds,
+            nodes=ids[rows],
+            points=np.asarray(mesh.points)[rows],
+            faces={kind: ids[rows] for kind, rows in corners.items()},
+            patches={name: ids[np.asarray(nodes)] for name, nodes in mesh.patches.items()},
+            groups=mesh.source.groups,
+            pairs=tuple((a.name, b.name) for a, b in list_cyclic_pairs(boundary)),
+            symmetry=mesh.source.symmetry,
+            kinds=mesh.kinds,
         )
 
     @checked
@@ -210,7 +206,7 @@ class Decomposed:
         return everywhere[first], points
 
     @checked
-    def check_output(self, path: str | os.PathLike[str]) -> None:
+    def check_output(self, path: PathLike) -> None:
         """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
         check_new_folder(
             output_path(path, folder=True), self.path, "a new folder for the moved case"
@@ -218,9 +214,7 @@ class Decomposed:
 
     @checked
     @contextlib.contextmanager
-    def writing(
-        self, path: str | os.PathLike[str], ranks: Ranks | None = None
-    ) -> Iterator["Writer"]:
+    def writing(self, path: PathLike, ranks: Ranks | None = None) -> Iterator["Writer"]:
         """Writes a new case part by part; it appears when complete, and not at all on failure.
 
         It has the `constant`, `system`, `0` and `0.orig` of the case and of each part, with other
@@ -283,6 +277,11 @@ def _join_facts(sides: Sequence[Side], members: Mapping[str, ndarray]) -> dict[s
         "symmetry": tuple(symmetry),
         "kinds": kinds,
     }
+
+
+def _find_region(path: pathlib.Path) -> tuple[pathlib.Path, str]:
+    """Finds the case and the region of `case/constant/REGION`; "" for the folder of a case."""
+    return (path.parent.parent, path.name) if path.parent.name == "constant" else (path, "")
 
 
 def _count_parts(path: pathlib.Path) -> int:
@@ -391,7 +390,7 @@ def global_nodes(mesh: Mesh) -> Int[ndarray, " n"]:
 
 
 @checked
-def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pathlib.Path]:
+def export_case(path: PathLike, mesh: Mesh, plan: Plan) -> list[pathlib.Path]:
     """Writes `constant/jaxmorph.plan` for OpenFOAM's motion solver, and one in each `processor*`.
 
     ```python
@@ -421,14 +420,11 @@ def export_case(path: str | os.PathLike[str], mesh: Mesh, plan: Plan) -> list[pa
             f"{path}: a case between wedges; OpenFOAM moves both planes, and a plan moves one."
         )
     plan.check_mesh(mesh)
-    region = place.name if place.parent.name == "constant" else ""
-    root = place.parent.parent if region else place
+    root, region = _find_region(place)
     files = [root / "constant" / region / PLAN]
     with name_errors_by(files[0]):
         export(plan, files[0], layer=_make_layer(content))
-    if not (root / "processor0").is_dir():
-        return files
-    case = Decomposed(path)
+    case: Any = Decomposed(path) if (root / "processor0").is_dir() else ()
     for k in range(len(case)):
         part = case.read(k)
         ids = global_nodes(part)
