@@ -116,9 +116,7 @@ def _advance(plan: Plan, target: Own) -> tuple[Float[Array, "n d"], Own | None]:
         return points, None
     if not plan.method.exact:
         return points, points[plan.surface.nodes]
-    vectors = kept(plan, vectors)
-    guide = plan.surface.guide
-    return points, plan.surface_points + vectors if guide is None else guide.placed(vectors)
+    return points, plan.places_of(kept(plan, vectors))
 
 
 def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:

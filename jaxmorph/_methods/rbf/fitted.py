@@ -263,16 +263,9 @@ class FittedRBF(AbstractMethod):
         return False
 
     def connect(self, surface: Surface, points):
-        is_open = surface.is_open
-        if surface.faces is None:
-            is_open = True
-        elif is_open is None:
-            is_open = skin.has_free_sides(
-                surface.points, surface.rows(len(points)) == len(surface.points), points
-            )
+        is_open = surface.faces is None or surface.has_free_sides(points)
         # the ids depend on the surface alone, so all pieces of a mesh share them
-        key = (self, bool(is_open))
-        return surface.once(key, lambda: self._ids(surface, is_open)), None
+        return surface.once((self, is_open), lambda: self._ids(surface, is_open)), None
 
     def _ids(self, surface: Surface, is_open: bool) -> "WallIds | np.ndarray":
         """Finds the ids of the fit; sources alone for an interpolation."""
