@@ -241,7 +241,7 @@ class Plan(Module):
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Extends `u`, of the moving nodes, to displacements of all surface nodes. Traced."""
-        return _kept(self, extended(self, u))
+        return _constrain(self, extended(self, u))
 
     def __repr__(self) -> str:
         points = self.volume.points
@@ -331,7 +331,7 @@ def deform_surface(plan: Plan, vectors: Own) -> Float[Array, "n d"]:
 
 def shared_by(plan: Plan, vectors: Own) -> Shared:
     surface = plan.surface
-    vectors = kept(plan, vectors)
+    vectors = constrain(plan, vectors)
     field = plan.method.field(
         surface.ids, surface.factors, surface.points, surface.images.vectors(vectors)
     )
@@ -355,10 +355,10 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
     return moved.at[at].set(shared.places, mode="drop", unique_indices=True) if len(at) else moved
 
 
-def kept(plan: Plan, vectors: Own) -> Own:
+def constrain(plan: Plan, vectors: Own) -> Own:
     """Makes displacements of the surface's own rows keep to planes, walls and periodic pairs."""
     guide = plan.surface.guide
     return plan.images.kept(vectors if guide is None else guide(vectors))
 
 
-_kept = compiled(kept)
+_constrain = compiled(constrain)
