@@ -21,7 +21,7 @@ from .._host.package.rounding import roundoff
 from .._host.rows import Rows
 from .._host.surface.skin import has_free_sides
 from .._kernels.compile import compiled
-from .._kernels.values import as_jax
+from .._kernels.values import as_jax, jax_arrays
 from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
 from .._methods.base import AbstractMethod, check_kind
@@ -138,10 +138,11 @@ class SurfaceHalf:
         ids = plan.method.connect(surface, together)[1]
         on_plane = Mirrors.of(plan.images.planes, together).on
         ids, on_plane = as_jax(jax.tree.map(lambda leaf: leaf[:count], (ids, on_plane)))
-        own_nodes = rows[np.asarray(plan.surface.nodes)].astype(np.int32)
-        own = dataclasses.replace(plan.surface, nodes=as_jax(own_nodes))
+        own_nodes = jax_arrays(nodes=rows[np.asarray(plan.surface.nodes)])
+        own = dataclasses.replace(plan.surface, **own_nodes)
         x = as_jax(points)
-        volume = VolumePart(x, on_plane, ids, _place_piece(plan.method, own, x, ids))
+        placed = _place_piece(plan.method, own, x, ids)
+        volume = VolumePart(points=x, on_plane=on_plane, ids=ids, placed=placed)
         return dataclasses.replace(plan, surface=own, volume=volume, is_piece=True)
 
     def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:

@@ -12,7 +12,7 @@ from ..._host.package.rounding import SAME, roundoff
 from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface import skin
-from ..._kernels.values import as_jax, norm
+from ..._kernels.values import as_jax, jax_arrays, norm
 from ..base import (
     AbstractMethod,
     Control,
@@ -96,7 +96,7 @@ class WallIds(eqx.Module):
         pairs = skin.edges(points, surface.moving, surface.faces)
         wall, ends, share = surface.walls
         chord = share * np.linalg.norm(np.subtract(*points[ends.T]), axis=1)
-        tips = np.zeros((0, 3))
+        tips = np.zeros((0, 3), int)
         sharp = np.zeros((0, dimension))
         if dimension == 2:
             beside, tips, sharp = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
@@ -109,14 +109,25 @@ class WallIds(eqx.Module):
         label = wall[pairs[:, 0]]
         held = skin.nearest_held(points, surface.moving, wall, pairs)
         far, reach = skin.drawn_in(points, moving, fixed, surface.images)
-        rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        ell = ELL * share[label]
         mu = MU[dimension] * share[label]
         near, largest = AT_TIP
         for tip in sharp:
             distance = np.linalg.norm(points[pairs].mean(axis=1) - tip, axis=1)
             mu = np.where(distance < near * chord[label] * (1 - SAME), largest * share[label], mu)
-        return cls(*as_jax([*(ids.astype(np.int32) for ids in rows), ell, mu, reach]))
+        fields = jax_arrays(
+            moving=moving,
+            fixed=fixed,
+            nodes=nodes,
+            edges=pairs,
+            held=held,
+            ends=ends[label],
+            far=far,
+            tips=tips,
+            ell=ELL * share[label],
+            mu=mu,
+            reach=reach,
+        )
+        return cls(**fields)
 
     def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
