@@ -12,7 +12,7 @@ from cases import body, motion
 import jaxmorph as jm
 from jaxmorph._kernels.compile import compiled
 from jaxmorph._kernels.linear import few_rows_in_one_loop
-from jaxmorph._methods.blocks import by_platform, map_rows
+from jaxmorph._methods.blocks import map_rows, sized_by_platform
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "benchmarks"))
 import gpu  # pyright: ignore[reportMissingImports]
@@ -92,7 +92,7 @@ def test_a_direct_call_on_a_cpu_is_traced_for_it_alone():
         blocks.append(block)
         return rows
 
-    inner = compiled(lambda x: by_platform(noted, x, 1))
+    inner = compiled(lambda x: sized_by_platform(noted, x, 1))
     outer = compiled(lambda x: inner(x))
     for function, expected in ((outer, {1}), (jax.jit(outer), {1, 256}), (inner, {1})):
         blocks.clear()

@@ -13,7 +13,7 @@ from .._host.linear import systems
 from .._host.package.rounding import nearest_of
 from .._kernels.callback import host_call
 from .._kernels.compile import compiled
-from .._kernels.values import as_jax, norm
+from .._kernels.values import jax_arrays, norm
 from .base import AbstractMethod, AbstractWhole, Pairs, Points, Rows, Scalar, einsum, matmul
 from .blocks import fold_rows
 from .rbf.expansion import is_sound
@@ -149,8 +149,8 @@ class AbstractCellMethod(AbstractMethod):
         systems.check_solver(int(free.sum()), points.shape[1])
         volume = np.concatenate([stands, np.zeros(len(points) - n, stands.dtype)]).astype(np.int32)
         volume[surface.nodes[present]] = n + present
-        pairs, wall, rows, nodes = (ids.astype(np.int32) for ids in (pairs, wall, rows, nodes))
-        return NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes))), volume
+        fields = jax_arrays(pairs=pairs, frame=frame, free=free, wall=wall, rows=rows, nodes=nodes)
+        return NodeIds(cells=of_kind, **fields), volume
 
     def _numbered(self, corners: ByKind, n: int) -> tuple[np.ndarray, dict[str, CellIds]]:
         # A pair of nodes is one integer, smaller id times n plus larger id. The list of pairs is
@@ -168,9 +168,7 @@ class AbstractCellMethod(AbstractMethod):
         ids = {}
         for kind, (i, j) in both.items():
             entry = np.where(i != j, np.searchsorted(unique, keys[kind]), len(unique))
-            ids[kind] = CellIds(
-                *as_jax((corners[kind].astype(np.int32), entry.astype(np.int32), i > j))
-            )
+            ids[kind] = CellIds(**jax_arrays(corners=corners[kind], entry=entry, flipped=i > j))
         return np.stack(np.divmod(unique, n), axis=1), ids
 
     def fit(self, ids: NodeIds, surface, points):

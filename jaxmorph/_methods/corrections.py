@@ -13,7 +13,7 @@ from .._host.package.cores import beside
 from .._host.package.rounding import Tree, first_largest, nearest_of
 from .._host.surface.graph import Graph, graph_of, locate
 from .._host.surface.neighbours import digest, near_walls
-from .._kernels.values import Either, as_jax, namespace, norm, root
+from .._kernels.values import Either, as_jax, jax_arrays, namespace, norm, root
 from .base import (
     AbstractField,
     AbstractMethod,
@@ -267,9 +267,7 @@ class Extent(eqx.Module):
             farthest = first_largest(np.linalg.norm(points[here] - points[matched], axis=1))
             pairs[label] = here[farthest], matched[farthest]
             share[label] = 0 if len(chosen) else share[label]
-        ids = {"wall": wall, "ends": ends, "pairs": pairs}
-        ids = {name: rows.astype(np.int32) for name, rows in ids.items()}
-        return cls(**as_jax(ids | {"chord": chord, "share": share}))
+        return cls(**jax_arrays(wall=wall, ends=ends, pairs=pairs, chord=chord, share=share))
 
 
 def layer_width(

@@ -6,11 +6,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
-from .._kernels.values import area_vectors, as_jax, largest, norm, root
+from .._kernels.values import area_vectors, jax_arrays, largest, norm, root
 from .base import AbstractField, AbstractMethod, Rows, Scalar, einsum, matmul, number, or_one
 from .rbf.system import block_size, squared_distances
 from .surface import Surface
@@ -67,17 +66,13 @@ class InverseDistance(AbstractMethod):
         return not self.rotations
 
     def connect(self, surface: Surface, points):
-        faces = {
-            kind: np.asarray(ids, np.int32)
-            for kind, ids in (surface.faces or {}).items()
-            if len(ids)
-        }
+        faces = {kind: ids for kind, ids in (surface.faces or {}).items() if len(ids)}
         if self.rotations and not faces:
             raise ValueError(
                 "InverseDistance(rotations=True) needs the boundary faces: pass the mesh, "
                 "prepare(mesh, ...), not points."
             )
-        return InverseDistanceIds(*as_jax((faces, np.int32(surface.moving)))), None
+        return InverseDistanceIds(**jax_arrays(faces=faces, moving=surface.moving)), None
 
     def fit(self, ids, surface, points):
         moves = jnp.arange(len(surface)) < ids.moving

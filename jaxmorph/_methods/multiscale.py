@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
-from .._kernels.values import as_jax
+from .._kernels.values import as_jax, jax_arrays
 from .base import AbstractMethod, AbstractPlacing, Rows, or_one
 from .corrections import DelaunayGraph, NearWall
 from .inverse_distance import InverseDistance
@@ -60,14 +60,12 @@ class Multiscale(AbstractPlacing):
         rank[order] = np.arange(len(order))
         row, column = overlaps(nodes, order, radius, nodes)
         below = (radius[row] > 0) & (rank[row] > rank[column])
-        nearest, row, column = (
-            ids.astype(np.int32) for ids in (nearest, row[below], column[below])
-        )
+        row = row[below]
+        column = column[below]
         forward, backward = (Sweep(*as_jax(sweep)) for sweep in sweeps(row, column, len(nodes)))
         reach = padded(*overlaps(nodes, order, radius, points.astype(float)), len(points))
-        return Hierarchy(
-            *as_jax((nearest, row, column)), forward=forward, backward=backward
-        ), Reach(*as_jax(reach))
+        ids = jax_arrays(nearest=nearest, row=row, column=column)
+        return Hierarchy(**ids, forward=forward, backward=backward), Reach(*as_jax(reach))
 
     def fit(self, ids: "Hierarchy", surface, points):
         squared = _squared(surface - surface[ids.nearest])

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._host.package.rounding import Tree, nearest_of
 from .._host.sources.reduction import AbstractReduction, AllPoints, drop_close, drop_near
-from .._host.surface.skin import chords
+from .._host.surface.skin import chords, has_free_sides
 from .._host.surface.walls import walls
 from .._host.tolerances import SAME
 
@@ -157,6 +157,13 @@ class Surface:
         nodes = self.nodes.copy()
         nodes[absent] = len(points) + np.arange(len(absent))
         return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
+
+    def has_free_sides(self, points: np.ndarray) -> bool:
+        """Checks whether a side of the mesh is free: by its faces, or if unknown by its points."""
+        if self.is_open is not None:
+            return bool(self.is_open)
+        is_inner = self.rows(len(points)) == len(self.points)
+        return has_free_sides(self.points, is_inner, points)
 
     def rows(self, n: int) -> np.ndarray:
         rows = np.full(n, len(self.points), dtype=np.int32)

@@ -131,7 +131,7 @@ def _record_plan(tape: Tape, plan: Plan, volume: VolumePart, place: np.ndarray) 
     surface = plan.surface
     guide = surface.guide
     count = len(surface.nodes)
-    own = tape.sparse(U, eye_array(count, plan.n_moving))  # as `kept(plan, extended(plan, u))`
+    own = tape.sparse(U, eye_array(count, plan.n_moving))  # as `constrain(plan, extended(plan, u))`
     if guide is not None:
         own = _guide(tape, guide, own)
     _keep(tape, own, plan.images)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Int, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary
+from .._boundary.conditions import Conditions
 from .._boundary.names import checked_points
 from .._boundary.surface import surface_of
 from .._boundary.symmetry import Mirrors
@@ -20,7 +21,7 @@ from .._host.package.rounding import roundoff
 from .._host.rows import Rows
 from .._host.surface.skin import has_free_sides
 from .._kernels.compile import compiled
-from .._kernels.values import as_jax
+from .._kernels.values import as_jax, jax_arrays
 from .._mesh.mesh import Mesh
 from .._mesh.topology import OuterFaces
 from .._methods.base import AbstractMethod, check_kind
@@ -108,9 +109,6 @@ class SurfaceHalf:
         **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in
         the half. Also for points outside of the hull, and for points that are not finite.
         """
-        # A method connects to one list of points: the n points of the piece, then the half's points
-        # that the piece lacks. So tolerances come from the whole mesh. Then the rows from n on are
-        # cut off; their numbers stay in the plan, for surface nodes that other pieces have.
         plan = self.plan
         given = checked_points(points)
         if given.shape[1] != plan.points.shape[1]:
@@ -120,34 +118,40 @@ class SurfaceHalf:
             )
         if not len(given):
             raise ValueError("the piece has no points.")
-        surface = self._surface
         place = self._places(nodes, given)
-        self._check_sides(surface, given, place)
-        x = given.astype(plan.points.dtype)
-        count = len(given)
+        self._check_sides(given, place)
+        return self._attach(given.astype(plan.points.dtype), place)
+
+    def _attach(self, points: np.ndarray, place: np.ndarray) -> Plan:
+        # A method connects to one list of points: the n points of the piece, then the half's points
+        # that the piece lacks. So tolerances come from the whole mesh. Then the rows from n on are
+        # cut off; their numbers stay in the plan, for surface nodes that other pieces have.
+        plan = self.plan
+        count = len(points)
         is_here = place >= 0
         base = np.asarray(plan.points)
-        x[place[is_here]] = base[is_here]
+        points[place[is_here]] = base[is_here]
         rows = np.where(is_here, place, count + np.cumsum(~is_here) - 1)
-        together = np.concatenate([x, base[~is_here]])
-        surface = surface.altered(nodes=np.where(surface.nodes < 0, -1, rows[surface.nodes]))
+        together = np.concatenate([points, base[~is_here]])
+        nodes = self._surface.nodes
+        surface = self._surface.altered(nodes=np.where(nodes < 0, -1, rows[nodes]))
         ids = plan.method.connect(surface, together)[1]
         on_plane = Mirrors.of(plan.images.planes, together).on
         ids, on_plane = as_jax(jax.tree.map(lambda leaf: leaf[:count], (ids, on_plane)))
-        own = dataclasses.replace(
-            plan.surface, nodes=as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
-        )
-        base = as_jax(x)
-        volume = VolumePart(base, on_plane, ids, _place_piece(plan.method, own, base, ids))
+        own_nodes = jax_arrays(nodes=rows[np.asarray(plan.surface.nodes)])
+        own = dataclasses.replace(plan.surface, **own_nodes)
+        x = as_jax(points)
+        placed = _place_piece(plan.method, own, x, ids)
+        volume = VolumePart(points=x, on_plane=on_plane, ids=ids, placed=placed)
         return dataclasses.replace(plan, surface=own, volume=volume, is_piece=True)
 
-    def _check_sides(self, surface: Surface, points: np.ndarray, place: np.ndarray) -> None:
+    def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
         """Refuses points on a free side, if the surface was prepared without."""
         if self.faces is not None or self.is_open or not sees_free_sides(self.plan.method):
             return
         is_inner = np.ones(len(points), dtype=bool)
         is_inner[place[place >= 0]] = False
-        if has_free_sides(surface.points, is_inner, points):
+        if has_free_sides(self._surface.points, is_inner, points):
             raise ValueError(
                 "this piece has nodes on a flat side of the mesh that is neither moving, fixed "
                 "nor a symmetry plane. Name the "
@@ -246,21 +250,22 @@ def prepare_surface(
         refuse_cells(method)
     surface = surface_of(whole)[0]
     method = default_for(whole, surface) if method is None else method
-    is_open = whole.is_open if is_open is None else is_open
     if is_open is None:
-        is_inner = surface.rows(count) == len(surface.points)
-        is_open = has_free_sides(surface.points, is_inner, boundary.points)
-    # the outermost nodes and one node of every symmetry plane set the tolerances
-    place = np.delete(np.arange(count), whole.loose)
-    points = whole.points[place]
-    on_planes = (np.flatnonzero(is_on)[:1] for is_on in whole.on[place].T)
-    fence = place[np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes])]
-    rows = np.union1d(whole.nodes, fence)
+        is_open = surface.has_free_sides(boundary.points)
+    rows = np.union1d(whole.nodes, _fence(whole))
     part = whole.altered(is_open=is_open).part(rows)
     try:
         return SurfaceHalf(plan_of(part, method), ids[rows], part.surface_faces, is_open)
     except MeshError as error:
         raise error.renumbered(rows) from None
+
+
+def _fence(boundary: Conditions) -> np.ndarray:
+    """Finds the outermost nodes and one node of every symmetry plane, which set tolerances."""
+    place = np.delete(np.arange(len(boundary.points)), boundary.loose)
+    points = boundary.points[place]
+    on_planes = (np.flatnonzero(is_on)[:1] for is_on in boundary.on[place].T)
+    return place[np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes])]
 
 
 def _unique_ids(nodes: Any, count: int) -> np.ndarray:

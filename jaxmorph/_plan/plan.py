@@ -72,14 +72,6 @@ class Guide(Module):
         u = self._alike(jnp.concatenate([u[:known], moved[known:]]))
         return self._alike(self._on_walls(u)) if self.tracks else u
 
-    def placed(self, vectors: Own) -> Own:
-        """Moves all own rows; periodic pairs that match bit for bit still do afterwards."""
-        base = self.plan.points
-        points = base + vectors
-        for pairing in self.pairings:
-            points = pairing.matched(base, points)
-        return points
-
     def _on_walls(self, u):
         for track in self.tracks:
             u = track.along(self.plan.points, u)
@@ -204,7 +196,7 @@ class Plan(Module):
     @property
     def surface_points(self) -> Float[Array, "o d"]:
         """Base coordinates of `surface_nodes`, also of nodes that other pieces have."""
-        if not self.is_piece:
+        if not self.is_piece and self.layout is None:
             return taken(self.points, self.surface.nodes)
         rows = jnp.zeros((len(self.surface.nodes), self.points.shape[1]), self.points.dtype)
         return rows.at[_rows_of_originals(self.images, len(rows))].set(
@@ -215,6 +207,14 @@ class Plan(Module):
     def moving_points(self) -> Float[Array, "m d"]:
         """Base coordinates of `moving`, also of nodes that other pieces have."""
         return taken(self.surface_points, slice(self.n_moving))
+
+    def places_of(self, vectors: Own) -> Own:
+        """Moves the surface's own rows; periodic pairs that match bit for bit still do."""
+        base = self.surface_points
+        places = base + vectors
+        for pairing in self.surface.pairings:
+            places = pairing.matched(base, places)
+        return places
 
     def check_surface(self, call: str) -> None:
         if self.is_piece and (
@@ -241,7 +241,7 @@ class Plan(Module):
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Extends `u`, of the moving nodes, to displacements of all surface nodes. Traced."""
-        return _kept(self, extended(self, u))
+        return _constrain(self, extended(self, u))
 
     def __repr__(self) -> str:
         points = self.volume.points
@@ -294,20 +294,19 @@ def extended(plan: Plan, u: Any) -> Own:
 
 
 class Shared(eqx.Module):
-    """What the motions of all points have in common: the field, and rows that do not follow it.
-    `assigned` are displacements, or places, of `nodes`.
+    """What the motions of all points have in common: the field, and `places` of nodes that do not
+    follow it.
     """
 
     field: AbstractField
-    assigned: Float[Array, "a d"]
+    places: Float[Array, "a d"]
     nodes: Int[Array, " a"]
     images: Images
-    are_places: bool = eqx.field(static=True)
 
     def split(self) -> tuple["Shared", "Shared"]:
         """Splits off the leaves that depend on `u` from all others; `eqx.combine` joins them."""
         varies = eqx.tree_at(
-            lambda shared: jax.tree.leaves((shared.field.varying, shared.assigned)),
+            lambda shared: jax.tree.leaves((shared.field.varying, shared.places)),
             jax.tree.map(lambda _: False, self),
             replace_fn=lambda _: eqx.is_inexact_array,
         )
@@ -332,18 +331,17 @@ def deform_surface(plan: Plan, vectors: Own) -> Float[Array, "n d"]:
 
 def shared_by(plan: Plan, vectors: Own) -> Shared:
     surface = plan.surface
-    vectors = kept(plan, vectors)
+    vectors = constrain(plan, vectors)
     field = plan.method.field(
         surface.ids, surface.factors, surface.points, surface.images.vectors(vectors)
     )
     nodes = surface.nodes
-    guide = surface.guide
-    assigned = vectors if guide is None else guide.placed(vectors)
+    places = plan.places_of(vectors)
     if not plan.method.exact:
-        rows = jnp.zeros(0, int) if guide is None else guide.rows
+        rows = jnp.zeros(0, int) if surface.guide is None else surface.guide.rows
         nodes = nodes[rows]
-        assigned = assigned[rows]
-    return Shared(field, assigned, nodes, surface.images, guide is not None)
+        places = places[rows]
+    return Shared(field, places, nodes, surface.images)
 
 
 def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
@@ -354,16 +352,13 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
     if volume.rests is not None:
         displacement = jnp.where(volume.rests[:, None], 0, displacement)
     moved = volume.points + displacement
-    if not len(at):
-        return moved
-    places = shared.assigned if shared.are_places else volume.points[at] + shared.assigned
-    return moved.at[at].set(places, mode="drop", unique_indices=True)
+    return moved.at[at].set(shared.places, mode="drop", unique_indices=True) if len(at) else moved
 
 
-def kept(plan: Plan, vectors: Own) -> Own:
+def constrain(plan: Plan, vectors: Own) -> Own:
     """Makes displacements of the surface's own rows keep to planes, walls and periodic pairs."""
     guide = plan.surface.guide
     return plan.images.kept(vectors if guide is None else guide(vectors))
 
 
-_kept = compiled(kept)
+_constrain = compiled(constrain)

@@ -19,7 +19,7 @@ from .._boundary.symmetry import Plane
 from .._host.package.errors import warn
 from .._host.tolerances import SAME
 from .._kernels.compile import quickly_compiled
-from .._kernels.values import as_jax
+from .._kernels.values import as_jax, jax_arrays
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Rows, check_kind
 from .._methods.multiscale import carrying, guiding
@@ -138,11 +138,14 @@ def _plan_of(
     surface_ids, volume_ids = as_jax(method.connect(surface, points))
     if rests is not None:
         volume_ids = jax.tree.map(lambda leaf: leaf[like], volume_ids)
-    nodes, base, on_plane = as_jax((boundary.nodes.astype(np.int32), boundary.points, boundary.on))
+    of_surface = jax_arrays(points=surface.points, nodes=boundary.nodes)
+    of_points = jax_arrays(points=boundary.points, on_plane=boundary.on)
     plan = Plan(
         method=method,
-        surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
-        volume=VolumePart(base, on_plane, volume_ids, None, rests),
+        surface=SurfacePart(
+            **of_surface, images=images, ids=surface_ids, factors=None, guide=guide
+        ),
+        volume=VolumePart(**of_points, ids=volume_ids, placed=None, rests=rests),
         n_moving=len(boundary.moving),
         n_guided=len(boundary.guided),
     )

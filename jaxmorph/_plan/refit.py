@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
 from .._boundary.periodic import MISMATCH, Pairing
-from .._boundary.slide import DEVIATION
 from .._boundary.symmetry import tolerance
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._host.package.errors import MeshError, place_of, worst_first
 from .._host.package.rounding import spacing
+from .._host.tolerances import DEVIATION
 from .._kernels.compile import Constant, compiled
 from .._kernels.values import is_readable
 from .._methods.blocks import place_points, with_tables_of, without_tables

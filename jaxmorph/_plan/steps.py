@@ -11,7 +11,7 @@ from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .deform import transposable
-from .plan import Own, Plan, deform_surface, kept
+from .plan import Own, Plan, constrain, deform_surface
 from .prepare import plan_of
 from .refit import CARRIED, refitted, with_boundary
 
@@ -116,9 +116,7 @@ def _advance(plan: Plan, target: Own) -> tuple[Float[Array, "n d"], Own | None]:
         return points, None
     if not plan.method.exact:
         return points, points[plan.surface.nodes]
-    vectors = kept(plan, vectors)
-    guide = plan.surface.guide
-    return points, plan.surface_points + vectors if guide is None else guide.placed(vectors)
+    return points, plan.places_of(constrain(plan, vectors))
 
 
 def _check_march(plan: Plan, rebuild: bool, mesh: Mesh | None) -> None:

@@ -11,7 +11,7 @@ from ..._host.package.rounding import Tree, roundoff
 from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close
 from ..._kernels.compile import compiled
-from ..._kernels.values import as_jax
+from ..._kernels.values import as_jax, jax_arrays
 from ..base import AbstractPlacing, Control, Flag, Pairs, Point, Rows, Scalar, number_or_none
 from ..cells import NodeFactors
 from ..sparse import SEARCH_SLACK, InterpolatedField, NodeSearch, Reach, is_lost, squared_distance
@@ -111,8 +111,8 @@ class CompactRBF(AbstractPlacing):
         near = overlaps(nodes, owners, np.full(len(nodes), distance), points.astype(float))
         reach = Reach(*as_jax(padded(*near, len(points))))
         search = NodeSearch(*as_jax((points, surface.points, np.asarray(distance))))
-        ids = as_jax((stands.astype(np.int32), speaks, owners[pairs].astype(np.int32), radius))
-        return CompactIds(*ids, search=search), reach
+        ids = jax_arrays(stands=stands, speaks=speaks, pairs=owners[pairs], radius=radius)
+        return CompactIds(**ids, search=search), reach
 
     def control(self, ids: CompactIds):
         return Control(reach=float(ids.radius))

@@ -13,7 +13,7 @@ from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface import skin
 from ..._host.tolerances import SAME
-from ..._kernels.values import Either, as_jax, norm
+from ..._kernels.values import Either, as_jax, jax_arrays, norm
 from ..base import (
     AbstractMethod,
     Control,
@@ -93,7 +93,7 @@ class WallIds(eqx.Module):
         pairs = skin.edges(points, surface.moving, surface.faces)
         wall, ends, share = surface.walls
         chord = share * np.linalg.norm(np.subtract(*points[ends.T]), axis=1)
-        tips = np.zeros((0, 3))
+        tips = np.zeros((0, 3), int)
         if dimension == 2:
             beside, tips = _at_tips(surface, pairs, chord[wall[pairs[:, 0]]], closest)
             moving = drop_close(points, np.concatenate([moving, beside]), roundoff(points))
@@ -107,8 +107,19 @@ class WallIds(eqx.Module):
         own = points[: surface.moving]
         middle, weight = _middles(pairs, points)
         far, reach = skin.drawn_in(points, weight @ middle, own, fixed, surface.images)
-        rows = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        return cls(*as_jax([*(ids.astype(np.int32) for ids in rows), share[label], reach]))
+        fields = jax_arrays(
+            moving=moving,
+            fixed=fixed,
+            nodes=nodes,
+            edges=pairs,
+            held=held,
+            ends=ends[label],
+            far=far,
+            tips=tips,
+            chord=share[label],
+            reach=reach,
+        )
+        return cls(**fields)
 
     def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
@@ -308,16 +319,9 @@ class FittedRBF(AbstractMethod):
         return False
 
     def connect(self, surface: Surface, points):
-        is_open = surface.is_open
-        if surface.faces is None:
-            is_open = True
-        elif is_open is None:
-            is_open = skin.has_free_sides(
-                surface.points, surface.rows(len(points)) == len(surface.points), points
-            )
+        is_open = surface.faces is None or surface.has_free_sides(points)
         # the ids depend on the surface alone, so all pieces of a mesh share them
-        key = (self, bool(is_open))
-        return surface.once(key, lambda: self._ids(surface, is_open)), None
+        return surface.once((self, is_open), lambda: self._ids(surface, is_open)), None
 
     def _ids(self, surface: Surface, is_open: bool) -> "WallIds | np.ndarray":
         """Finds the ids of the fit; sources alone for an interpolation."""
