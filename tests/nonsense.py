@@ -34,7 +34,7 @@ jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 """Classes whose constructors the library alone calls."""
 
 CONTRACT = words("""
-__call__ altered among apply at beside boxes carry carry_place check check_mesh check_surface chosen closest connect control
+__call__ altered among apply at beside boxes carry carry_place check check_mesh check_surface chosen closest connect control correct
 coordinates dense_count DesignedMesh.points DesignedMesh.ratios
 entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
 lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular raise_if_unproven

@@ -178,17 +178,8 @@ PROTOCOL = {"read": 17, "check": 7, "write": 3, "new": 2, "NAME": 16}
 """What modules of `io` define under one name, since each is a format, and how many of them do."""
 
 SEVERAL = {
-    "functions": """
-        areas arms as_array behind_tips beside between bodies boundary_faces by_platform
-        candidates check checked closest corners cut edges faces_of guided in_order joined kept
-        least missed nearest_of norm normals number numbers passages placed points polynomial
-        prepare pullback read_sensitivity recorded rounding rows rows_of simplices targets trial
-        triangles turn turned unit values whole write write_gradient
-    """,
-    "constants": """
-        ALONG_AXIS BLOCK DEVIATION ENOUGH FEW INSIDE KINDS LEVELS MOST NEIGHBOURS PLANES ROUND
-        ROWS SAME SHAPES SLACK SLIVER STEP STEPS
-    """,
+    "functions": "beside number prepare pullback read_sensitivity whole write_gradient",
+    "constants": "",
 }
 """Names with more than one home. None is added; one that has a single home by now is taken out."""
 

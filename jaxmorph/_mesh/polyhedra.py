@@ -25,7 +25,7 @@ class Polyhedra:
         """Computes the middles of the `wanted` cells' faces, in a table (cells, d) of all cells."""
         faces = self.faces
         neighbour = faces.all_neighbours()
-        is_wanted = mark(max(faces.owner.max(), neighbour.max()) + 2, wanted)
+        is_wanted = mark(int(max(faces.owner.max(), neighbour.max())) + 2, wanted)
         rows = np.flatnonzero(is_wanted[faces.owner] | is_wanted[neighbour])
         own = faces.rows.take(rows)
         sides = np.concatenate([faces.owner[rows], neighbour[rows]])

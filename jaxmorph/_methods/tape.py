@@ -26,16 +26,40 @@ from .reconstruction import OfBoth, SurfaceReconstruction
 from .turn import WallTurn, WallTurnIds
 
 CODES = (
-    *("add", "shift", "take", "put", "sparse", "dense", "cholesky", "ldl", "kernel", "mean"),
-    *("plane", "turn", "pair", "copy", "forward"),
+    "add",
+    "shift",
+    "take",
+    "put",
+    "sparse",
+    "dense",
+    "cholesky",
+    "ldl",
+    "kernel",
+    "mean",
+    "plane",
+    "turn",
+    "pair",
+    "copy",
+    "forward",
 )
 """Names of steps: the first has the code 1 in the file."""
 
 FUNCTIONS = (
-    *(bases.ThinPlateSpline, bases.LinearSpline, bases.CubicSpline, bases.Gaussian),
-    *(bases.Multiquadric, bases.InverseMultiquadric, bases.InverseQuadratic),
-    *(bases.WendlandC0, bases.WendlandC2, bases.WendlandC4, bases.WendlandC6),
-    *(bases.CompactC0, bases.CompactC1, bases.CompactC2a, bases.CompactC2b),
+    bases.ThinPlateSpline,
+    bases.LinearSpline,
+    bases.CubicSpline,
+    bases.Gaussian,
+    bases.Multiquadric,
+    bases.InverseMultiquadric,
+    bases.InverseQuadratic,
+    bases.WendlandC0,
+    bases.WendlandC2,
+    bases.WendlandC4,
+    bases.WendlandC6,
+    bases.CompactC0,
+    bases.CompactC1,
+    bases.CompactC2a,
+    bases.CompactC2b,
 )
 """Bases, in the order of their numbers in the file."""
 

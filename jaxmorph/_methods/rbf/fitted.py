@@ -46,7 +46,7 @@ BEYOND_TIP = 0.2
 or to the distance of the nearest held node, whichever is less.
 """
 
-NARROW = 0.4
+STRAIN_WEIGHT = 0.4
 """Weight of a wall's strain against its displacement in the affine motion that rings carry."""
 
 WALLS = {
@@ -156,9 +156,9 @@ def _middles(
 class Rings(eqx.Module):
     """The map from displacements at the middles of edges to those of the rings.
 
-    A body pushes and turns the rings as it would an elastic plate that is held at the far field: by
-    shares of its mean displacement, and of the affine motion about its centre that fits it best.
-    Strain weighs there, so a thin body's change of thickness goes no farther.
+    A body pushes and turns the rings as it would an elastic plate that is held at the far field.
+    They get shares of its mean displacement, and of the affine motion about its centre that fits it
+    best. Strain weighs there, so a thin body's change of thickness goes no farther.
 
     - `moments` (1 + d, e): weights of the mean, and of its moments.
     - `shares` (d, r, d, 1 + d): of the mean and the moments at the rings.
@@ -183,7 +183,7 @@ class Rings(eqx.Module):
         matrix = matmul(moments[1:], arm)
         # the turn of a straight body about itself is none
         system = einsum("ac,db->abcd", eye, matrix) + jnp.trace(matrix) * (
-            NARROW * strain + SAME * unit
+            STRAIN_WEIGHT * strain + SAME * unit
         )
         affine = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
         reach = ids.reach.astype(surface.dtype)
@@ -270,9 +270,9 @@ class FittedRBF(AbstractMethod):
     A thin plate spline carries the change of one side of a thin body on to the far field: a bump
     moves nodes by several times its height. So a ring of sources stands 10 radii of the body away
     where every fixed node is at least 15 away, else 40 where fixed nodes are at least 60 away. It
-    moves as an elastic plate would that is held at the far field, pushed and turned in the middle:
-    by a share of the body's mean displacement, and of the affine motion that fits the body best
-    with little strain.
+    moves as an elastic plate would that is held at the far field, pushed and turned in the middle.
+    It gets a share of the body's mean displacement, and of the affine motion that fits the body
+    best with little strain.
 
     A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So
     in 2-D a sharp tip of a wall has a fixed source behind it: its displacement is the wall's own,

@@ -181,8 +181,8 @@ def read_config(
         shape=shape,
         parameters=_read_values(options, shape, definition),
         moving=moving,
-        symmetry=_leave_out(planes, moving),
-        fixed=_leave_out(mesh.patches, (*moving, *planes, *inner)),
+        symmetry=_names_without(planes, moving),
+        fixed=_names_without(mesh.patches, (*moving, *planes, *inner)),
         steps=options.whole("DEFORM_NONLINEAR_ITER"),
         boxes=boxes,
         options=options,
@@ -202,7 +202,7 @@ def _read_mesh(options: Options, zone: int | None) -> Mesh:
     return zones[zone - 1]
 
 
-def _leave_out(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
+def _names_without(names: Iterable[str], others: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in others)
 
 
