@@ -118,7 +118,7 @@ class Piece:
 
 def prepare(
     comm: Any,
-    points: Real[ArrayLike, "n d"],
+    points: jm.Mesh | Real[ArrayLike, "n d"],
     nodes: Int[ArrayLike, " n"] | Sequence[int],
     moving: Int[ArrayLike, " k"] | Sequence[int],
     fixed: Int[ArrayLike, " f"] | Sequence[int] = (),
