@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float, Integer, Real
 from .._host.cells.lagrange import ORDERS, node_keys, of_order
 from .._host.cells.pieces import linear_cells, places_of, steps_of
 from .._host.cells.topology import CORNERS, DIMENSION, SHAPES
-from .._host.package.arguments import check, checked, shown, whole
+from .._host.package.arguments import check_value, checked, shown, whole
 from .._host.package.text import patch_names
 from .._host.rows import Rows, first_of_equals, join_ids
 from .._kernels.module import Module
@@ -58,8 +58,8 @@ class Mesh(Module):
     source: Any = eqx.field(static=True, default=None)
 
     def __init__(self, points, cells=None, patches=None, source=None):
-        check("cells", cells, Mapping[str, Any] | None, Mesh)
-        check("patches", patches, Mapping[str, Any] | None, Mesh)
+        check_value("cells", cells, Mapping[str, Any] | None, Mesh)
+        check_value("patches", patches, Mapping[str, Any] | None, Mesh)
         self.points, self.cells, self.patches, self.source = checked_parts(
             points, cells, patches, source
         )

@@ -34,7 +34,7 @@ def checked(function: Function) -> Function:
         names = itertools.chain(parameters, itertools.cycle(rest))
         for name, value in (*zip(names, arguments, strict=False), *keywords.items()):
             if name in parameters:
-                check(name, value, parameters[name].annotation, call)
+                check_value(name, value, parameters[name].annotation, call)
         return function(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]
@@ -62,10 +62,10 @@ def freeze(array: Any) -> Any:
 def check_fields(instance: Any) -> None:
     for name, field in instance.__dataclass_fields__.items():
         if field.init:
-            check(name, getattr(instance, name), field.type, type(instance))
+            check_value(name, getattr(instance, name), field.type, type(instance))
 
 
-def check(name: str, value: Any, annotation: Any, callee: Callable) -> None:
+def check_value(name: str, value: Any, annotation: Any, callee: Callable) -> None:
     rule = rule_of(annotation)
     if rule.fits(value):
         return
