@@ -25,10 +25,13 @@ from ..rows import join_ids
 from ..sources.farthest import farthest
 from ..tolerances import ON_PLANE, SAME, SHARP_TIP
 
-# radii of the ring at which a body's field comes to rest, relative to the body's radius: the first
-# that no fixed node comes near, else the last
-RINGS = (10, 40)
-PAST_RING = 1.5  # least distance of fixed nodes, relative to the ring
+# radii of pairs of rings at which a body's field comes to rest in value and slope, relative to the
+# body's radius; the first pair stands where no fixed node is near
+RINGS = (
+    (12, 24),
+    (40, 80),
+)
+PAST_RINGS = 1.1  # least distance of fixed nodes, relative to the second ring
 HULL_SIDES = 64  # largest sides of the surface's hull on which free nodes are searched
 # distance of the points of a ring, relative to its radius: 25 on a circle, so that it does not
 # matter which ones they are
@@ -135,22 +138,27 @@ def nearest_held(points: ndarray, moving: int, wall: ndarray, pairs: ndarray) ->
 def drawn_in(
     surface: ndarray, centre: ndarray, body: ndarray, fixed: ndarray, images: ndarray
 ) -> tuple:
-    """Finds distant fixed sources, and shares of the way to them where a ring stands. The way
+    """Finds distant fixed sources, and shares of the way to them where rings stand. The way
     begins at the centre of the `body`, the places of its nodes.
     """
     way = np.linalg.norm(surface - centre, axis=1)
     own = fixed[images[fixed] == fixed]
-    rings = np.array(RINGS) * np.linalg.norm(body - centre, axis=1).max()
-    nearest = way[own].min(initial=np.inf)
-    ring = next((r for r in rings if nearest > PAST_RING * r), rings[-1])
-    far = own[(way[own] > PAST_RING * ring) & (ring > 0)]  # one moving node has no size
-    if len(far):
+    size = np.linalg.norm(body - centre, axis=1).max()
+    rows = []
+    shares = []
+    for rings in RINGS:
+        is_beyond = way[own] > PAST_RINGS * (1 + SAME) * rings[1] * size
+        is_near = rings == RINGS[0] and not is_beyond.all()
+        if is_near or not is_beyond.any() or size == 0:  # one moving node has no size
+            continue
+        far = own[is_beyond]
         far = far[canonical_order(surface[far])]
-        far = far[
-            farthest(surface[far], len(far), 0.0, reach=RING_STEP[surface.shape[1]] * way[far])
-        ]
-    far = fixed[np.isin(images[fixed], far)]
-    return far, ring / way[far]
+        step = RING_STEP[surface.shape[1]] * way[far]
+        far = far[farthest(surface[far], len(far), 0.0, reach=step)]
+        far = fixed[np.isin(images[fixed], far)]
+        rows += [far] * 2
+        shares += [radius * size / way[far] for radius in rings]
+    return join_ids(rows), np.concatenate([[], *shares])
 
 
 def has_free_sides(surface: ndarray, is_free: ndarray, points: ndarray) -> bool:

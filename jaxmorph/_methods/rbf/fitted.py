@@ -46,6 +46,9 @@ BEYOND_TIP = 0.2
 or to the distance of the nearest held node, whichever is less.
 """
 
+PLATE = 80
+"""Radius at which rotation ends, relative to the root mean square radius of the walls."""
+
 STRAIN_WEIGHT = 0.4
 """Weight of a wall's strain against its displacement in the affine motion that rings carry."""
 
@@ -188,8 +191,11 @@ class Rings(eqx.Module):
         affine = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
         reach = ids.reach.astype(surface.dtype)
         way = surface[ids.far] - centre
-        body = jnp.sqrt(jnp.sum(arm**2, axis=1).max()) / norm(way)
-        turned = (turning(reach) / turning(body) * reach)[:, None] * way
+        # a plate so large that its rotation has an end in a small mesh as in a large one
+        body = jnp.sqrt(jnp.trace(matrix))
+        held = jnp.minimum(norm(way), PLATE * body)
+        turned = turning(jnp.minimum(reach * norm(way) / held, 1)) / turning(body / held)
+        turned = (turned * reach)[:, None] * way
         pushed = einsum("r,ac->arc", pushing(reach), eye)[..., None]
         return cls(
             moments, jnp.concatenate([pushed, einsum("rb,abck->arck", turned, affine)], axis=3)
