@@ -429,18 +429,19 @@ def test_numbering_does_not_matter_to_prepares_own_default(kind, alone):
 
 
 BLOCKS = {
-    *("AT_ONCE", "BATCH", "BLOCK", "CACHED", "CELLS", "CHUNK", "FACES_AT_ONCE", "FEW_PARTS"),
-    *("KERNEL_BLOCK", "LEAST_SLAB", "MOST", "MOST_PARTS", "POINT_BLOCK", "POINTS_TOGETHER"),
-    *("ROOM", "ROWS_TOGETHER", "SLAB", "SLAB_STEP", "SQUARE", "TOGETHER", "TRACED_ROOM", "WIDER"),
+    *("BATCH", "BLOCK", "CACHED", "CELLS", "CELLS_OF_BLOCK", "CHUNK", "DISTANCES_TOGETHER"),
+    *("FACES_AT_ONCE", "FEW_PARTS", "KERNEL_BLOCK", "LEAST_SLAB", "MOST_PARTS", "POINT_BLOCK"),
+    *("POINTS_OF_BLOCK", "POINTS_TOGETHER", "ROOM", "ROWS_TOGETHER", "SLAB", "SLAB_STEP", "SQUARE"),
+    *("TOGETHER", "TRACED_ROOM", "VALUES_OF_BLOCK", "WIDER"),
 }
 """Names of constants that divide work into blocks, and nothing else."""
 
 SIZES = BLOCKS | {
-    *("AROUND", "CLOSEST", "COARSEST", "DENSE", "DIRECT", "ENOUGH", "FEW", "FEW_BLOCKS", "FITS"),
-    *("FIT_ROWS", "LEAVES", "MANY", "NEIGHBOURS", "RADIUS_NEIGHBOURS", "RESORT", "ROWS", "SAMPLE"),
-    *("SIDES", "SOURCES_ALONE"),
+    *("COARSEST", "DENSE", "DIRECT", "ENOUGH", "FEW", "FEW_BLOCKS", "FITS", "FIT_ROWS", "LEAVES"),
+    *("MANY", "NEIGHBOURS", "QUICK_POINTS", "QUICK_ROWS", "RADIUS_NEIGHBOURS", "RESORT", "SAMPLE"),
+    *("SOURCES_ALONE", "WALLS_APART"),
     *("WALLS", "WIDTH", "CANDIDATES", "CURVE_SAMPLE", "FEW_POINTS", "HULL_SIDES", "VOTERS"),
-    *("LEAP_NEIGHBOURS", "ROWS_OF_A_CORE", "ROW_WIDTH", "WALLS_APART"),
+    *("LEAP_NEIGHBOURS", "ROWS_OF_A_CORE", "ROW_WIDTH"),
 }
 """These, and constants that decide how many of many are looked at."""
 

@@ -41,10 +41,10 @@ def test_offset_is_what_the_sources_miss(mesh):
     nodes = np.concatenate([moving, fixed])
     target = np.zeros_like(mesh.points)
     target[moving] = u
-    measure_missed = np.linalg.norm(
+    missed = np.linalg.norm(
         (np.asarray(jm.deform(coarse, u)) - mesh.points - target)[nodes], axis=1
     )
-    assert found.offset == pytest.approx(measure_missed.max(), rel=1e-9)
+    assert found.offset == pytest.approx(missed.max(), rel=1e-9)
     assert not found.warnings
     graph = jm.prepare(
         mesh.points, moving, fixed, method=jm.DelaunayGraph()

@@ -155,7 +155,8 @@ def _makers(boundary: Boundary, methods: Mapping[str, AbstractMethod] | None) ->
 
 
 def _small_enough(make: Any, size: float, boundary: Boundary) -> AbstractMethod:
-    method, (n, d) = make(size), boundary.points.shape
+    method = make(size)
+    n, d = boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
         raise ValueError(
             f"skipped: {n} points; a solve on the cells is tried up to {MOST_POINTS[d]}"
@@ -176,7 +177,7 @@ def _try(
         warnings.simplefilter("ignore")  # of a bad condition: the table shows what comes of it
         try:
             plan = plan_of(boundary, make())
-        except (ValueError, ImportError) as error:  # or a solver for large meshes is not installed
+        except (ValueError, ImportError) as error:  # ImportError: no solver for large 3-D meshes
             return Trial(name, refused=str(error) or repr(error)), None
     return _measure_motions(mesh, plan, motions, name), plan
 

@@ -27,8 +27,6 @@ UNKNOWN = (
     "compared. Is the motion meant to be so large? In several steps fewer do."
 )
 
-Vectors = Float[np.ndarray, "o d"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Crossings:

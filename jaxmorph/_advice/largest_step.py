@@ -157,10 +157,12 @@ class CornerBounds:
     """Bounds at corners, with `proven` of whole cells; hashed by identity for compilation."""
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float, proven: bool = False):
-        self.mesh, self.min_jacobian_ratio = mesh, min_jacobian_ratio
+        self.mesh = mesh
+        self.min_jacobian_ratio = min_jacobian_ratio
         self.of_cells = min_jacobian_ratio * least_undeformed(mesh) if proven else None
         standards, signs = jax.tree.map(np.asarray, (standards_of(mesh, dtype), signs_of(mesh)))
-        self.signs, self.parts = signs, []
+        self.signs = signs
+        self.parts = []
         for kind, ids in jax.tree.map(np.asarray, mesh.cells).items():
             standard = standards[kind]
             first = sum(len(part.ids) for part in self.parts)

@@ -121,7 +121,8 @@ def _list_guided(
 ) -> np.ndarray:
     """Lists sliding and periodic nodes in no list."""
     role = np.zeros(len(points), dtype=int)
-    role[moving], role[fixed] = 1, 2
+    role[moving] = 1
+    role[fixed] = 2
     for pairing in pairings:
         first = np.asarray(pairing.first)
         second = np.asarray(pairing.second)

@@ -57,7 +57,7 @@ class Facets(Module):
 
     points: Float[Either, "n d"]
     welded: Int[Either, " n"]  # the vertex of each point: the first point at its place
-    faces: Int[Either, "k c"]  # and its edges, as in `Creased`
+    faces: Int[Either, "k c"]  # this and the next six: as in `Creased`
     beside: Int[Either, "k c"]
     corners: Int[Either, "k c"]
     origins: Int[Either, " v"]

@@ -189,12 +189,8 @@ def _product(rows: Nodal, matrix: Float[Array, "d d"]) -> Nodal:
 
 def _differ(first: np.ndarray, second: np.ndarray, size: float) -> bool:
     """Whether affine matrices differ, in lengths of a mesh of this `size`."""
-    return bool(
-        (
-            (np.abs(first - second)[:-1] / np.append(np.ones(len(first) - 1), size))
-            > SAME_TRANSFORM
-        ).any()
-    )
+    units = np.append(np.ones(len(first) - 1), size)
+    return bool((np.abs(first - second)[:-1] > SAME_TRANSFORM * units).any())
 
 
 def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:

@@ -257,9 +257,8 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> Wall
     """
     area = normals(points[nodes[elements]])
     size = row_lengths(area)
-    has_area = (
-        size > NO_AREA * size.max()
-    )  # a quad that ends in a point has a triangle without area
+    # a quad that ends in a point has a triangle without area
+    has_area = size > NO_AREA * size.max()
     elements = elements[has_area]
     unit = area[has_area] / size[has_area, None]
     walls = []

@@ -119,17 +119,16 @@ class Round(AbstractWall):
         knots = jnp.asarray(self.knots, x.dtype)
         spline = jnp.asarray(self.spline, x.dtype)
         piece = jnp.clip(jnp.searchsorted(knots, along, side="right") - 1, 0, spline.shape[1] - 1)
-        t, (cubic, square, slope, value) = along - knots[piece], spline[:, piece]
+        t = along - knots[piece]
+        cubic, square, slope, value = spline[:, piece]
         steep = slope + t * (2 * square + 3 * t * cubic)
         share = 1 / jnp.sqrt(1 + steep**2)
         above = (radius - value - t * (slope + t * (square + t * cubic))) * share
         return above, share[:, None] * (outward - steep[:, None] * axis[None])
 
     def has_end(self, x):
-        along, (low, *_, high) = (
-            (x - np.asarray(self.origin)) @ np.asarray(self.axis),
-            np.asarray(self.knots),
-        )
+        along = (x - np.asarray(self.origin)) @ np.asarray(self.axis)
+        low, *_, high = np.asarray(self.knots)
         slack = END * (high - low)
         return np.asarray((along < low - slack) | (along > high + slack))
 

@@ -277,10 +277,9 @@ _ENDS = np.array(
 def _tetrahedron(corners: Float[Array, "4 3"], lineal: Scalar) -> Float[Array, "4 4"]:
     """Stiffnesses of edges: lineal, and by the angle between the faces opposite to the ends."""
     i, j, k, m = (corners[ends] for ends in _ENDS)
-    normal_i, normal_j = (
-        jnp.cross(m - k, i - k),
-        jnp.cross(m - k, j - k),
-    )  # both faces have the edge k m
+    # both faces have the edge k m
+    normal_i = jnp.cross(m - k, i - k)
+    normal_j = jnp.cross(m - k, j - k)
     both = jnp.sum(normal_i**2, axis=1) * jnp.sum(normal_j**2, axis=1)
     sine = jnp.sum(jnp.cross(normal_i, normal_j) ** 2, axis=1)
     stiff = (lineal + both / sine) / jnp.sum((j - i) ** 2, axis=1)

@@ -68,7 +68,7 @@ class Surface:
     values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
     @property
-    def walls(self) -> "WallsOfRows":
+    def walls(self) -> WallsOfRows:
         def found():
             wall = walls(self.points, self.moving, self.faces, self.in_planes)
             return WallsOfRows(wall, *chords(self.points, wall, self.faces))

@@ -158,9 +158,8 @@ def transposable(plan: Any, *arguments: Any) -> Any:
 LEAST_SLAB = 2**16  # points of a slab below which a program of its own costs more than it gains
 # slabs of all points, and shares of a sum: more cores than these would not make a call faster
 MOST_PARTS = 64
-SLAB_STEP = (
-    1536  # slabs begin at multiples of this, as blocks do: a block's size changes its last bits
-)
+# slabs begin at multiples of this, as blocks do: a block's size changes its last bits
+SLAB_STEP = 1536
 
 
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:

@@ -242,10 +242,10 @@ def _write_tape(path: Path, tape: Tape, counts: Sequence[int]) -> None:
     for array, (_, _, offset) in zip(tape.arrays, table, strict=True):
         words.view(np.uint8)[offset : offset + array.nbytes] = array.view(np.uint8)
     rest = words[5:]
-    words[1:5] = (
-        *(JMPLAN_VERSION, words.nbytes, rest.sum()),
-        (rest * np.arange(1, len(rest) + 1, dtype=np.uint64)).sum(),
-    )
+    words[1] = JMPLAN_VERSION
+    words[2] = words.nbytes
+    words[3] = rest.sum()
+    words[4] = (rest * np.arange(1, len(rest) + 1, dtype=np.uint64)).sum()
     with complete(path) as partial, partial.open("wb") as file:
         file.write(MAGIC)
         words[1:].tofile(file)

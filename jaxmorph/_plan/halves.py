@@ -17,7 +17,7 @@ from .._boundary.surface import surface_of
 from .._boundary.symmetry import Mirrors
 from .._host.package.arguments import as_array, checked, rows_of, whole
 from .._host.package.errors import MeshError
-from .._host.package.rounding import roundoff
+from .._host.package.rounding import extent_of, roundoff
 from .._host.rows import Rows
 from .._host.surface.skin import has_free_sides
 from .._kernels.compile import compiled
@@ -188,9 +188,7 @@ class SurfaceHalf:
             )
         base = np.asarray(self.plan.points)
         distance = np.abs(points[present] - base[rows]).max(axis=1, initial=0.0)
-        wrong = np.flatnonzero(
-            distance > max(4 * roundoff(base), SAME_POINT * np.ptp(base, axis=0).max())
-        )
+        wrong = np.flatnonzero(distance > max(4 * roundoff(base), SAME_POINT * extent_of(base)))
         if wrong.size:
             worst = wrong[distance[wrong].argmax()]
             raise MeshError(

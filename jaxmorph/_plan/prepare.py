@@ -17,6 +17,8 @@ from .._boundary.slide import Slide
 from .._boundary.surface import surface_of
 from .._boundary.symmetry import Plane
 from .._host.package.errors import warn
+from .._host.package.rounding import extent_of
+from .._host.rows import mark
 from .._host.tolerances import SAME
 from .._kernels.compile import quickly_compiled
 from .._kernels.values import as_jax, jax_arrays
@@ -106,7 +108,7 @@ def default_for(boundary: Conditions, surface: Surface) -> AbstractMethod:
     if len(boundary.fixed) or not boundary.surface_faces:
         return SurfaceReconstruction()
     points = np.delete(boundary.points, boundary.loose, axis=0)
-    slack = SAME * np.ptp(points, axis=0).max()
+    slack = SAME * extent_of(points)
     low = surface.points.min(axis=0) - slack
     high = surface.points.max(axis=0) + slack
     is_beyond = (points < low) | (points > high)
@@ -134,7 +136,8 @@ def _plan_of(
     if len(boundary.loose):
         # nodes of no cell may lie anywhere: methods see them at the first moving node, with its ids
         like[boundary.loose] = boundary.moving[0]
-        points, rests = points[like], as_jax(np.isin(np.arange(len(points)), boundary.loose))
+        points = points[like]
+        rests = as_jax(mark(len(points), boundary.loose))
     surface_ids, volume_ids = as_jax(method.connect(surface, points))
     if rests is not None:
         volume_ids = jax.tree.map(lambda leaf: leaf[like], volume_ids)

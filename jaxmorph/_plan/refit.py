@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree, Real
 
-from .._boundary.periodic import MISMATCH, Pairing
+from .._boundary.periodic import Pairing
 from .._boundary.symmetry import tolerance
 from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._host.package.errors import MeshError, place_of, worst_first
-from .._host.package.rounding import spacing
-from .._host.tolerances import DEVIATION
+from .._host.package.rounding import extent_of, spacing
+from .._host.rows import join_ids
+from .._host.tolerances import DEVIATION, MISMATCH
 from .._kernels.compile import Constant, compiled
 from .._kernels.values import is_readable
 from .._methods.blocks import place_points, with_tables_of, without_tables
@@ -139,12 +140,10 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
     """Refuses points that leave a plan's planes and walls, and pairs that differ."""
     surface = np.asarray(plan.surface.nodes)
     tracks = plan.surface.tracks
-    sliding = surface[
-        np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])
-    ]
+    sliding = surface[join_ids(np.asarray(track.rows) for track in tracks)]
     for name, nodes, distance in deviations(plan, points):
         if name == "mismatch":
-            gaps = np.minimum(spacing(points[nodes].astype(float)), np.ptp(points, axis=0).max())
+            gaps = np.minimum(spacing(points[nodes].astype(float)), extent_of(points))
             allowed = np.maximum(MISMATCH * gaps, 2 * tolerance(points))
         else:
             extent = np.ptp(points[nodes if name == "off_plane" else sliding], axis=0).max(

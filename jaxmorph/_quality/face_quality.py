@@ -355,9 +355,8 @@ def _centre_and_area(points: FaceVectors, block: FaceBlock) -> tuple[FaceVectors
     normals = np.stack(cross(arms, after))  # of triangles about the mean of the corners
     weights = _lengths(normals)
     moment = (weights * (arms + after)).sum(axis=1)
-    return middle - moment / (3 * np.maximum(weights.sum(axis=0), LEAST_DIVISOR)), normals.sum(
-        axis=1
-    ) / 2
+    centre = middle - moment / (3 * np.maximum(weights.sum(axis=0), LEAST_DIVISOR))
+    return centre, normals.sum(axis=1) / 2
 
 
 def _pyramids(

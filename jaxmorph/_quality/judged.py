@@ -96,9 +96,8 @@ class Judged:
 
     def values(self, key: str) -> np.ndarray:
         """A measure of the counted cells. Raises `ValueError` for corners of polyhedra."""
-        if (
-            key in BY_FACES or key == "non_orthogonality"
-        ):  # checkMesh's, exact also where faces are warped
+        # checkMesh's, exact also where faces are warped
+        if key in BY_FACES or key == "non_orthogonality":
             return getattr(self.faces, BY_FACES.get(key, key))[self.counted]
         if self.mesh.polyhedra is not None:
             kind = "polyhedra" if np.shape(self.points)[1] == 3 else "polygons"
@@ -173,8 +172,7 @@ class Judged:
             key = (kind, keys.get(name, name))
             if kind != "mean":
                 rows[key] = self.number(kind, value, report.worst(1, by=name)[0])
-            elif (
-                self.part is None or name != "non_orthogonality"
-            ):  # checkMesh's mean is over faces, which parts share
+            elif self.part is None or name != "non_orthogonality":
+                # checkMesh's mean is over faces, which parts share
                 rows[key] = Number(kind, value, part=self.part, weight=weight)
         return rows

@@ -136,7 +136,7 @@ def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
 
 
 def _find_steps(attempt: Attempt, plan: jm.Plan, out: Output) -> Attempt:
-    """Finds the fewest steps; one where walls cross, of which no number of steps cures."""
+    """Finds the fewest steps; one where walls cross, which no number of steps cures."""
     request = attempt.request
     mesh = attempt.patches.mesh
     path = attempt.path()

@@ -45,7 +45,7 @@ class Stage:
         return f"{self.name} ... {passed:.0f} s{left}"
 
     def announce(self, command: str, over: threading.Event) -> None:
-        """Shows the stage on a terminal's line after `PATIENCE`; the line vanishes at the end."""
+        """Shows the stage on a terminal's line after `ANNOUNCED_AFTER`; the line vanishes."""
         has_line = False
         while not over.wait(0.5 if has_line else ANNOUNCED_AFTER):
             has_line = True

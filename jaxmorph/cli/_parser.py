@@ -23,7 +23,7 @@ Folder = NewType("Folder", Path)
 FILES = (Path, MeshFile, NewMesh, Written, Picture, Folder)
 
 Fields = type[Any]
-"""A dataclass whose fields are made by `flag`, `positional`, `switch` and `part`."""
+"""A dataclass whose fields are made by `flag`, `positional`, `switch` and `nest`."""
 
 MOTION = "motion of the patches of the last --moving (at least one flag)"
 BAD = "when cells are bad"

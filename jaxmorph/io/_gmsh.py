@@ -214,8 +214,9 @@ def _read_format(path: pathlib.Path, data: bytes, start: int) -> MeshFormat:
     if head.strip() == b"$NOD":
         return MeshFormat(1.0, True)
     if head.strip() != b"$MeshFormat":
-        has_mark = data.startswith(codecs.BOM_UTF8)
-        remedy = " The file begins with a byte order mark: save it without." * has_mark
+        remedy = ""
+        if data.startswith(codecs.BOM_UTF8):
+            remedy = " The file begins with a byte order mark: save it without."
         first = decoded(head).strip()[:40]
         message = f"not a .msh file; $MeshFormat is expected here, not {first!r}.{remedy}"
         raise Section(path, data, start + len(head) + 1, len(data)).error(message)

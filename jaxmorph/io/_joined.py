@@ -47,7 +47,7 @@ def make_block_cells(ids: ndarray) -> tuple[str, ndarray]:
 
 
 def make_block_sides(ids: ndarray) -> FaceTables:
-    """Makes the faces (edges in 2-D) of each side of a block, in the order of `SIDES`."""
+    """Makes the faces (edges in 2-D) of each side of a block, in the order of `BLOCK_SIDES`."""
     sides = []
     for axis in range(ids.ndim):
         for at in (0, -1):
@@ -76,7 +76,7 @@ def select_open_faces(faces: FaceTables, patches: list[ndarray], n: int) -> Face
 
 
 def find_shared_nodes(points: ndarray, faces: FaceTables) -> ndarray:
-    """Finds each point's first duplicate (see `TOLERANCE`) on `faces`; else its own id."""
+    """Finds each point's first duplicate (see `NODE_TOLERANCE`) on `faces`; else its own id."""
     n = len(points)
     size = np.full(n, np.inf)
     for corners in faces:

@@ -259,9 +259,8 @@ def collapsed(kind: str, places: ndarray) -> ndarray:
 def node_keys(ids: ndarray, cell: Lagrange) -> ndarray:
     """Ascending corners and weights in turn (k, s, 16) of a cell's nodes; zeros in front."""
     places = collapsed(cell.shape, cell.reference)
-    weights = np.rint(12**3 * shape_values(cell.shape, places)).astype(
-        np.int64
-    )  # of corners, linear
+    corners = shape_values(cell.shape, places)  # of the linear cell
+    weights = np.rint(12**3 * corners).astype(np.int64)
     # alike in cells of all types that share a face
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]
     corners = np.where(weights > 0, ids[:, None], -1)

@@ -7,7 +7,7 @@ import numpy as np
 from jax import dtypes
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._host.package.rounding import Tree, roundoff
+from ..._host.package.rounding import Tree, extent_of, roundoff
 from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close
 from ..._kernels.compile import compiled
@@ -97,9 +97,7 @@ class CompactRBF(AbstractPlacing):
         else:
             radius = float(self.radius)
         # there 1 - phi is a few units of rounding
-        indistinct = float(np.sqrt(np.finfo(dtype).eps)) * min(
-            radius, float(np.ptp(nodes, axis=0).max())
-        )
+        indistinct = float(np.sqrt(np.finfo(dtype).eps)) * min(radius, float(extent_of(nodes)))
         owners = drop_close(nodes, np.arange(len(nodes)), max(roundoff(surface.points), indistinct))
         stands = owners[np.asarray(Tree(nodes[owners]).query(nodes)[1])]
         moves = np.arange(len(nodes)) < surface.moving

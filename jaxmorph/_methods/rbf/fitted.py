@@ -417,9 +417,8 @@ class FittedRBF(AbstractMethod):
         return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
 
     def field(self, ids, factors: "FitFactors | RBFFactors", surface, u):
-        if isinstance(
-            factors, RBFFactors
-        ):  # a fit to its own sources would lose half of the digits
+        if isinstance(factors, RBFFactors):
+            # a fit to its own sources would lose half of the digits
             return self.rbf.field(ids, factors, surface, u)
         values = u.astype(factors.rbf.lu.dtype)
         affine = factors.affine.solve(matmul(factors.polynomial.T, values))
@@ -472,7 +471,8 @@ def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float
     """Assembles the normal equations of the first m sources, which move: `follow` for each
     component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
     """
-    (count, d, s), m = slopes.shape, len(follow)
+    count, d, s = slopes.shape
+    m = len(follow)
     moving = slopes[:, :, :m].reshape(count, d * m)
     strain = matmul(moving.T, slopes.reshape(count, d * s)).reshape(d, m, d, s)
     component = follow + sum(strain[b, :, b] for b in range(d))

@@ -424,7 +424,9 @@ def export_case(path: PathLike, mesh: Mesh, plan: Plan) -> list[pathlib.Path]:
     files = [root / "constant" / region / PLAN]
     with name_errors_by(files[0]):
         export(plan, files[0], layer=_make_layer(content))
-    case: Any = Decomposed(path) if (root / "processor0").is_dir() else ()
+    if not (root / "processor0").is_dir():
+        return files
+    case = Decomposed(path)
     for k in range(len(case)):
         part = case.read(k)
         ids = global_nodes(part)
