@@ -170,7 +170,7 @@ class Facets(Module):
     def areas(self) -> Float[Array, "k d"]:
         """Computes area vectors of the faces, in 2-D as long as the segments. Traced."""
         with quickly_compiled(len(self.faces) < QUICK_FACES):
-            return _area_vectors(self)
+            return _measure_areas(self)
 
     def normals(self) -> Float[Array, "n d"]:
         """Computes unit normals at the points; at a sharp edge, the mean of its sides. Traced."""
@@ -179,7 +179,7 @@ class Facets(Module):
 
 
 @compiled
-def _area_vectors(facets: Facets) -> Float[Array, "k d"]:
+def _measure_areas(facets: Facets) -> Float[Array, "k d"]:
     return area_vectors(jnp.asarray(facets.points)[jnp.asarray(facets.faces)])
 
 
