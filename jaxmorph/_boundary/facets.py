@@ -16,6 +16,7 @@ from .._host.rows import Rows, first_of_equals
 from .._host.surface.creases import Creased, cut_faces, with_extent
 from .._host.surface.gaps import closest
 from .._kernels.callback import host_call
+from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.module import Module
 from .._kernels.values import Either, area_vectors, array, is_known, norm
 from .._mesh.mesh import Mesh
@@ -31,6 +32,8 @@ WALK = 6
 SEEN = -0.5
 """Turn at a sharp edge. To a place along the normals: steps, facets on the way, and the share of a
 facet by which it may be outside."""
+
+QUICK_FACES = 50_000  # faces below which normals take longer to compile than to compute
 
 
 class Facets(Module):
@@ -166,14 +169,26 @@ class Facets(Module):
 
     def areas(self) -> Float[Array, "k d"]:
         """Computes area vectors of the faces, in 2-D as long as the segments. Traced."""
-        return area_vectors(jnp.asarray(self.points)[jnp.asarray(self.faces)])
+        with quickly_compiled(len(self.faces) < QUICK_FACES):
+            return _measure_areas(self)
 
     def normals(self) -> Float[Array, "n d"]:
         """Computes unit normals at the points; at a sharp edge, the mean of its sides. Traced."""
-        above = _normals_of(self, jnp.asarray(self.points))
-        total = jnp.zeros_like(self.points, above.dtype).at[self.origins].add(above)
-        length = norm(total)
-        return (total / jnp.where(length > 0, length, 1)[:, None])[self.welded]
+        with quickly_compiled(len(self.faces) < QUICK_FACES):
+            return _unit_normals(self)
+
+
+@compiled
+def _measure_areas(facets: Facets) -> Float[Array, "k d"]:
+    return area_vectors(jnp.asarray(facets.points)[jnp.asarray(facets.faces)])
+
+
+@compiled
+def _unit_normals(facets: Facets) -> Float[Array, "n d"]:
+    above = _normals_of(facets, jnp.asarray(facets.points))
+    total = jnp.zeros_like(facets.points, above.dtype).at[facets.origins].add(above)
+    length = norm(total)
+    return (total / jnp.where(length > 0, length, 1)[:, None])[facets.welded]
 
 
 def _normals_of(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v d"]:

@@ -83,4 +83,4 @@ class Images(eqx.Module):
 
     @property
     def planes(self) -> tuple[Plane, ...]:
-        return tuple(map(Plane, self.normals, self.origins))
+        return tuple(Plane(self.normals[k], self.origins[k]) for k in range(len(self.normals)))

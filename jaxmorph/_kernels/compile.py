@@ -53,10 +53,7 @@ def compiled(function: Function) -> Function:
         # `jax.jit` is quicker to call, `filter_jit` knows static arguments
         compile: Any = jax.jit if only_arrays else eqx.filter_jit
         options = XLA_OPTIONS | (UNTUNED if is_quick else {})
-        known = {name: value for name, value in options.items() if _knows(name, value)}
-        return compile(
-            function, compiler_options=known
-        )  # XLA refuses a program for an unknown option
+        return compile(function, compiler_options=_known_of(tuple(options.items())))
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
@@ -94,7 +91,8 @@ def is_direct(*trees: Any) -> bool:
         (leaf.sharding.device_set for leaf in leaves if isinstance(leaf, jax.Array)), set()
     )
     on_cpu = all(device.platform == "cpu" for device in devices)
-    return on_cpu and is_known(jnp.zeros(()))  # a tracer is made even of a constant under `jit`
+    # a tracer is made even of a constant under `jit`
+    return on_cpu and is_known(jax.device_put(np.zeros(())))
 
 
 def quickly_compiled(is_quick: bool = True) -> contextlib.AbstractContextManager[None]:
@@ -114,12 +112,14 @@ def float64_mode(is_on: bool = True) -> contextlib.AbstractContextManager[Any]:
 
 
 @functools.cache
-def _knows(option: str, value: Any) -> bool:
+def _known_of(options: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
+    """Leaves out options that XLA does not know: it refuses a program for them."""
     try:
-        jax.jit(jnp.negative, compiler_options={option: value})(np.zeros(1))
+        jax.jit(jnp.negative, compiler_options=dict(options))(np.zeros(1))
     except Exception:
-        return False
-    return True
+        known = (_known_of((option,)) for option in options if len(options) > 1)
+        return {name: value for each in known for name, value in each.items()}
+    return dict(options)
 
 
 def _numbers_as_array(argument: Any) -> Any:

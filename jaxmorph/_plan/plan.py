@@ -290,7 +290,10 @@ def extended(plan: Plan, u: Any) -> Own:
     if u.shape != (m, d):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
     dtype = plan.points.dtype
-    return jnp.zeros((len(plan.surface.nodes), d), dtype).at[:m].set(u.astype(dtype))
+    count = len(plan.surface.nodes) - m
+    if isinstance(u, np.ndarray):
+        return jnp.asarray(np.pad(u.astype(dtype), ((0, count), (0, 0))))
+    return jnp.zeros((m + count, d), dtype).at[:m].set(u.astype(dtype))
 
 
 class Shared(eqx.Module):

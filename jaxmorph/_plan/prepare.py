@@ -20,7 +20,7 @@ from .._host.package.errors import warn
 from .._host.package.rounding import extent_of
 from .._host.rows import mark
 from .._host.tolerances import SAME
-from .._kernels.compile import quickly_compiled
+from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax, jax_arrays
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Rows, check_kind
@@ -182,4 +182,9 @@ def _trial_displacement(plan: Plan) -> Rows:
     arms = moving - moving.mean(axis=0)
     u = np.zeros_like(points)
     u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
-    return plan.images.vectors(plan.images.kept(as_jax(u)))
+    return _with_images(plan.images, u)
+
+
+@compiled
+def _with_images(images: Images, u: Any) -> Rows:
+    return images.vectors(images.kept(jnp.asarray(u)))

@@ -9,6 +9,7 @@ from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
+from .._kernels.values import Either, on_host
 from .._mesh.mesh import Mesh
 from .deform import transposable
 from .plan import Own, Plan, constrain, deform_surface
@@ -94,7 +95,7 @@ def replay(
     return points
 
 
-def _own_targets(plan: Plan, path) -> Float[Array, "k o d"]:
+def _own_targets(plan: Plan, path) -> Float[Either, "k o d"]:
     """Places (k, o, d) of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
     m = plan.n_moving
@@ -105,6 +106,10 @@ def _own_targets(plan: Plan, path) -> Float[Array, "k o d"]:
             "at the end of every step."
         )
     base = plan.surface_points
+    if on_host(base, path):
+        targets = np.repeat(np.asarray(base)[None], len(path), axis=0)
+        targets[:, :m] += np.asarray(path)
+        return targets
     return jnp.broadcast_to(base, (len(path), *base.shape)).at[:, :m].add(path)
 
 

@@ -228,13 +228,14 @@ class QualityReport(Report, Module):
 
     @property
     def is_spoilt(self) -> CellMarks:
-        if self.relative:
-            return self.is_inverted & ~self.was_inverted
-        return self.is_inverted | self.is_degenerate
+        marks = self.is_inverted, self.was_inverted, self.is_degenerate
+        now, before, flat = map(np.asarray, marks) if on_host(marks) else marks
+        return array(now & ~before if self.relative else now | flat)
 
     @property
     def from_start(self) -> Int[Array, "..."]:
-        return self._over_cells(_add_flags, self.is_inverted & self.was_inverted)
+        both = lambda xp, now, before: _add_flags(xp, now & before)  # noqa: E731
+        return self._over_cells(both, self.is_inverted, self.was_inverted)
 
     mean_skewness = _reduce_by("mean", "skewness")
     max_skewness = _reduce_by("max", "skewness")

@@ -18,7 +18,7 @@ from jaxmorph import Mesh, io
 from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
 from ._job import text_of
-from ._method import Chunks, Patches, describe_method, load_mesh, patches_of
+from ._method import Chunks, Patches, describe_method, patches_of
 from ._motion import Distances, Motion, distances, motion
 from ._output import Output, format_place, plural, title, wrap
 from ._requests import AUTO, Deform
@@ -34,6 +34,7 @@ from ._way import (
     say_verdict,
     warn_of_size,
 )
+from ._zones import load_mesh
 
 SMALL_WORK = 10_000
 """Points, times steps, below which compile time dominates."""

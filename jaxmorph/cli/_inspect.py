@@ -9,10 +9,10 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from ._method import load_mesh
 from ._output import Output, plural, some, title, wrap
 from ._requests import Convert, Demo, Info, Quality
 from ._way import check_picture, draw, faults
+from ._zones import load_mesh
 
 
 def run_quality(request: Quality, out: Output) -> int:

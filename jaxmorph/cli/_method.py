@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import functools
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,20 +12,10 @@ from jaxtyping import Int
 import jaxmorph as jm
 from jaxmorph import io
 
-from ._output import plural
 from ._requests import Deform, MethodFlags, Names, Planned
 
 Chunks = Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]
 PlanRequest = Deform | Planned
-
-
-def load_mesh(path: Path, zone: int | None = None, tags: Path | None = None) -> jm.Mesh:
-    if zone is None or tags is not None:
-        return io.read(path, tags=tags)
-    meshes = io.read_zones(path)
-    if not 1 <= zone <= len(meshes):
-        raise ValueError(f"--zone {zone}: {path} has {plural(len(meshes), 'zone')}.")
-    return meshes[zone - 1]
 
 
 def describe_method(request: MethodFlags, plan: jm.Plan) -> tuple[str, int]:

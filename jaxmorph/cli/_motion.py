@@ -52,13 +52,18 @@ class Motion:
     def moved(self, x: Any, parameters: Mapping[str, Any]) -> Any:
         moved = x
         for names, rows in reversed(self.sides.items()):
-            moved = moved.at[rows].set(self.alone(names, x, parameters)[rows])
+            alone = self.alone(names, x, parameters)
+            moved = alone if _are_all(rows, x) else moved.at[rows].set(alone[rows])
         return moved
 
     def alone(self, names: Names, x: Any, parameters: Mapping[str, Any]) -> Any:
         for name in names:
             rows = self.groups[name].rows
-            x = x.at[rows].set(self.groups[name].shape(x[rows], parameters[name]))
+            shape = self.groups[name].shape
+            if _are_all(rows, x):  # without six programs that gather and scatter
+                x = shape(x, parameters[name])
+            else:
+                x = x.at[rows].set(shape(x[rows], parameters[name]))
         return x
 
     def check(self, x: Any, moving: np.ndarray) -> None:
@@ -92,6 +97,10 @@ class Motion:
         return np.asarray(shapes.path(self.shape, surface, values, 1))[0]
 
 
+def _are_all(rows: np.ndarray, x: Any) -> bool:
+    return np.array_equal(rows, np.arange(len(x)))
+
+
 def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
     """Makes the requested motion of the nodes `moving`.
 
@@ -113,7 +122,7 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
         )
     except ValueError as error:
         raise ValueError(f"--set: {error}") from None
-    made.check(jnp.asarray(mesh.points, float)[moving], moving)
+    made.check(jnp.asarray(np.asarray(mesh.points, float)[moving]), moving)
     return made
 
 
@@ -263,10 +272,12 @@ def _turn_shape(name: str, patch: MovingPatch) -> Parametrised:
         length = ((patch.points - patch.about) @ along).max() / np.linalg.norm(along)
     given = {"about": patch.about, "along": along, "axis": flags.axis, "length": length}
     found = [None if given[need] is None else np.array(given[need], float) for need in needs]
-    function(
-        patch.points, 0.0, *found
-    )  # checks directions and lengths, which a trace does not know
     turn = jax.jit(lambda x, angle: function(x, jnp.radians(angle), *found))
+    # checks directions and lengths; a trace does not know the angle of a bend's directions
+    if name == "bend":
+        function(patch.points, 0.0, *found)
+    else:
+        turn.eval_shape(patch.points, 0.0)
     return shapes.Function(turn, 0.0), getattr(flags, name)
 
 

@@ -15,11 +15,12 @@ from jaxmorph import io, shapes
 
 from ._early import check_apart
 from ._job import job_of
-from ._method import Patches, PlanRequest, describe_method, load_mesh, patches_of
+from ._method import Patches, PlanRequest, describe_method, patches_of
 from ._motion import Motion, motion
 from ._output import LISTED, Output, format_place, plural, steepest, title
 from ._requests import ExportRequest, ModesRequest, SensitivityRequest
 from ._way import Points, Way, faults, instants, to_double
+from ._zones import load_mesh
 
 BATCH = 8
 """Motions computed together."""

@@ -82,7 +82,7 @@ class Way:
 
 
 def move_in_steps(
-    plan: jm.Plan, path: Any, base: Points, nodes: np.ndarray, u: Any
+    plan: "jm.Plan", path: Any, base: Points, nodes: np.ndarray, u: Any
 ) -> Iterator[Points]:
     """Yields the points after each step of a path; those at `nodes` move by `u` (k, m, d)."""
     plans, end = jm.march(plan, path)

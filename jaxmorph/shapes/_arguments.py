@@ -82,8 +82,14 @@ def one_number(name: str, value: Any, like: Array) -> Scalar:
 def vector(
     name: str, values: Any, like: Array, shape: tuple[int, ...] | None = None
 ) -> Float[Array, "..."]:
+    return jnp.asarray(_readable(name, values, like, shape))
+
+
+def _readable(name: str, values: Any, like: Array, shape: tuple[int, ...] | None = None) -> Any:
+    """Checks numbers of a shape; those that are known stay NumPy's, also while JAX traces."""
     needed = like.shape[1:] if shape is None else shape
-    values = jnp.asarray(values, like.dtype)
+    known = is_known(values)
+    values = (np if known else jnp).asarray(values, like.dtype)
     if values.shape != needed:
         what = f"expected {needed or 'one number'}"
         if shape is None:
@@ -98,17 +104,18 @@ def arms_from(x: Positions, about: Any) -> Positions:
 
 
 def direction(name: str, values: Any, like: Array, shape: tuple[int, ...] | None = None) -> Vector:
-    values = vector(name, values, like, shape)
-    if is_known(values) and not np.asarray(values).any():  # NumPy's, which no trace records
+    values = _readable(name, values, like, shape)
+    if is_known(values) and not values.any():
         raise ValueError(f"`{name}` has length 0; it must be a direction.")
+    values = jnp.asarray(values)
     return values / jnp.linalg.norm(values)
 
 
 def above_zero(name: str, value: Any, like: Array) -> Scalar:
-    value = one_number(name, value, like)
+    value = _readable(name, value, like, ())
     if is_known(value) and not value > 0:
         raise ValueError(f"`{name}` is {value}; it must be above 0.")
-    return value
+    return jnp.asarray(value)
 
 
 def axis_for(values: Any, like: Positions) -> Float[Array, " 3"]:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.spatial import KDTree
 
 from ..cells.topology import Pair
 from ..rows import first_of_equals
@@ -16,17 +15,22 @@ TIES = 4  # nearest places that are searched first; if all are equally near, mor
 FEW_POINTS = 4096  # points of a search up to which threads cost more than they gain
 
 
-class Tree(KDTree):
-    """A k-d tree that is searched with all cores. The answers do not depend on their number."""
+class Tree:
+    """SciPy's k-d tree, searched with all cores. The answers do not depend on their number."""
 
     def __init__(self, points: Any, **options: Any):
+        from scipy.spatial import KDTree  # 0.2 s, which reading and writing of meshes do not need
+
         # XLA's programs, and callbacks of them, flush numbers below the smallest normal one to
         # zero. SciPy would step from zero to the next number, and never get there.
         points = np.asarray(points, dtype=float)
-        super().__init__(np.where(np.abs(points) < NEAR_ZERO, NEAR_ZERO, points), **options)
+        self._tree = KDTree(np.where(np.abs(points) < NEAR_ZERO, NEAR_ZERO, points), **options)
 
-    def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return super().query(
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._tree, name)
+
+    def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:
+        return self._tree.query(
             x, *arguments, **{"workers": cores() if len(x) > FEW_POINTS else 1} | keywords
         )
 

@@ -35,8 +35,10 @@ class RBFFactors(eqx.Module):
     cardinals: Cardinals | None = None
 
     @property
-    def places(self) -> Sources:
-        return self.sources / self.scale + self.centre[None]
+    def places(self) -> Float[np.ndarray, "s d"]:
+        """The sources' own coordinates, on the host."""
+        sources, scale, centre = map(np.asarray, (self.sources, self.scale, self.centre))
+        return sources / scale + centre[None]
 
     def solve(self, values: Columns) -> Float[Array, "t k"]:
         """Solves for values at the sources, or at the first of them; other rows are zero."""

@@ -240,9 +240,9 @@ class RBF(AbstractMethod):
             if not is_solved(self.expansion, factors, as_jax(values)):
                 raise ValueError(unusable("too ill-conditioned for Iterative()"))
             return
-        error = float(rounding(self.expansion, factors, as_jax(values)) / np.abs(u).max())
+        error = float(rounding(self.expansion, factors, as_jax(values))) / float(np.abs(u).max())
         if is_sound(error, factors.lu.dtype, unusable, "singular") and not self.ridge:
-            nodes = np.asarray(factors.places)
+            nodes = factors.places
             body = nodes[values.any(axis=1)]
             extent = float(np.linalg.norm(np.ptp(body, axis=0))) if len(body) else 0.0
             warn_of_close(nodes, extent, type(self).__name__)
@@ -251,7 +251,7 @@ class RBF(AbstractMethod):
         return self.expansion.field(factors, u[_source_rows(ids)].astype(factors.lu.dtype), u.dtype)
 
     def _unusable(self, factors: RBFFactors, fault: str) -> str:
-        sources = np.asarray(factors.places)
+        sources = factors.places
         *hints, last = self._hints(
             factors.cardinals is not None, single=sources.dtype != np.float64
         )
