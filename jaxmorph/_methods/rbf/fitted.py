@@ -274,10 +274,10 @@ class FittedRBF(AbstractMethod):
     displacement best.
 
     A thin plate spline carries the change of one side of a thin body on to the far field: a bump
-    moves nodes by several times its height. So a ring of sources stands 10 radii of the body away
-    where every fixed node is at least 15 away, else 40 where fixed nodes are at least 60 away. It
-    moves as an elastic plate would that is held at the far field, pushed and turned in the middle.
-    It gets a share of the body's mean displacement, and of the affine motion that fits the body
+    moves nodes by several times its height. So sources stand on rings 12 and 24 radii of the body
+    away, where every fixed node is farther, and 40 and 80 on the way to fixed nodes beyond. They
+    move as an elastic plate would that is held at the far field, pushed and turned in the middle.
+    They get a share of the body's mean displacement, and of the affine motion that fits the body
     best with little strain.
 
     A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So
