@@ -36,7 +36,7 @@ jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 CONTRACT = words("""
 __call__ altered among apply at beside boxes carry carry_place check check_mesh check_surface chosen closest connect control correct
 coordinates dense_count DesignedMesh.points DesignedMesh.ratios
-entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
+entries equals evaluate field fit fixed_reduction given guarded has_free_sides height holds init iterative
 lattice local masses matched neutral of_surface offset once pairs place places_of raise_if_inverted raise_if_singular raise_if_unproven
 judged reach reduced reduction renumbered rows RBF.through sensitivities slope sources step type_of value walls weights with_faces
 """)
