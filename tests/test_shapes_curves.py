@@ -86,7 +86,6 @@ def test_one_naca_airfoil_becomes_another(given):
     )
 
 
-@pytest.mark.nightly
 def test_fits_find_the_parameters_of_linear_and_other_shapes():
     box = shapes.FreeForm.around(AIRFOIL, (3, 3))
     truth = 0.1 * random_like(box.neutral())
