@@ -230,6 +230,8 @@ def _number_bodies(faces: np.ndarray, count: int) -> np.ndarray:
 
 def _turned_out(ways: list[np.ndarray], faces: np.ndarray, body: np.ndarray) -> np.ndarray:
     """The volume of each body at the end over the one at the start; 1 for flat ones."""
+    # A volume is a sum of pyramids from the body's middle to its faces. Those that point outwards
+    # and inwards cancel; their sizes alone tell how flat the body is.
     count = body.max() + 1
     of = body[faces[:, 0]]
     volumes = []

@@ -141,9 +141,9 @@ def drawn_in(
     """Finds distant fixed sources, and shares of the way to them where rings stand. The way
     begins at the centre of the `body`, the places of its nodes.
     """
-    way = np.linalg.norm(surface - centre, axis=1)
+    way = row_lengths(surface - centre)
     own = fixed[images[fixed] == fixed]
-    size = np.linalg.norm(body - centre, axis=1).max()
+    size = row_lengths(body - centre).max()
     rows = []
     shares = []
     for rings in RINGS:

@@ -107,9 +107,9 @@ class WallIds(eqx.Module):
         pairs = pairs[skin.thinned(points[pairs].mean(axis=1), FIT_ROWS[dimension])]
         label = wall[pairs[:, 0]]
         held = skin.nearest_held(points, surface.moving, wall, pairs)
-        own = points[: surface.moving]
-        middle, weight = _middles(pairs, points)
-        far, reach = skin.drawn_in(points, weight @ middle, own, fixed, surface.images)
+        centre = _middles(pairs, points)[2]
+        body = points[: surface.moving]
+        far, reach = skin.drawn_in(points, centre, body, fixed, surface.images)
         fields = jax_arrays(
             moving=moving,
             fixed=fixed,
@@ -126,8 +126,7 @@ class WallIds(eqx.Module):
 
     def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
-        middle, weight = _middles(self.edges, surface)
-        centre = matmul(weight, middle)[None]
+        centre = _middles(self.edges, surface)[2][None]
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
         return jnp.concatenate(
             [surface[self.moving], surface[self.fixed], ring, self.behind_tips(surface)]
@@ -148,12 +147,14 @@ class WallIds(eqx.Module):
 
 def _middles(
     edges: Int[Either, "e 2"], surface: Float[Either, "b d"]
-) -> tuple[Float[Either, "e d"], Float[Either, " e"]]:
-    """The middles of edges, and their shares of the length of all: one more node changes neither
-    mean nor moments of a wall.
+) -> tuple[Float[Either, "e d"], Float[Either, " e"], Float[Either, " d"]]:
+    """The middles of edges, their shares of the length of all, and their mean by these shares: one
+    more node changes neither mean nor moments of a wall.
     """
     length = norm(surface[edges[:, 1]] - surface[edges[:, 0]])
-    return surface[edges].mean(axis=1), length / length.sum()
+    weight = length / length.sum()
+    middle = surface[edges].mean(axis=1)
+    return middle, weight, (weight[:, None] * middle).sum(axis=0)
 
 
 class Rings(eqx.Module):
@@ -174,9 +175,8 @@ class Rings(eqx.Module):
     def made(cls, ids: WallIds, surface: Rows) -> "Rings":
         d = surface.shape[1]
         eye = jnp.eye(d, dtype=surface.dtype)
-        middle, weight = _middles(ids.edges, surface)
-        centre = matmul(weight, middle)[None]
-        arm = middle - centre
+        middle, weight, centre = _middles(ids.edges, surface)
+        arm = middle - centre[None]
         moments = jnp.concatenate([weight[None], (weight[:, None] * arm).T])
         if not len(ids.far):
             return cls(moments, jnp.zeros((d, 0, d, 1 + d), surface.dtype))
@@ -190,7 +190,7 @@ class Rings(eqx.Module):
         )
         affine = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
         reach = ids.reach.astype(surface.dtype)
-        way = surface[ids.far] - centre
+        way = surface[ids.far] - centre[None]
         # a plate so large that its rotation has an end in a small mesh as in a large one
         body = jnp.sqrt(jnp.trace(matrix))
         held = jnp.minimum(norm(way), PLATE * body)
