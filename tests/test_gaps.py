@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
-from jaxmorph._host.surface.gaps import closest, gaps, share_left
+from jaxmorph._host.surface import gaps as gaps_module
+from jaxmorph._host.surface.gaps import closest, gaps, least_share_left
 
 
 def closing(base, left, lift=0.1):
@@ -59,15 +60,14 @@ def test_gaps_are_distances_to_faces():
     """Two triangles above a third: over its middle, its edge and its corner; in 2-D a node beside a segment and beyond it."""
     floor = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
     nodes = np.array([[0.5, 0.5, 0.3], [1, -0.4, 0.3], [-0.3, -0.4, 1.2]])
-    found = gaps(
-        np.concatenate([floor, nodes]), np.array([0, 0, 0, 1, 1, 1]), np.array([[0, 1, 2]])
-    )
+    wall = np.array([0, 0, 0, 1, 1, 1])
+    found = gaps(np.concatenate([floor, nodes]), wall, np.array([[0, 1, 2]]), np.arange(6))
     np.testing.assert_allclose(found[0][3:], [0.3, 0.5, 1.3])
     assert np.isinf(found[0][:3]).all()
     flat = np.array([[0.0, 0], [1, 0], [0.5, 0.2], [4, 4]])
-    np.testing.assert_allclose(
-        gaps(flat, np.array([0, 0, 1, 1]), np.array([[0, 1]]))[0][2:], [0.2, 5]
-    )
+    wall = np.array([0, 0, 1, 1])
+    above = gaps(flat, wall, np.array([[0, 1]]), np.array([3, 2]))[0]
+    np.testing.assert_allclose(above, [5, 0.2])
 
 
 def test_walls_that_slide_keep_their_gap():
@@ -77,10 +77,29 @@ def test_walls_that_slide_keep_their_gap():
     faces = np.stack([np.arange(13), np.arange(1, 14)], axis=1)
     wall = np.repeat([0, 1], [11, 3])
     for vector, expected in (([3, 0], 1), ([0, -0.75], 0.25)):
-        left = share_left(
-            points, points + np.where(wall[:, None] == 1, vector, 0.0), wall, faces, 0.0
-        )
-        assert left.min() == pytest.approx(expected)
+        moved = points + np.where(wall[:, None] == 1, vector, 0.0)
+        assert least_share_left(points, moved, wall, faces, 0.0)[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_least_share_of_a_gap_is_that_of_all_rows(d, monkeypatch):
+    """Wavy walls that move at random: as measured at every row."""
+    monkeypatch.setattr(gaps_module, "MEASURED_FIRST", 3)
+    rng = np.random.default_rng(d)
+    points = rng.normal(size=(60, d))
+    wall = np.repeat([0, 1, 2], 20)
+    faces = np.concatenate(
+        [20 * k + rng.permutation(20)[: 18 // d * d].reshape(-1, d) for k in range(3)]
+    )
+    for size in (0.01, 0.3):
+        moved = points + size * rng.normal(size=points.shape)
+        rows = np.arange(60)
+        first = gaps(points, wall, faces, rows)[0]
+        second, nearest = gaps(moved, wall, faces, rows)
+        share = second / np.minimum(first, first[nearest].min(axis=1))
+        left, row = least_share_left(points, moved, wall, faces, 0.0)
+        assert left == pytest.approx(share.min(), rel=1e-14)
+        assert row == share.argmin()
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from .._host.package.errors import check_none
 from .._host.package.rounding import Tree, extent_of, roundoff
 from .._host.rows import mark
 from .._host.sources.reduction import KDTree, drop_close
-from .._host.surface.gaps import share_left
+from .._host.surface.gaps import least_share_left
 from .._host.surface.skin import edges
 from .._host.surface.walls import walls
 from .._host.tolerances import PUT_BACK, RESTS, SAME
@@ -56,7 +56,7 @@ class Inspection:
       side moves (below an airfoil with a bump on its upper side).
     - `slope`: how steeply the displacement changes along the wall, per length and without its
       affine part. It is exceeded on 2 % of the edges.
-    - `gap_left`: the smallest share of a gap between walls that is left. It is 1 or more if no gap
+    - `gap_left`: the smallest share of a gap between walls that is left. It is 1 if no gap
       becomes smaller; None without a mesh, or with one wall.
     - `missed`: residual of an interpolation of the displacement from the moving sources in 3-D,
       relative to the largest displacement.
@@ -144,10 +144,9 @@ class _Motion:
         before = self.points.astype(float)
         wall = walls(before, self.plan.n_moving, {"simplex": self.faces})
         scale = SAME * extent_of(before)
-        share = share_left(before, before + self.vectors.astype(float), wall, self.faces, scale)
-        if not np.isfinite(share).any():
-            return None
-        return float(share.min()), int(self.nodes[share.argmin()])
+        after = before + self.vectors.astype(float)
+        share, row = least_share_left(before, after, wall, self.faces, scale)
+        return (share, int(self.nodes[row])) if np.isfinite(share) else None
 
     @functools.cached_property
     def missed(self) -> float:

@@ -13,38 +13,80 @@ from ..package.rounding import Tree, canonical_order, morton_order, roundoff
 from ..tolerances import ALIGNED, MEETS, MET_BEFORE, SAME
 
 POINTS_TOGETHER = 1 << 12  # points of a block
-NEAR_SIMPLICES = 8  # nearest simplices that bound the distance to all others
+NEAR_SIMPLICES = 2  # nearest simplices that bound the distance to all others
+MEASURED_FIRST = 512  # rows whose share of a gap is measured before the others
 
 
-def share_left(
+def least_share_left(
     before: ndarray, after: ndarray, wall: ndarray, faces: ndarray, touching: float
-) -> ndarray:
-    """Share (b,) of the gap at every row that a motion leaves; infinite without a gap. The gap
+) -> tuple[float, int]:
+    """Smallest share of a gap that a motion leaves, and its row; infinite without a gap. The gap
     before is the smaller of those at the row and at the corners of the face that is nearest
     afterwards: sliding walls keep their gap. Distances up to `touching` count as no gap.
     """
-    first = gaps(before, wall, faces)[0]
-    second = gaps(after, wall, faces)
-    narrowest = np.minimum(first, first[second[1]].min(axis=1))
-    known = np.isfinite(second[0]) & (narrowest > touching)
-    return np.where(known, second[0] / np.where(known, narrowest, 1), np.inf)
+    # A row matters if it moves, or if a face that moves may be nearer than others were. Rows are
+    # measured in the order of a lower bound of their shares, in larger and larger blocks, until
+    # that of the next row is not below the least share so far.
+    moves = (before != after).any(axis=1)
+    high = _bound_gaps(before, wall, faces)[1]
+    near = _bound_gaps(after, wall, faces[moves[faces].any(axis=1)])[0] < high
+    low = _bound_gaps(after, wall, faces)[0]
+    is_gap = np.isfinite(low) & (high > touching)
+    bound = np.where(is_gap & (moves | near), low / np.where(is_gap, high, 1), np.inf)
+    order = np.argsort(bound)
+    least = 1.0 if is_gap.any() else np.inf
+    where = int(is_gap.argmax())
+    begin = 0
+    size = MEASURED_FIRST
+    while begin < len(order) and bound[order[begin]] < least:
+        rows = order[begin : begin + size]
+        distance, nearest = gaps(after, wall, faces, rows)
+        known, place = np.unique(np.column_stack([rows, nearest]), return_inverse=True)
+        narrowest = gaps(before, wall, faces, known)[0][place].reshape(len(rows), -1).min(axis=1)
+        is_gap = np.isfinite(distance) & (narrowest > touching)
+        share = np.where(is_gap, distance / np.where(is_gap, narrowest, 1), np.inf)
+        if share.min() < least:
+            least = share.min()
+            where = rows[share.argmin()]
+        begin += size
+        size *= 4
+    return float(least), int(where)
 
 
-def gaps(points: ndarray, wall: ndarray, faces: ndarray) -> Pair:
-    """Each point's distance (b,) from other walls, else infinite, and the face (b, d) there. `wall`
-    (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles (f, 3). A
-    face between two walls does not count.
+def gaps(points: ndarray, wall: ndarray, faces: ndarray, rows: ndarray) -> Pair:
+    """Distances (k,) of some points from other walls, else infinite, and the faces (k, d) there.
+    `wall` (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles
+    (f, 3). A face between two walls does not count.
     """
-    faces = faces[(wall[faces] == wall[faces[:, :1]]).all(axis=1)]
-    distance = np.full(len(points), np.inf)
-    nearest = np.zeros((len(points), faces.shape[1]), dtype=np.int64)
-    for label in np.unique(wall):
-        here = np.flatnonzero(wall == label)
+    distance = np.full(len(rows), np.inf)
+    nearest = np.repeat(rows[:, None], faces.shape[1], axis=1)
+    faces = _faces_within_walls(wall, faces)
+    for label in np.unique(wall[rows]):
+        here = np.flatnonzero(wall[rows] == label)
         others = faces[wall[faces[:, 0]] != label]
         if len(others):
-            simplex, _, distance[here] = closest(points[others], points[here])
+            simplex, _, distance[here] = closest(points[others], points[rows[here]])
             nearest[here] = others[simplex]
     return distance, nearest
+
+
+def _bound_gaps(points: ndarray, wall: ndarray, faces: ndarray) -> Pair:
+    """Lower and upper bounds (b,) of all gaps: distances from the nearest middles of faces."""
+    low = np.full(len(points), np.inf)
+    high = np.full(len(points), np.inf)
+    faces = _faces_within_walls(wall, faces)
+    label = wall[faces[:, 0]]
+    for other in np.unique(label):
+        here = np.flatnonzero(wall != other)
+        for _, tree, radius in _trees_by_size(points[faces[label == other]]):
+            distance = tree.query(points[here])[0]
+            low[here] = np.minimum(low[here], np.maximum(distance - radius, 0))
+            high[here] = np.minimum(high[here], distance)
+    return low, high
+
+
+def _faces_within_walls(wall: ndarray, faces: ndarray) -> ndarray:
+    return faces[(wall[faces] == wall[faces[:, :1]]).all(axis=1)]
 
 
 def fans(ids: ndarray, counts: ndarray) -> ndarray:
@@ -70,16 +112,10 @@ def closest(corners: ndarray, x: ndarray) -> Closest:
 
     Of equally near ones it is that whose middle comes first by place.
     """
-    # Sorted by place, the first of equally near simplices is the one wanted. Those of one size are
-    # searched together: one ball around a point holds all that can be closest, and a few long ones
-    # do not make candidates of all.
+    # sorted by place, the first of equally near simplices is the one wanted
     order = canonical_order(corners.mean(axis=1))
     corners = corners[order]
-    centre = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    size = np.frexp(np.maximum(radius, SAME * radius.max()))[1]
-    groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
-    trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
+    trees = _trees_by_size(corners)
     blocks = [
         _closest_of_block(trees, corners, x[at : at + POINTS_TOGETHER])
         for at in range(0, max(len(x), 1), POINTS_TOGETHER)
@@ -88,7 +124,21 @@ def closest(corners: ndarray, x: ndarray) -> Closest:
     return Closest(order[simplex], weights, distance)
 
 
+def _trees_by_size(corners: ndarray) -> list[tuple[ndarray, Tree, float]]:
+    """Simplices of one size, a tree of their centres, and the largest radius about these."""
+    # Those of one size are searched together: one ball around a point holds all that can be
+    # closest, and a few long ones do not make candidates of all.
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    size = np.frexp(np.maximum(radius, SAME * radius.max()))[1]
+    groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
+    return [(group, Tree(centre[group]), radius[group].max()) for group in groups]
+
+
 def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
+    # The nearest middles bound the distance; a ball holds what may be closer, of which most is
+    # beside, and its box farther than the bound.
+    slack = max(roundoff(corners), roundoff(x))
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
@@ -98,19 +148,33 @@ def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
             1
         ]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
+    bound = bound * (1 + SAME)
     for group, tree, radius in trees:
-        row, member = tree.within(x, (bound + radius) * (1 + SAME))
-        rows.append(row)
-        simplices.append(group[member])
+        row, member = tree.within(x, bound + radius * (1 + SAME))
+        box = _measure_to_boxes(corners[group], member, x, row)
+        some = box <= (bound + slack)[row]
+        rows.append(row[some])
+        simplices.append(group[member[some]])
     row = np.concatenate(rows)
     simplex = np.concatenate(simplices)
     weights, distance = _find_nearest_places(corners[simplex], x[row])
     least = np.full(len(x), np.inf)
     np.minimum.at(least, row, distance)
-    is_least = distance <= least[row] + max(roundoff(corners), roundoff(x))
+    is_least = distance <= least[row] + slack
     order = np.lexsort((simplex, ~is_least, row))
     best = order[np.unique(row[order], return_index=True)[1]]
     return Closest(simplex[best], weights[best], distance[best])
+
+
+def _measure_to_boxes(corners: ndarray, simplex: ndarray, x: ndarray, row: ndarray) -> ndarray:
+    """Distances (k,) of points from the boxes of simplices, by their numbers."""
+    squared = np.zeros(len(row))
+    for place, *columns in zip(x.T, *corners.transpose(1, 2, 0), strict=True):
+        here = place[row]
+        below = np.minimum.reduce(columns)[simplex] - here
+        above = here - np.maximum.reduce(columns)[simplex]
+        squared += np.maximum(np.maximum(below, above), 0) ** 2
+    return np.sqrt(squared)
 
 
 def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
