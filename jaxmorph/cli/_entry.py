@@ -2,11 +2,13 @@
 
 import argparse
 import contextlib
+import ctypes
 import hashlib
 import importlib
 import os
 import platform
 import re
+import sys
 import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +20,9 @@ from ._job import with_job
 from ._output import Output
 from ._parser import Parser, build_request, guess_meant
 from ._requests import COMMANDS, Request, Speech
+
+ARENA_MAX = -8
+"""The parameter of glibc's `mallopt` for the number of heaps."""
 
 CACHE_SIZE = 256 * 2**20
 """Bytes in the cache at most; the least recently used go first."""
@@ -78,6 +83,7 @@ def _say_native_folder(request: Request, out: Output) -> int:
 def _load_command(name: str, request: Request) -> Callable[[Request, Output], int]:
     if name == "native":
         return _say_native_folder  # needs no JAX
+    share_heap()
     begin_jax()
     name = "decomposed" if getattr(request, "decomposed", False) else name
     module, function = RUNS[name].split(".")
@@ -184,6 +190,15 @@ def is_healed(message: object) -> bool:
     for file in bad:
         file.unlink(missing_ok=True)
     return bool(bad)
+
+
+def share_heap() -> None:
+    """Has all threads allocate from one heap. By default glibc gives each thread its own, and what
+    one thread frees serves no other: a fifth of the peak of memory.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(AttributeError, OSError):  # another C library
+            ctypes.CDLL(None).mallopt(ARENA_MAX, 1)
 
 
 def begin_jax() -> None:

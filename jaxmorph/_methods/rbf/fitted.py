@@ -1,19 +1,20 @@
 """A coarse field that follows the body: radial functions fitted to the wall."""
 
 import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from ..._host.package.rounding import roundoff
 from ..._host.sources.farthest import ENOUGH, Filled, farthest
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface import skin
-from ..._host.tolerances import SAME
-from ..._kernels.values import Either, as_jax, jax_arrays, norm
+from ..._kernels.values import as_jax, jax_arrays, norm
 from ..base import (
     AbstractMethod,
     Control,
@@ -29,6 +30,7 @@ from ..surface import Surface
 from .basis import Columns, Sources, Weights
 from .expansion import RBFFactors
 from .rbf import RBF, Direct
+from .rings import Rings, middles
 from .system import polynomial
 
 # largest `ell`, relative to the distance of the nearest node that is fixed or of another wall
@@ -46,11 +48,8 @@ BEYOND_TIP = 0.2
 or to the distance of the nearest held node, whichever is less.
 """
 
-PLATE = 80
-"""Radius at which rotation ends, relative to the root mean square radius of the walls."""
-
-STRAIN_WEIGHT = 0.4
-"""Weight of a wall's strain against its displacement in the affine motion that rings carry."""
+EDGES_TOGETHER = 512
+"""Edges of a block of the fit."""
 
 WALLS = {
     2: 8,
@@ -107,7 +106,7 @@ class WallIds(eqx.Module):
         pairs = pairs[skin.thinned(points[pairs].mean(axis=1), FIT_ROWS[dimension])]
         label = wall[pairs[:, 0]]
         held = skin.nearest_held(points, surface.moving, wall, pairs)
-        centre = _middles(pairs, points)[2]
+        centre = middles(pairs, points)[2]
         body = points[: surface.moving]
         far, reach = skin.drawn_in(points, centre, body, fixed, surface.images)
         fields = jax_arrays(
@@ -126,7 +125,7 @@ class WallIds(eqx.Module):
 
     def places(self, surface: Rows) -> Sources:
         """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
-        centre = _middles(self.edges, surface)[2][None]
+        centre = middles(self.edges, surface)[2][None]
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
         return jnp.concatenate(
             [surface[self.moving], surface[self.fixed], ring, self.behind_tips(surface)]
@@ -143,77 +142,6 @@ class WallIds(eqx.Module):
         """
         tip, first, second = self.tips.T
         return 2 * values[tip] - (values[first] + values[second]) / 2
-
-
-def _middles(
-    edges: Int[Either, "e 2"], surface: Float[Either, "b d"]
-) -> tuple[Float[Either, "e d"], Float[Either, " e"], Float[Either, " d"]]:
-    """The middles of edges, their shares of the length of all, and their mean by these shares: one
-    more node changes neither mean nor moments of a wall.
-    """
-    length = norm(surface[edges[:, 1]] - surface[edges[:, 0]])
-    weight = length / length.sum()
-    middle = surface[edges].mean(axis=1)
-    return middle, weight, (weight[:, None] * middle).sum(axis=0)
-
-
-class Rings(eqx.Module):
-    """The map from displacements at the middles of edges to those of the rings.
-
-    A body pushes and turns the rings as it would an elastic plate that is held at the far field.
-    They get shares of its mean displacement, and of the affine motion about its centre that fits it
-    best. Strain weighs there, so a thin body's change of thickness goes no farther.
-
-    - `moments` (1 + d, e): weights of the mean, and of its moments.
-    - `shares` (d, r, d, 1 + d): of the mean and the moments at the rings.
-    """
-
-    moments: Float[Array, "k e"]
-    shares: Float[Array, "d r d k"]
-
-    @classmethod
-    def made(cls, ids: WallIds, surface: Rows) -> "Rings":
-        d = surface.shape[1]
-        eye = jnp.eye(d, dtype=surface.dtype)
-        middle, weight, centre = _middles(ids.edges, surface)
-        arm = middle - centre[None]
-        moments = jnp.concatenate([weight[None], (weight[:, None] * arm).T])
-        if not len(ids.far):
-            return cls(moments, jnp.zeros((d, 0, d, 1 + d), surface.dtype))
-        # (A M + weight 2 dev sym A)_ab = mean of u_a arm_b, with the moments M of the arms
-        unit = einsum("ac,bd->abcd", eye, eye)
-        strain = unit + unit.swapaxes(0, 1) - 2 / d * einsum("ab,cd->abcd", eye, eye)
-        matrix = matmul(moments[1:], arm)
-        # the turn of a straight body about itself is none
-        system = einsum("ac,db->abcd", eye, matrix) + jnp.trace(matrix) * (
-            STRAIN_WEIGHT * strain + SAME * unit
-        )
-        affine = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
-        reach = ids.reach.astype(surface.dtype)
-        way = surface[ids.far] - centre[None]
-        # a plate so large that its rotation has an end in a small mesh as in a large one
-        body = jnp.sqrt(jnp.trace(matrix))
-        held = jnp.minimum(norm(way), PLATE * body)
-        turned = turning(jnp.minimum(reach * norm(way) / held, 1)) / turning(body / held)
-        turned = (turned * reach)[:, None] * way
-        pushed = einsum("r,ac->arc", pushing(reach), eye)[..., None]
-        return cls(
-            moments, jnp.concatenate([pushed, einsum("rb,abck->arck", turned, affine)], axis=3)
-        )
-
-    def moved(self, middles: Float[Array, "e d"]) -> Float[Array, "r d"]:
-        return einsum("arck,kc->ra", self.shares, matmul(self.moments, middles))
-
-
-def pushing(reach: Float[Array, " r"]) -> Float[Array, " r"]:
-    """The share of a displacement at a share of the way to the far field, where a plate is held."""
-    squared = reach**2
-    return 1 - squared + squared * jnp.log(squared)
-
-
-def turning(reach: Float[Array, " r"]) -> Float[Array, " r"]:
-    """The same for a rotation, but for a factor."""
-    return -jnp.log(reach) - (1 - reach**2) / 2
 
 
 def _at_tips(
@@ -368,45 +296,59 @@ class FittedRBF(AbstractMethod):
         sources = ids.places(surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
         surface = surface.astype(rbf.lu.dtype)
+        nodes, edges, matrix = self._normal_equations(ids, rbf, surface)
+        terms = polynomial((surface - rbf.centre[None]) * rbf.scale, self.rbf.degree)
+        moves = len(ids.moving)
+        return FitFactors(
+            rbf=rbf,
+            nodes=nodes,
+            edges=edges,
+            outer=matrix[..., moves:],
+            rings=Rings.made(ids.edges, ids.far, ids.reach, surface),
+            fit=Cholesky.of(matrix[..., :moves].reshape(matrix.shape[0] * moves, -1)),
+            polynomial=terms,
+            affine=Cholesky.of(matmul(terms.T, terms)),
+        )
+
+    def _normal_equations(
+        self, ids: WallIds, rbf: RBFFactors, surface: Rows
+    ) -> tuple[Weights, Float[Array, "e s"], Float[Array, "d m d s"]]:
+        """Weighted rows of the values at nodes and of the slopes along edges, and the matrix."""
         moves = len(ids.moving)
         cardinal = rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
-        start = surface[ids.edges[:, 0]]
-        end = surface[ids.edges[:, 1]]
-        middle = (start + end) / 2
-        along = end - start
-        length = jnp.sqrt(jnp.sum(along**2, axis=1))
 
         def rows(points):
             return self.rbf.expansion.rows(
                 rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale
             )
 
+        gradients = jax.vmap(jax.jacfwd(lambda x: rows(x[None])[0]))
+
+        def add(sums, edges: _Edges):
+            """Adds a block of edges to the squares of slopes and to those of strains."""
+            follow, strain = sums
+            slopes = einsum("eta,ts->eas", gradients(edges.middle), cardinal)
+            length = norm(edges.along)
+            slope = einsum("ea,eas->es", edges.along / length[:, None], slopes)
+            weighted = slope[:, :moves] * edges.mu[:, None] ** 2
+            follow = follow + matmul(weighted.T, slope)
+            strain = strain + _multiply_slopes(slopes * edges.ell[:, None, None], moves)
+            return (follow, strain), weighted / length[:, None]
+
         value = matmul(rows(surface[ids.nodes]), cardinal)
-        slopes = einsum(
-            "eta,ts->eas", jax.vmap(jax.jacfwd(lambda x: rows(x[None])[0]))(middle), cardinal
-        )
-        slope = einsum("ea,eas->es", along / length[:, None], slopes)
-        ell, mu = self._lengths(ids, surface, middle)
         nodes = value[:, :moves] / len(value)
-        weighted = slope[:, :moves] * (mu**2 / len(slope))[:, None]
-        squares = matmul(nodes.T, value)
-        matrix = _system(
-            squares + matmul(weighted.T, slope), slopes * (ell * len(slope) ** -0.5)[:, None, None]
-        )
-        fit = Cholesky.of(matrix[..., :moves].reshape(matrix.shape[0] * moves, -1))
-        terms = polynomial((surface - rbf.centre[None]) * rbf.scale, self.rbf.degree)
-        affine = Cholesky.of(matmul(terms.T, terms))
-        edges = weighted / length[:, None]
-        return FitFactors(
-            rbf=rbf,
-            nodes=nodes,
-            edges=edges,
-            outer=matrix[..., moves:],
-            rings=Rings.made(ids, surface),
-            fit=fit,
-            polynomial=terms,
-            affine=affine,
-        )
+        d = surface.shape[1]
+        strain = jnp.zeros((d, moves, d, value.shape[1]), surface.dtype)
+        sums = (matmul(nodes.T, value), strain)
+        sums, edges = _sum_over_edges(add, sums, self._weighted_edges(ids, surface))
+        return nodes, edges, _system(*sums)
+
+    def _weighted_edges(self, ids: WallIds, surface: Rows) -> "_Edges":
+        middle = surface[ids.edges].mean(axis=1)
+        along = surface[ids.edges[:, 1]] - surface[ids.edges[:, 0]]
+        share = len(middle) ** -0.5
+        ell, mu = self._lengths(ids, surface, middle)
+        return _Edges(middle=middle, along=along, ell=ell * share, mu=mu * share)
 
     def _lengths(self, ids: WallIds, surface, middle):
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
@@ -467,14 +409,46 @@ class FitFactors(eqx.Module):
     affine: Cholesky
 
 
-def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
-    """Assembles the normal equations of the first m sources, which move: `follow` for each
-    component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
-    """
+class _Edges(NamedTuple):
+    """Edges with their lengths that weigh strain and slope, for a mean over all."""
+
+    middle: Float[Array, "e d"]
+    along: Float[Array, "e d"]
+    ell: Float[Array, " e"]
+    mu: Float[Array, " e"]
+
+
+def _sum_over_edges(
+    add: Callable, sums: PyTree, edges: _Edges
+) -> tuple[PyTree, Float[Array, "e s"]]:
+    """Adds blocks of edges to sums, one after the other; memory is that of a block."""
+    # blocks of one size: the last is filled up with its last edge, without weight
+    count = len(edges.ell)
+    blocks = -(-count // EDGES_TOGETHER)
+    size = -(-count // blocks)
+    more = blocks * size - count
+    filled = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf[-1:].repeat(more, 0)]), edges)
+    counts = jnp.arange(blocks * size) < count
+    filled = filled._replace(ell=filled.ell * counts, mu=filled.mu * counts)
+    divided = jax.tree.map(lambda leaf: leaf.reshape(blocks, size, *leaf.shape[1:]), filled)
+    sums, rows = jax.lax.scan(add, sums, divided)
+    return sums, rows.reshape(blocks * size, -1)[:count]
+
+
+def _multiply_slopes(slopes: Float[Array, "e d s"], moves: int) -> Float[Array, "d m d s"]:
+    """The products of slopes at the first `moves` sources and at all."""
     count, d, s = slopes.shape
-    m = len(follow)
-    moving = slopes[:, :, :m].reshape(count, d * m)
-    strain = matmul(moving.T, slopes.reshape(count, d * s)).reshape(d, m, d, s)
+    moving = slopes[:, :, :moves].reshape(count, d * moves)
+    return matmul(moving.T, slopes.reshape(count, d * s)).reshape(d, moves, d, s)
+
+
+def _system(
+    follow: Float[Array, "m s"], strain: Float[Array, "d m d s"]
+) -> Float[Array, "d m d s"]:
+    """Assembles the normal equations of the first m sources, which move: `follow` for each
+    component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2 from the products of slopes.
+    """
+    d = len(strain)
     component = follow + sum(strain[b, :, b] for b in range(d))
     diagonal = jnp.einsum("ac,ij->aicj", jnp.eye(d, dtype=follow.dtype), component)
     return diagonal + strain.transpose(2, 1, 0, 3) - (2 / d) * strain
