@@ -252,9 +252,14 @@ def overlapping_boxes(
     # One more axis goes from 0 to 1 for moving faces, and from 1 to 0 for others: these are apart.
     # Boxes are the leaves of a tree along Morton's curve. All pairs go down by one level together.
     states = [corners] if after is None else [corners, after]
-    order = morton_order(corners.mean(axis=1))
     most = PAIRS_ALWAYS + PAIRS_OF_FACE * len(corners)
-    levels = [np.stack([_bound_faces(x, ~is_moving[:, None])[order].T for x in states])]
+    boxes = np.stack([_bound_faces(x, ~is_moving[:, None]).T for x in states])
+    # a face that no box of all that move overlaps has no pair
+    reached = boxes[:, :, is_moving].min(axis=2, initial=np.inf)[:, :, None]
+    is_near = ~(boxes + np.roll(reached, reached.shape[1] // 2, axis=1) > 0).all(axis=0).any(axis=0)
+    rows = np.flatnonzero(is_near)
+    order = rows[morton_order(corners[rows].mean(axis=1))] if len(rows) else rows
+    levels = [boxes[:, :, order]]
     while levels[-1].shape[2] > 1:
         levels.append(np.minimum.reduceat(levels[-1], np.arange(0, levels[-1].shape[2], 2), axis=2))
     pairs = np.zeros((1, 2), np.int64)

@@ -312,7 +312,7 @@ class FittedRBF(AbstractMethod):
 
     def _normal_equations(
         self, ids: WallIds, rbf: RBFFactors, surface: Rows
-    ) -> tuple[Weights, Float[Array, "e s"], Float[Array, "d m d s"]]:
+    ) -> tuple[Float[Array, "k m"], Float[Array, "e m"], Float[Array, "d m d s"]]:
         """Weighted rows of the values at nodes and of the slopes along edges, and the matrix."""
         moves = len(ids.moving)
         cardinal = rbf.solve(jnp.eye(len(rbf.lu), len(rbf.sources), dtype=surface.dtype))
