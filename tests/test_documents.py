@@ -54,17 +54,6 @@ def test_readme_runs(tmp_path, monkeypatch, capsys):
     assert float(capsys.readouterr().out) != 0
 
 
-@pytest.mark.slow
-def test_a_remesher_takes_over_as_the_page_says(capsys):
-    pytest.importorskip("mmgpy")
-    text = (ROOT / "docs" / "pages" / "steps.md").read_text()
-    ((code, printed),) = re.findall(
-        r"```py\n(import mmgpy\n.*?)```\n.*?```text\n(.*?)```", text, flags=re.DOTALL
-    )
-    exec(code, {"jm": jm, "cases": cases})
-    assert capsys.readouterr().out == printed
-
-
 def test_the_first_screen_of_readme():
     """Short, in Python four statements, and with the two commands that set everything up by themselves."""
     text = (ROOT / "README.md").read_text()
