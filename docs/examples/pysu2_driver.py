@@ -6,7 +6,9 @@ of `CDriverBase.hpp` of SU2 8.3 that a mover needs.
 - `Coordinates()`: a view of the coordinates of all nodes, with `Shape()`, `Get(row)` and `Set(row, values)`
 - `GetMarkerIndices()`, `GetNumberMarkerNodes(k)`, `GetMarkerNode(k, row)`: the nodes of a marker
 - `GetNumberElements()`, `GetElementNodes(element)`: the cells
-- `Sensitivity(GetSolverIndices()["ADJ.FLOW"])`: dJ/d(coordinates) of the discrete adjoint
+- `Sensitivity(GetSolverIndices()["ADJ.FLOW"])`: dJ/d(coordinates) of the discrete adjoint;
+  `ObjectiveCoordinatesSensitivities()` is the partial derivative of `KIND_DISC_ADJ= RESIDUALS` alone, and the total its sum with
+  `ResidualsCoordinatesSensitivities()` (SU2's pull request 1750)
 
 Nodes are numbered as in the driver, which is not the order of the mesh file: take nodes and cells from the driver.
 """
