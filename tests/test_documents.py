@@ -9,7 +9,7 @@ import pytest
 from documents import ROOT, blocks
 
 import jaxmorph as jm
-from jaxmorph import cases, io
+from jaxmorph import io
 
 
 @pytest.mark.slow

@@ -55,6 +55,13 @@ print(shapes.names(whole))
 found: shapes.Fit = shapes.fit(modes, wall, wall + 0.02 * modes.fields[1])
 assert np.allclose(found.parameters, [0, 0.02])
 
+# Onto another wall, which a design variable may change.
+facets = jm.Facets.of(cases.naca4("0012", points=400, sharp=True), "airfoil")
+target = jm.Facets.of(cases.naca4("2412", points=800, sharp=True), "airfoil")
+onto: shapes.Onto = shapes.Onto(facets, target)
+by_camber = jax.jacfwd(lambda s: onto(facets.points, target.points * jnp.stack([1.0, s])[None]))
+print("onto", by_camber(1.0).shape)
+
 # Wings: twist and dihedral at stations, whole twists and bends.
 wing_mesh = cases.wing(points=600, stations=5)
 span = wing_mesh.points[wing_mesh.patch("wing")]

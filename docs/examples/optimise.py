@@ -73,9 +73,11 @@ found = optx.minimise(
 )
 assert not jm.inverted(mesh, jm.deform(plan, motion(found.value))).any()
 
-# The least area that keeps two thicknesses, the centre and the chord.
+# The least area that keeps four fifths of the thickness, the centre and the chord.
 segments = np.column_stack([ring, np.roll(ring, -1)])
-lines = shapes.Stations.on(wall, segments, [[0.3, 0.0], [0.6, 0.0]], [0.0, 1.0])
+stations = [[x, 0.0] for x in (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)]
+lines = shapes.Stations.on(wall, segments, stations, [0.0, 1.0])
+first = shapes.thickness(wall, lines)
 tail, nose = int(wall[:, 0].argmax()), int(wall[:, 0].argmin())
 
 
@@ -83,7 +85,7 @@ def limits(p):
     """Not negative where all holds."""
     x = wall + motion(p)
     held = [
-        shapes.thickness(x, lines) - jnp.array([0.13, 0.10]),
+        shapes.thickness(x, lines) - 0.8 * first,
         0.005 - jnp.abs(shapes.centroid(x, ring) - shapes.centroid(wall, ring)),
         1.001 - shapes.chord(x, nose, tail),
     ]
