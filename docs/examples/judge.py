@@ -27,7 +27,7 @@ kept: jm.BoundaryQuality = jm.boundary_quality(plan, points)
 print(f"off planes by {kept.off_plane}, off surfaces by {kept.off_surface}")
 
 smooth: jm.SmoothQuality = jm.smooth_quality(mesh, points)  # without kinks, for optimisers
-print(f"smooth bound of the skewness: {jm.soft_maximum(smooth.skewness, 50.0):.3f}")
+print(f"about the largest skewness: {jm.soft_maximum(smooth.skewness, 200.0):.3f}")
 
 verdict: jm.Verdict = jm.judge(mesh, points, limits=jm.Limits(max_skewness=0.9))
 print(verdict)
