@@ -3,19 +3,22 @@
 Needs `pip install mmgpy` (0.17 here), which takes points and triangles. Prints:
 
     Mesh(2127 points in 2-D; 4032 triangle; patches: upper (16), lower (16), farfield (192))
-    37% of the way; the smallest Jacobian ratio is 0.20
-    remeshed: Mesh(707 points in 2-D; 1192 triangle; patches: upper (16), lower (16), farfield (192))
-    69% of the way; the smallest Jacobian ratio is 0.20
-    remeshed: Mesh(673 points in 2-D; 1124 triangle; patches: upper (16), lower (16), farfield (192))
-    100% of the way; the smallest Jacobian ratio is 0.55
+    40% of the way; the smallest Jacobian ratio is 0.20
+    remeshed: Mesh(702 points in 2-D; 1182 triangle; patches: upper (16), lower (16), farfield (192))
+    80% of the way; the smallest Jacobian ratio is 0.20
+    remeshed: Mesh(672 points in 2-D; 1122 triangle; patches: upper (16), lower (16), farfield (192))
+    100% of the way; the smallest Jacobian ratio is 0.76
 """
 
+import jax
 import mmgpy
 import numpy as np
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import cases
+
+jax.config.update("jax_enable_x64", True)
 
 
 def remeshed(mesh, points, **options):
