@@ -94,7 +94,8 @@ def test_every_public_name_is_in_an_example():
 @pytest.mark.parametrize("tool", ["SU2", "OpenFOAM"])
 def test_what_one_types_first_prints_what_the_page_says(tool, tmp_path):
     """Each line of the page is printed, in this order; times differ, and numbers little."""
-    text = (PAGES / "choose.md").read_text().partition(f"\n## {tool}\n")[2].partition("\n## ")[0]
+    page = (PAGES / f"{tool.lower()}.md").read_text()
+    text = page.partition("\n## First commands\n")[2].partition("\n## ")[0]
     commands = re.findall(r"```sh\n(.*?)```\n\n```text\n(.*?)```", text, flags=re.DOTALL)
     assert commands
     environment = dict(os.environ)
