@@ -153,29 +153,27 @@ def hard_rows(points: int, chosen: tuple[str, ...]):
             )
 
 
-def worst(
-    points: int = 1200, chosen: tuple[str, ...] = ("",), timed: bool = False
-) -> Iterator[list[str]]:
+def worst(points: int, chosen: tuple[str, ...]) -> Iterator[list[str]]:
     """Makes the table of `improve` and `improve(worst=True)`, its heads first; with CPU seconds of a second call."""
-    times = ["CPU, s", "`worst`"] if timed else []
     yield [
         "motion",
         "inverted before",
         "ratio, skewness before",
         "`improve`",
         "`worst=True`",
-        *times,
+        "CPU, s",
+        "`worst`",
     ]
     for name, mesh, moved in hard_rows(points, chosen):
         line, took = [name, str(int(jm.quality(mesh, moved).inverted))], []
         for is_worst in (None, False, True):
             found = moved
-            for _ in range(0 if is_worst is None else 1 + timed):
+            for _ in range(0 if is_worst is None else 2):
                 began = time.process_time()
                 found = jax.block_until_ready(jm.improve(mesh, moved, worst=bool(is_worst))).points
                 cpu = time.process_time() - began
             quality = jm.quality(mesh, found)
-            took += [f"{cpu:.1f}"] if timed and is_worst is not None else []
+            took += [] if is_worst is None else [f"{cpu:.1f}"]
             line.append(
                 f"{float(quality.min_jacobian_ratio):.3f}, {float(quality.max_skewness):.3f}"
             )
@@ -195,7 +193,7 @@ if __name__ == "__main__":
     arguments = parser.parse_args()
     if arguments.worst:
         about(points=arguments.points or 1200)
-        lines = worst(arguments.points or 1200, tuple(arguments.row), timed=True)
+        lines = worst(arguments.points or 1200, tuple(arguments.row))
         table(lines, next(lines))
         sys.exit()
     about(points=arguments.points or (64_943 if arguments.wing else 39_666))

@@ -22,10 +22,8 @@ TABLES = {
     "boundaries": "boundaries.rows",
     "limits": "limits.rows",
     "awkward": "awkward.rows",
-    "worst": "improve.worst",
     "wall": "walls.at_the_wall",
     "wall by cells": "walls.by_cells",
-    "pitch by cells": "walls.pitched",
 }
 """A function of a script that makes the rows of each table, heads first."""
 TOLERANCE = 0.02

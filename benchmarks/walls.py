@@ -181,7 +181,7 @@ NAMES = {
     "elasticity": "`LinearElasticity()`",
 } | {"torsional": "`TorsionalSprings()`"}
 """Names of methods in the pages."""
-PAGE_MOTIONS = ("camber 10 %", "flap 45", "pitch 45", "bump 0.1")
+PAGE_MOTIONS = ("camber 10 %", "flap 45")
 
 
 def at_the_wall() -> Iterator[list[str]]:
@@ -238,19 +238,6 @@ def by_cells() -> Iterator[list[str]]:
                 f"{row['ratio']:.2f}",
                 f"{row['height']:.2f} to {row['height max']:.2f}",
             ]
-
-
-def pitched() -> Iterator[list[str]]:
-    """Makes the page's table of the paper's airfoil pitched in one step, its heads first."""
-    yield ["method", "15 degrees", "45 degrees"]
-    methods, motions = ["default", "elasticity", "torsional"], ("pitch 15", "pitch 45")
-    found = part_of("shapes", 39_666, methods, ["naca0015"], motions)
-    for method in methods:
-        rows = [found[f"naca0015 {motion}"][method] for motion in motions]
-        yield [
-            NAMES.get(method, method),
-            *(f"{row['skew']:.3f} / {row['skew max']:.3f}, {row['line']:.1f}" for row in rows),
-        ]
 
 
 def show(part: str, rows: dict[str, dict[str, dict[str, float]]]) -> None:

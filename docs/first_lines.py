@@ -2,7 +2,7 @@
 
     python docs/first_lines.py [docs/first_lines.png]
 
-It needs `pip install 'jaxmorph[plot]'`. A table of angles for docs/pages/wall.md is printed, too.
+It needs `pip install 'jaxmorph[plot]'`. A table of angles is printed, too.
 """
 
 import pathlib

@@ -1,23 +1,21 @@
-"""Adds to the pages what the project keeps elsewhere: its documents, its notebooks, the help of its commands, equations.
+"""Adds to the pages what the project keeps elsewhere: its documents, its notebooks, its examples, equations.
 
 - README.md, CONTRIBUTING.md, CHANGELOG.md and benchmarks/README.md are pages as they stand.
-- Each notebook is a page with its pictures, as it ran. Cells tagged `hide-input` are folded. The first page ends with a
-  small picture of each.
-- `python docs/hooks.py` writes `pages/commands.md`: what `jaxmorph --help` and the help of each command print.
+- Each notebook is a page with its pictures, as it ran. Cells tagged `hide-input` are folded. The first page has
+  a small picture of each.
+- The programs of docs/examples are a page, too.
 - A link of a page to a file of the project leads to the page made from that file. The same link works on a code host.
 - A fenced block `math` becomes MathML, which browsers draw without a script.
 
 A link to a file that is not there stops the build.
 """
 
+import ast
 import base64
 import io
-import os
 import pathlib
 import posixpath
 import re
-import subprocess
-import sys
 
 import nbformat
 import numpy as np
@@ -45,7 +43,9 @@ def on_config(config):
     entries = [entry for group in config.nav for entries in group.values() for entry in entries]
     (entry,) = [entry for entry in entries if isinstance(entry, dict) and "Notebooks" in entry]
     entry["Notebooks"] = notebooks
-    config.watch += [str(ROOT / name) for name in (*DOCUMENTS, "jaxmorph", "notebooks")]
+    config.watch += [
+        str(ROOT / name) for name in (*DOCUMENTS, "docs/examples", "jaxmorph", "notebooks")
+    ]
     fences = config.mdx_configs.setdefault("pymdownx.superfences", {}).setdefault(
         "custom_fences", []
     )
@@ -66,9 +66,10 @@ def on_files(files, config):
         text = linked((ROOT / document).read_text(), document, page)
         files.append(
             File.generated(
-                config, page, content=text + gallery(notebooks) if page == "index.md" else text
+                config, page, content=with_gallery(text, notebooks) if page == "index.md" else text
             )
         )
+    files.append(File.generated(config, "examples.md", content=examples()))
     for file in notebooks:
         files.append(File.generated(config, f"gallery/{file.stem}.jpg", content=thumbnail(file)))
         for name, content in notebook(file).items():
@@ -95,6 +96,8 @@ def linked(text: str, document: str, page: str) -> str:
         if not (ROOT / file).exists():
             raise PluginError(f"{document} links to {address}, which is not there.")
         goal = DOCUMENTS.get(file, re.sub(r"^docs/(pages/)?", "", file).replace(".ipynb", ".md"))
+        if file.startswith("docs/examples/"):
+            goal, anchor = "examples.md", posixpath.basename(file).replace(".", "")
         if goal == file and file.split("/")[0] != "notebooks":
             named = words.strip("`") in (file, posixpath.basename(file))
             return f"`{file}`" if named else f"{words} (`{file}`)"
@@ -135,6 +138,12 @@ def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
         )
         body = body.replace(code, summary)
     return {f"{file.stem}.md": body} | outputs["outputs"] | films
+
+
+def with_gallery(text: str, files: list[pathlib.Path]) -> str:
+    """Puts the notebooks' pictures into the first page, before its first section."""
+    start, mark, rest = text.partition("\n## ")
+    return start + gallery(files) + mark + rest
 
 
 def gallery(files: list[pathlib.Path]) -> str:
@@ -195,33 +204,18 @@ def main_part(picture: Image.Image) -> Image.Image:
     return picture
 
 
-def commands() -> str:
-    """Returns the page of the command line: the help of `jaxmorph`, then of each command, whole."""
-    top = printed("--help")
-    names = re.findall(r"^    ([a-z0-9]+)(?: |$)", top, flags=re.MULTILINE)
-    parts = [
-        "# Commands\n\nWhat `jaxmorph --help` and the help of each command print.",
-        block("jaxmorph", top),
-    ]
-    for name in names:
-        text = printed(name, "--help")
+def examples() -> str:
+    """Returns the page of the programs in docs/examples: of each its first words, and its code folded."""
+    parts = ["# Examples\n\nShort programs, which the tests run: `docs/examples` of a checkout."]
+    for file in sorted((ROOT / "docs" / "examples").glob("*.py")):
+        source = file.read_text()
+        words = ast.get_docstring(ast.parse(source)) or ""
+        title = words.split("\n", 1)[0]
+        summary = f"<details markdown>\n<summary>Code, {source.count(chr(10))} lines</summary>"
         parts.append(
-            block(f"jaxmorph {name}", printed(name, "--help-all") if "--help-all" in text else text)
+            f"## `{file.name}`\n\n{title}\n\n{summary}\n\n```python\n{source}```\n\n</details>"
         )
-    return "\n\n".join(parts)
-
-
-def printed(*arguments: str) -> str:
-    """Returns what a command prints, at a width that fits a page."""
-    environment = os.environ | {"COLUMNS": "84", "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "jaxmorph", *arguments]
-    return subprocess.run(
-        command, env=environment, capture_output=True, text=True, check=True
-    ).stdout.strip()
-
-
-def block(heading: str, text: str) -> str:
-    return f"## `{heading}`\n\n```text\n{text}\n```"
+    return "\n\n".join(parts) + "\n"
 
 
 def mathml(source, language, css_class, options, md, **_) -> str:
@@ -235,7 +229,3 @@ def mathml(source, language, css_class, options, md, **_) -> str:
         equation,
     )
     return f'<div class="{css_class}">{equation}<span>{f"({number[1]})" if number else ""}</span></div>'
-
-
-if __name__ == "__main__":
-    (ROOT / "docs" / "pages" / "commands.md").write_text(commands() + "\n")

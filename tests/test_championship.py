@@ -1,4 +1,4 @@
-"""The championship's door for other tools: the page's own script moves a case by its file alone, and its points are judged."""
+"""The championship's door for other tools: the script of the benchmarks' page moves a case by its file alone, and its points are judged."""
 
 import importlib
 import pathlib
@@ -29,7 +29,7 @@ def test_a_tool_enters_by_a_file_of_moved_points(championship, tmp_path, monkeyp
     arena = importlib.import_module("_arena")
     case = arena.brick("hexahedron", {"dent": arena.dent})
     championship.write(tmp_path / "given", case)
-    page = (ROOT / "docs" / "pages" / "championship.md").read_text()
+    page = (ROOT / "benchmarks" / "README.md").read_text()
     (code,) = re.findall(r"```py\n(.*?)```", page, re.DOTALL)
     exec(code, {})
     (row,) = championship.entered("splines", tmp_path / "moved", case)

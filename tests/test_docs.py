@@ -1,9 +1,11 @@
 """The documentation: its code runs and prints what it says, its parts from elsewhere are there, its reference is complete."""
 
+import ast
 import importlib
 import os
 import pathlib
 import re
+import runpy
 import subprocess
 import sys
 import types
@@ -11,7 +13,7 @@ import types
 import foam
 import jax
 import pytest
-from documents import ROOT, blocks_and_output
+from documents import ROOT, blocks, blocks_and_output
 from memory import drop_compiled
 from runs import over
 
@@ -22,7 +24,10 @@ PAGES = ROOT / "docs" / "pages"
 WITH_CODE = sorted(
     str(page.relative_to(ROOT)) for page in PAGES.rglob("*.md") if "```python" in page.read_text()
 )
-LONG = [page for page in WITH_CODE if pathlib.Path(page).stem != "first_ten_minutes"]
+LONG = [page for page in WITH_CODE if pathlib.Path(page).stem not in ("openmdao", "mach", "jax")]
+EXAMPLES = sorted(path.stem for path in (ROOT / "docs" / "examples").glob("*.py"))
+NEEDED = {"hand_over": "mmgpy", "formats": "vtk", "pictures": "pyvista"}
+"""Packages without which an example is left out."""
 NUMBER = r"(?<![\w.])[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
 
 
@@ -51,16 +56,46 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
             assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=1e-6)  # below: rounding
 
 
+@over(
+    "name",
+    slow=["judge", "pysu2_driver"],
+    nightly=[name for name in EXAMPLES if name not in ("judge", "pysu2_driver", "tesseract_api")],
+)
+def test_examples_run(name, tmp_path, monkeypatch):
+    """Each of docs/examples but that of Tesseract, which has tests of its own."""
+    monkeypatch.chdir(tmp_path)
+    if name in NEEDED:
+        pytest.importorskip(NEEDED[name])
+    if name == "openfoam_case":
+        foam.need_openfoam()
+        monkeypatch.setenv("WM_PROJECT_DIR", foam.ENVIRONMENT["WM_PROJECT_DIR"])
+        monkeypatch.setenv("FOAM_TUTORIALS", str(foam.EXAMPLES))
+    monkeypatch.syspath_prepend(ROOT)
+    with jax.numpy_rank_promotion("allow"):
+        runpy.run_path(str(ROOT / "docs" / "examples" / f"{name}.py"), run_name="__main__")
+    drop_compiled()
+
+
+def test_every_public_name_is_in_an_example():
+    """In a page's code or in docs/examples, which the tests run."""
+    pages = [ROOT / "README.md", *PAGES.rglob("*.md")]
+    code = [text for page in pages for text in blocks(str(page.relative_to(ROOT)))]
+    code += [path.read_text() for path in (ROOT / "docs" / "examples").glob("*.py")]
+    words = set(re.findall(r"\w+", "\n".join(code)))
+    for name in ("jaxmorph", "shapes", "io", "plot", "cases", "extend"):
+        module = jm if name == "jaxmorph" else importlib.import_module(f"jaxmorph.{name}")
+        public = [key for key in dir(module) if callable(getattr(module, key)) and key[0] != "_"]
+        own = [key for key in public if getattr(module, key).__module__.startswith("jaxmorph")]
+        assert own
+        assert not sorted(set(own) - words), name
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", ["SU2", "OpenFOAM"])
 def test_what_one_types_first_prints_what_the_page_says(tool, tmp_path):
     """Each line of the page is printed, in this order; times differ, and numbers little."""
-    text = (
-        (PAGES / "first_ten_minutes.md")
-        .read_text()
-        .partition(f"\n## {tool}\n")[2]
-        .partition("\n## ")[0]
-    )
+    page = (PAGES / f"{tool.lower()}.md").read_text()
+    text = page.partition("\n## First commands\n")[2].partition("\n## ")[0]
     commands = re.findall(r"```sh\n(.*?)```\n\n```text\n(.*?)```", text, flags=re.DOTALL)
     assert commands
     environment = dict(os.environ)
@@ -183,16 +218,30 @@ def test_tables_of_figures_have_a_script_and_a_tolerance(monkeypatch):
     assert all(tables.has_moved(*cells) for cells in moved)
 
 
-def test_each_command_has_its_help_and_a_row():
-    help_of, rows = (PAGES / "commands.md").read_text(), (PAGES / "files.md").read_text()
+def test_each_command_has_a_row():
+    rows = (PAGES / "commands.md").read_text()
     for name in COMMANDS:
-        assert f"\n## `jaxmorph {name}`\n" in help_of
         assert f"\n| `jaxmorph {name}` |" in rows
 
 
-@pytest.mark.slow
-def test_the_page_of_commands_is_what_they_print(monkeypatch):
-    pytest.importorskip("mkdocs")
-    monkeypatch.syspath_prepend(ROOT / "docs")
-    printed = importlib.import_module("hooks").commands() + "\n"
-    assert printed == (PAGES / "commands.md").read_text(), "python docs/hooks.py"
+def messages() -> list[str]:
+    """All strings of the package; what is put into them is three dots."""
+    found = []
+    for file in (ROOT / "jaxmorph").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                parts = [getattr(part, "value", None) for part in node.values]
+                found.append("".join(part if isinstance(part, str) else "..." for part in parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
+    return [" ".join(text.split()) for text in found]
+
+
+def test_messages_of_the_page_are_those_of_the_program():
+    quoted = re.findall(r"^> (.*)$", (PAGES / "faq.md").read_text(), re.MULTILINE)
+    assert len(quoted) > 10
+    said = messages()
+    for message in quoted:
+        words = [re.escape(part.strip()) for part in message.split("...") if part.strip()]
+        pattern = re.compile(".*".join(words))
+        assert any(map(pattern.search, said)), message

@@ -268,8 +268,8 @@ def test_the_mover_takes_little_of_a_step(tmp_path, library):
 
 def test_what_the_page_says_works(tmp_path, library):
     """Its commands and dictionary, on airFoil2D, in a shell with OpenFOAM's environment."""
-    page = (ROOT / "docs" / "pages" / "in_solver.md").read_text()
-    page = f"\n{page}".partition("\n## OpenFOAM\n")[2].partition("\n## ")[0]
+    page = (ROOT / "docs" / "pages" / "openfoam.md").read_text()
+    page = f"\n{page}".partition("\n## While the solver runs\n")[2].partition("\n## ")[0]
     (typed,), (dictionary,) = (
         re.findall(rf"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("sh", r"c\+\+")
     )

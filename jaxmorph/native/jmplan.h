@@ -9,8 +9,18 @@
        jm_close(plan);
 
    Arrays are of doubles, row by row. A plan is never written to after jm_open: threads share it.
-   The file is described on the page "In a running solver" of the documentation.
-   MIT licence, as jaxmorph. */
+   MIT licence, as jaxmorph.
+
+   The file, little-endian, in words of 64 bits. The header of 18 words: the bytes "JMPLAN\r\n",
+   version 1, bytes of the file, two sums, d, n, m, the numbers of arrays, registers and steps, the
+   first step that changes points, and the arrays of the points at rest, of the moving nodes, and of
+   a layer's nodes (-1: none) with its two axes. The sums are over all words after them: of the
+   words, and of the words times 1, 2, 3, and so on, modulo 2^64.
+   Then a row for each array: kind (1 float64, 2 int64, 3 int32), count, offset in bytes; the rows
+   of each register; nine words for each step: code, register that changes, register that is read
+   (-1: none), five arrays (-1: none), a number. The arrays follow, each filled up to whole words.
+   Register 0 is u, register 1 the points. A step adds a matrix times one register to another one,
+   or solves or changes a register in place. The transpose runs the steps backwards. */
 #ifndef JMPLAN_H
 #define JMPLAN_H
 
