@@ -22,7 +22,8 @@ XLA_OPTIONS = {
 }
 
 UNTUNED = {
-    "xla_backend_optimization_level": 0
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_parallel_codegen_split_count": 1,  # each part has a price of its own
 }  # a third of the compile time, for few runs on little data
 
 _is_quick = contextvars.ContextVar("_is_quick", default=False)
