@@ -12,6 +12,7 @@ from .sparse import Interpolation
 
 # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 WIDER = 256
+SINGLE = 8  # blocks that are one: their memory is little, a loop takes longer to compile
 FEW_BLOCKS = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
@@ -46,17 +47,26 @@ def place_points(
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Maps blocks of rows to as many rows; the last block may be shorter, GPUs get larger ones."""
+    """Maps blocks of rows to as many rows; few rows are one block, and GPUs get larger ones."""
 
+    # The last block begins so early that it is whole: the program has the function once. Its first
+    # rows are those of the block before, too, and come from there.
     def mapped(rows, block):
-        blocks, rest = _split_rows(rows, block)
-        last = function(rest)
-        if blocks is None:
-            return last
-        whole = jax.lax.map(function, blocks)
-        return jax.tree.map(
-            lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b]), whole, last
-        )
+        count = len(jax.tree.leaves(rows)[0])
+        if count <= SINGLE * block:
+            return function(rows)
+        blocks = -(-count // block)
+        before = (blocks - 1) * block
+
+        def stacked(leaf):
+            parts = [leaf[:before], leaf[count - block :]]
+            return jnp.concatenate(parts).reshape(blocks, block, *leaf.shape[1:])
+
+        def joined(leaf):
+            every = leaf.reshape(-1, *leaf.shape[2:])
+            return jnp.concatenate([every[:before], every[before + blocks * block - count :]])
+
+        return jax.tree.map(joined, jax.lax.map(function, jax.tree.map(stacked, rows)))
 
     return sized_by_platform(mapped, rows, block)
 
