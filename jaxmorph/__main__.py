@@ -6,7 +6,6 @@ from typing import NoReturn
 
 from jaxmorph.cli import main
 
-
 # Imports and traced code make many objects, which live on: looked at for cycles as often as Python
 # does by default, they take an eighth of a short command's time.
 GARBAGE = (100_000, 20, 20)

@@ -240,8 +240,9 @@ def _slopes(pairs: Pairs, x: Rows, normal: Rows, height: Float[Array, " b"]) -> 
     )
     # symmetric: its rows are its columns, and those of the adjugate are the cofactors
     columns = list(jnp.moveaxis(matrix, 0, 2))
-    adjugate = jnp.stack([jnp.stack(row) for row in cofactors(columns)]) / determinant(columns)
-    return jnp.sum(adjugate[:, :, first] * (weight[:, None] * arm).T[None], axis=1).T
+    adjugate = jnp.stack([jnp.stack(row) for row in cofactors(columns)])
+    inverse = at_rows((adjugate / determinant(columns)[None, None]).transpose(2, 0, 1), first)
+    return jnp.sum(inverse * (weight[:, None] * arm)[:, None], axis=2)
 
 
 def risen(place: Scalar, height: Scalar) -> Scalar:
