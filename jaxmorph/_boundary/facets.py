@@ -24,9 +24,9 @@ from .._kernels.values import (
     array,
     as_jax,
     is_known,
+    iterate,
     namespace,
     norm,
-    repeat,
 )
 from .._mesh.mesh import Mesh
 from .face_search import on_simplices, smooth_normals
@@ -226,7 +226,7 @@ def _place(
         after = facets.beside[face, (lowest + 1) % at.shape[1]]
         return xp.where(xp.min(at, axis=1) < 0, after.astype(face.dtype), face)
 
-    at, corners, normals = shares(repeat(walk, face, WALK), NEWTON)
+    at, corners, normals = shares(iterate(walk, face, WALK), NEWTON)
     inside = xp.min(at, axis=1)
     at = xp.clip(at, 0, 1)
     at = at / xp.sum(at, axis=1)[:, None]
@@ -267,7 +267,7 @@ def _along_normals(
 
     count = corners.shape[1]
     start = xp.where(xp.arange(count) < count - 1, xp.asarray(1 / count, x.dtype), 0)
-    at = repeat(nearer, xp.broadcast_to(start, (len(x), count)), steps)[:, :-1]
+    at = iterate(nearer, xp.broadcast_to(start, (len(x), count)), steps)[:, :-1]
     return xp.concatenate([1 - xp.sum(at, axis=1)[:, None], at], axis=1)
 
 

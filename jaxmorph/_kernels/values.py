@@ -106,7 +106,7 @@ def put_at(array: Either, rows: Any, values: Either) -> Either:
     return array
 
 
-def repeat(function: Callable[[Either], Either], start: Either, count: int) -> Either:
+def iterate(function: Callable[[Either], Either], start: Either, count: int) -> Either:
     """Applies a function `count` times to an array, in traced code in one loop."""
     if namespace(start) is not np:
         return jax.lax.scan(lambda value, _: (function(value), None), start, length=count)[0]

@@ -12,7 +12,7 @@ from .sparse import Interpolation
 
 # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 WIDER = 256
-SINGLE = 8  # blocks that are one: their memory is little, a loop takes longer to compile
+AS_ONE = 8  # blocks that are one: their memory is little, a loop takes longer to compile
 FEW_BLOCKS = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
@@ -53,7 +53,7 @@ def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> 
     # rows are those of the block before, too, and come from there.
     def mapped(rows, block):
         count = len(jax.tree.leaves(rows)[0])
-        if count <= SINGLE * block:
+        if count <= AS_ONE * block:
             return function(rows)
         blocks = -(-count // block)
         before = (blocks - 1) * block

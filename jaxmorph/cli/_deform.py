@@ -45,7 +45,7 @@ MOST_TRIED = 16
 PATIENCE = 120.0
 """Seconds of an attempt after which no other is tried."""
 
-WallRow = tuple[str, int, float, str]
+MeasureRow = tuple[str, int, float, str]
 """A row of the table of measures: label, before, after and place."""
 
 
@@ -227,7 +227,7 @@ def _say_measures(
     way: Way,
     verdict: jm.Verdict,
     inspection: jm.Inspection,
-    wall: list[WallRow],
+    wall: list[MeasureRow],
     off: Distances,
     out: Output,
 ) -> None:
@@ -251,7 +251,7 @@ def _say_measures(
     )
 
 
-def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[WallRow]:
+def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[MeasureRow]:
     """Measures the first grid line: label, before, after and place; none without a line."""
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)
