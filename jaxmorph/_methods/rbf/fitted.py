@@ -188,8 +188,7 @@ class Rings(eqx.Module):
         system = einsum("ac,db->abcd", eye, matrix) + jnp.trace(matrix) * (
             STRAIN_WEIGHT * strain + SAME * unit
         )
-        unity = jnp.eye(d * d, dtype=surface.dtype)
-        affine = Cholesky.of(system.reshape(d * d, d * d)).solve(unity).reshape(d, d, d, d)
+        affine = jnp.linalg.inv(system.reshape(d * d, d * d)).reshape(d, d, d, d)
         reach = ids.reach.astype(surface.dtype)
         way = surface[ids.far] - centre[None]
         # a plate so large that its rotation has an end in a small mesh as in a large one
