@@ -51,20 +51,20 @@ def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> 
 
     # The last block begins so early that it is whole: the program has the function once. Its first
     # rows are those of the block before, too, and come from there.
-    def mapped(rows, block):
+    def mapped(rows, size):
         count = len(jax.tree.leaves(rows)[0])
-        if count <= AS_ONE * block:
+        if count <= max(AS_ONE * block, size):
             return function(rows)
-        blocks = -(-count // block)
-        before = (blocks - 1) * block
+        blocks = -(-count // size)
+        before = (blocks - 1) * size
 
         def stacked(leaf):
-            parts = [leaf[:before], leaf[count - block :]]
-            return jnp.concatenate(parts).reshape(blocks, block, *leaf.shape[1:])
+            parts = [leaf[:before], leaf[count - size :]]
+            return jnp.concatenate(parts).reshape(blocks, size, *leaf.shape[1:])
 
         def joined(leaf):
             every = leaf.reshape(-1, *leaf.shape[2:])
-            return jnp.concatenate([every[:before], every[before + blocks * block - count :]])
+            return jnp.concatenate([every[:before], every[before + blocks * size - count :]])
 
         return jax.tree.map(joined, jax.lax.map(function, jax.tree.map(stacked, rows)))
 
