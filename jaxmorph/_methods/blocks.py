@@ -12,7 +12,7 @@ from .sparse import Interpolation
 
 # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 WIDER = 256
-AS_ONE = 8  # blocks that are one: their memory is little, a loop takes longer to compile
+PLACES_TOGETHER = 4096  # in a block: their memory is little, and few need no loop
 FEW_BLOCKS = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
@@ -43,28 +43,28 @@ def place_points(
 
     every = jax.checkpoint(jax.vmap(place))
     rows = (points, ids) if placed is None else (points, ids, without_tables(placed))
-    return map_rows(lambda rows: every(*rows), rows, POINT_BLOCK)
+    return map_rows(lambda rows: every(*rows), rows, PLACES_TOGETHER)
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Maps blocks of rows to as many rows; few rows are one block, and GPUs get larger ones."""
+    """Maps blocks of rows to as many rows; GPUs get larger blocks."""
 
     # The last block begins so early that it is whole: the program has the function once. Its first
     # rows are those of the block before, too, and come from there.
-    def mapped(rows, size):
+    def mapped(rows, block):
         count = len(jax.tree.leaves(rows)[0])
-        if count <= max(AS_ONE * block, size):
+        if count <= block:
             return function(rows)
-        blocks = -(-count // size)
-        before = (blocks - 1) * size
+        blocks = -(-count // block)
+        before = (blocks - 1) * block
 
         def stacked(leaf):
-            parts = [leaf[:before], leaf[count - size :]]
-            return jnp.concatenate(parts).reshape(blocks, size, *leaf.shape[1:])
+            parts = [leaf[:before], leaf[count - block :]]
+            return jnp.concatenate(parts).reshape(blocks, block, *leaf.shape[1:])
 
         def joined(leaf):
             every = leaf.reshape(-1, *leaf.shape[2:])
-            return jnp.concatenate([every[:before], every[before + blocks * size - count :]])
+            return jnp.concatenate([every[:before], every[before + blocks * block - count :]])
 
         return jax.tree.map(joined, jax.lax.map(function, jax.tree.map(stacked, rows)))
 
@@ -103,7 +103,7 @@ def sized_by_platform(
     return jax.lax.platform_dependent(
         rows,
         cpu=lambda rows: function(rows, block),
-        default=lambda rows: function(rows, WIDER * block),
+        default=lambda rows: function(rows, WIDER * min(block, POINT_BLOCK)),
     )
 
 
