@@ -151,10 +151,10 @@ class Onto(Module):
         x = positions(x, like=self.wall.points.shape)
         target = self.target
         if target is not None and points is not None:
-            points = positions(points, "points")
+            places: Any = positions(points, "points")
             for clip in self.clips:
-                points = clip(points)
-            target = target.at(points)
+                places = clip(places)
+            target = target.at(places)
         return as_jax(_move_walls(self, x, target))
 
     def _places(self, y: Places, facing: Places, target: Facets | None) -> Places:
