@@ -1,6 +1,8 @@
 """First contacts, each in a process of its own on one core: CPU seconds and peak memory, with an empty cache of code and again.
 
-python benchmarks/first_contact.py [--only info deform]
+python benchmarks/first_contact.py [--only info deform] [--check]
+
+`--check` ends with 1 where a contact takes more than twice its goal.
 """
 
 import argparse
@@ -21,6 +23,16 @@ MESH_FILENAME= larger.su2
 MESH_OUT_FILENAME= moved.su2
 """
 MOVE = "--moving airfoil --fixed farfield --rotate 5"
+GOALS = {
+    "info": (0.8, 0.8),
+    "deform": (1.8, 1.8),
+    "su2 def": (2.5, 1.5),
+    "paper's airfoil": (3.0, 2.5),
+    "USMesh": (8.0, 4.0),
+    "onto": (2.0, 2.0),
+    "judge": (2.5, 2.0),
+}
+"""CPU seconds: first, again."""
 COMMANDS = {
     "info": "info small.su2",
     "deform": f"deform small.su2 moved.su2 {MOVE}",
@@ -68,10 +80,13 @@ def write_files(folder: pathlib.Path, side: int = 40) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="+", default=[*COMMANDS, *CALLS])
-    chosen = parser.parse_args().only
+    parser.add_argument("--check", action="store_true")
+    given = parser.parse_args()
+    chosen = given.only
     about(cases=len(chosen))
-    heads = ("what", "CPU s, first", "again", "GB, first", "again")
+    heads = ("what", "CPU s, first", "again", "goals", "GB, first", "again")
     rows = []
+    late = []
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         write_files(folder)
@@ -86,8 +101,20 @@ def main() -> None:
                 "PYTHONPATH": str(pathlib.Path(__file__).parent),
             }
             first, again = (measured(command, folder, 1, **settings) for _ in range(2))
-            rows.append([what, first[1], again[1], first[3], again[3]])
+            goals = GOALS[what]
+            rows.append([what, first[1], again[1], "{}, {}".format(*goals), first[3], again[3]])
+            late += [
+                what
+                for run, goal in zip((first, again), goals, strict=True)
+                if not is_within(run[1], goal)
+            ]
     table(rows, heads)
+    if given.check and late:
+        sys.exit(f"more than twice the goal: {', '.join(dict.fromkeys(late))}")
+
+
+def is_within(seconds: str, goal: float) -> bool:
+    return seconds != "-" and float(seconds) <= 2 * goal
 
 
 if __name__ == "__main__":

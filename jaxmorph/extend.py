@@ -18,7 +18,8 @@ def attached(module, file):
         body = ast.parse(stub.read()).body
     imports = [node for node in body if isinstance(node, ast.ImportFrom) and node.level]
     homes = {each.name: f".{node.module or ''}" for node in imports for each in node.names}
-    package = module if file.endswith("__init__.py") else module.rpartition(".")[0]
+    is_package = file.rpartition(".")[0].endswith("__init__")  # also of bytecode alone
+    package = module if is_package else module.rpartition(".")[0]
 
     def attribute(name):
         if name not in homes:

@@ -26,9 +26,22 @@ from ._host.package.rounding import Tree as Tree, spacing as spacing
 from ._host.package.text import decoded as decoded, patch_names as patch_names
 from ._host.surface.gaps import closest as closest, fans as fans
 from ._kernels.callback import host_call as host_call
-from ._kernels.compile import float64_mode as float64_mode, quickly_compiled as quickly_compiled
+from ._kernels.compile import (
+    by_place as by_place,
+    float64_mode as float64_mode,
+    quickly_compiled as quickly_compiled,
+)
 from ._kernels.module import Module as Module
-from ._kernels.values import area_vectors as area_vectors, is_known as is_known, norm as norm
+from ._kernels.values import (
+    Either as Either,
+    add_at as add_at,
+    area_vectors as area_vectors,
+    as_jax as as_jax,
+    is_known as is_known,
+    namespace as namespace,
+    norm as norm,
+    put_at as put_at,
+)
 
 def attached(
     module: str, file: str

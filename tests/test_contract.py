@@ -430,7 +430,15 @@ def test_numbering_does_not_matter_to_prepares_own_default(kind, alone):
 
 BLOCKS = {
     *("BATCH", "BLOCK", "CACHED", "CELLS", "CELLS_OF_BLOCK", "CHUNK", "DISTANCES_TOGETHER"),
-    *("FACES_AT_ONCE", "FEW_PARTS", "KERNEL_BLOCK", "LEAST_SLAB", "MOST_PARTS", "POINT_BLOCK"),
+    *(
+        "FACES_AT_ONCE",
+        "FEW_PARTS",
+        "KERNEL_BLOCK",
+        "LEAST_SLAB",
+        "MOST_PARTS",
+        "PLACES_TOGETHER",
+        "POINT_BLOCK",
+    ),
     *("POINTS_OF_BLOCK", "POINTS_TOGETHER", "ROOM", "ROWS_TOGETHER", "SLAB", "SLAB_STEP", "SQUARE"),
     *("TOGETHER", "TRACED_ROOM", "VALUES_OF_BLOCK", "WIDER"),
 }

@@ -19,14 +19,14 @@ from .._host.cells.topology import SHAPES
 from .._host.surface.gaps import Closest, closest
 from .._host.tolerances import AT_VERTEX, CANCELLED
 from .._kernels.module import Module
-from .._kernels.values import Either, area_vectors, norm
+from .._kernels.values import Either, add_at, area_vectors, constant, namespace, norm
 
 Point = Float[Array, " d"]
-Vertices = Float[Array, "v d"]
+Vertices = Float[Either, "v d"]
 Places = Float[Array, "k d"]
 Place = tuple[Point, Point]
 Simplices = Float[Array, "w d d"]
-Corners = Int[Array, "e c"]
+Corners = Int[Either, "e c"]
 Share = Float[Array, " e"]
 
 FLAT_FACES = "flat"
@@ -122,21 +122,22 @@ def faces_around(elements: Int[np.ndarray, "e c"], count: int) -> Int[np.ndarray
     )
 
 
-def on_simplex(x: Point, corners: Float[Array, "c d"]) -> Point:
-    """Finds the closest place on one triangle or line. Traced."""
-    edges = jnp.roll(corners, -1, axis=0) - corners
-    squared = jnp.sum(edges**2, axis=1)
-    along = jnp.sum((x[None] - corners) * edges, axis=1) / jnp.where(squared > 0, squared, 1)
-    on_edges = corners + jnp.clip(along, 0, 1)[:, None] * edges
-    if len(corners) == 2:
-        return on_edges[0]
-    normal = _normal_of(corners)
-    in_plane = x - jnp.sum((x - corners[0]) * normal) * normal
-    is_inside = (
-        jnp.min(jnp.matmul(jnp.cross(edges, in_plane[None] - corners), normal, precision="highest"))
-        >= 0
-    )
-    return jnp.where(is_inside, in_plane, on_edges[_nearest_row(x, on_edges)])
+def on_simplices(x: Float[Either, "k d"], corners: Float[Either, "k c d"]) -> Any:
+    """Finds the closest places (k, d), each on a triangle or line of its own."""
+    xp = namespace(x)
+    edges = xp.roll(corners, -1, axis=1) - corners
+    squared = xp.sum(edges**2, axis=2)
+    along = xp.sum((x[:, None] - corners) * edges, axis=2) / xp.where(squared > 0, squared, 1)
+    on_edges = corners + xp.clip(along, 0, 1)[:, :, None] * edges
+    if corners.shape[1] == 2:
+        return on_edges[:, 0]
+    normal = _scale_to_one(area_vectors(corners), 0)
+    in_plane = x - xp.sum((x - corners[:, 0]) * normal, axis=1)[:, None] * normal
+    sides = xp.sum(xp.cross(edges, in_plane[:, None] - corners) * normal[:, None], axis=2)
+    is_inside = xp.min(sides, axis=1) >= 0
+    away = constant(xp.sum((on_edges - x[:, None]) ** 2, axis=2))
+    nearest = on_edges[xp.arange(len(x)), xp.argmin(away, axis=1)]
+    return xp.where(is_inside[:, None], in_plane, nearest)
 
 
 def _nearest_row(x: Point, places: Float[Array, "w d"]) -> Int[Array, ""]:
@@ -145,7 +146,7 @@ def _nearest_row(x: Point, places: Float[Array, "w d"]) -> Int[Array, ""]:
 
 def _on_nearest(x: Point, corners: Simplices) -> tuple[Point, Int[Array, ""]]:
     """The closest place on several flat faces, and the number of its face."""
-    places = jax.vmap(on_simplex, in_axes=(None, 0))(x, corners)
+    places = on_simplices(jnp.broadcast_to(x, (len(corners), len(x))), corners)
     chosen = _nearest_row(x, places)
     return places[chosen], chosen
 
@@ -273,61 +274,65 @@ def smooth_normals(vertices: Vertices, faces: Corners) -> Vertices:
     At a rim, where faces lie on one side only, the normals of inner vertices go on. Source: Max,
     Weights for computing vertex normals from facet normals, J. Graph. Tools 4, 1999.
     """
+    xp = namespace(vertices)
     corners = vertices[faces]
     size = faces.shape[1]
     areas = area_vectors(corners)
-    others = jnp.stack([jnp.roll(corners, -step, axis=1) - corners for step in range(1, size)])
-    squared = jnp.prod(jnp.sum(others**2, axis=3), axis=0)
-    weight = norm(areas)[:, None] / jnp.where(squared > 0, squared, jnp.inf)
+    others = xp.stack([xp.roll(corners, -step, axis=1) - corners for step in range(1, size)])
+    squared = xp.prod(xp.sum(others**2, axis=3), axis=0)
+    weight = norm(areas)[:, None] / xp.where(squared > 0, squared, xp.inf)
     total, weights = _sum_rows(
         faces, len(vertices), weight[..., None] * _scale_to_one(areas, 0)[:, None], weight
     )
     # Round an inner vertex each neighbour comes first once and last once: ids cancel out.
     if size == 3:
-        turns = jnp.roll(faces, -1, axis=1) - jnp.roll(faces, 1, axis=1)
+        turns = xp.roll(faces, -1, axis=1) - xp.roll(faces, 1, axis=1)
     else:
-        turns = jnp.asarray([[1, -1]], faces.dtype) + 0 * faces
-    is_rim = jnp.zeros(len(vertices), faces.dtype).at[faces].add(turns) != 0
+        turns = xp.asarray([[1, -1]], faces.dtype) + 0 * faces
+    is_rim = add_at(xp.zeros(len(vertices), faces.dtype), faces, turns) != 0
     unit = _scale_to_one(total, CANCELLED * weights)
-    return jnp.where(is_rim[:, None], _go_on(vertices, faces, unit, is_rim), unit)
+    return xp.where(is_rim[:, None], _go_on(vertices, faces, unit, is_rim), unit)
 
 
 def _go_on(
-    vertices: Vertices, faces: Corners, unit: Vertices, is_rim: Bool[Array, " v"]
+    vertices: Vertices, faces: Corners, unit: Vertices, is_rim: Bool[Either, " v"]
 ) -> Vertices:
     """Continues the normals of inner vertices along edges, exact on a sphere. A short edge counts
     most: sides of quads count more than diagonals. Without inner neighbours a vertex keeps its
     normal.
     """
+    xp = namespace(vertices)
     first, second = np.array(list(itertools.permutations(range(faces.shape[1]), 2))).T
     here = faces[:, first]
     there = faces[:, second]
     other = unit[there]
     side = vertices[here] - vertices[there]
-    squared = jnp.sum(side**2, axis=2)
-    length = jnp.where(squared > 0, squared, 1)
-    reach = jnp.max(squared[:, 0])
-    weight = jnp.where(is_rim[there] | (squared <= 0), 0, reach / length) ** 2
-    share = jnp.sum(other * side, axis=2) / length
+    squared = xp.sum(side**2, axis=2)
+    length = xp.where(squared > 0, squared, 1)
+    reach = xp.max(squared[:, 0])
+    weight = xp.where(is_rim[there] | (squared <= 0), 0, reach / length) ** 2
+    share = xp.sum(other * side, axis=2) / length
     total, weights = _sum_rows(
         here, len(unit), weight[..., None] * (other - 2 * share[..., None] * side), weight
     )
     goes_on = norm(total) > CANCELLED * weights
-    return jnp.where(goes_on[:, None], _scale_to_one(total, CANCELLED * weights), unit)
+    return xp.where(goes_on[:, None], _scale_to_one(total, CANCELLED * weights), unit)
 
 
 def _sum_rows(
     rows: Corners,
     count: int,
-    vectors: Float[Array, "e c d"],
-    weights: Float[Array, "e c"],
+    vectors: Float[Either, "e c d"],
+    weights: Float[Either, "e c"],
 ):
     """Sums of vectors and of weights by row."""
-    total = jnp.zeros((count, vectors.shape[2]), vectors.dtype).at[rows].add(vectors)
-    return total, jnp.zeros(count, weights.dtype).at[rows].add(weights)
+    xp = namespace(vectors)
+    total = add_at(xp.zeros((count, vectors.shape[2]), vectors.dtype), rows, vectors)
+    return total, add_at(xp.zeros(count, weights.dtype), rows, weights)
 
 
-def _scale_to_one(vectors: Vertices, noise: Float[Array, " v"] | int) -> Vertices:
+def _scale_to_one(vectors: Vertices, noise: Float[Either, " v"] | int) -> Vertices:
     """Scales vectors to length one; a vector no longer than `noise` becomes zero."""
+    xp = namespace(vectors)
     length = norm(vectors)
-    return vectors * jnp.where(length > noise, 1 / jnp.where(length > 0, length, 1), 0)[:, None]
+    return vectors * xp.where(length > noise, 1 / xp.where(length > 0, length, 1), 0)[:, None]

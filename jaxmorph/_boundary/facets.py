@@ -5,7 +5,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
@@ -16,11 +15,21 @@ from .._host.rows import Rows, first_of_equals
 from .._host.surface.creases import Creased, cut_faces, with_extent
 from .._host.surface.gaps import closest
 from .._kernels.callback import host_call
-from .._kernels.compile import compiled, quickly_compiled
+from .._kernels.compile import by_place, quickly_compiled
 from .._kernels.module import Module
-from .._kernels.values import Either, area_vectors, array, is_known, norm
+from .._kernels.values import (
+    Either,
+    add_at,
+    area_vectors,
+    array,
+    as_jax,
+    is_known,
+    iterate,
+    namespace,
+    norm,
+)
 from .._mesh.mesh import Mesh
-from .face_search import on_simplex, smooth_normals
+from .face_search import on_simplices, smooth_normals
 from .outer_faces import boundary_faces
 
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
@@ -137,19 +146,17 @@ class Facets(Module):
         `x` is seen along the normals, interpolated between vertices: it moves without jumps.
         """
         x = self._like("x", x)
-        facing = None if facing is None else self._like("facing", facing, len(x))
-        return _place(self, x, facing, along and self.sides is None)
+        is_seen = self.smooth or (along and self.sides is None)
+        return as_jax(_place(self, x, self.face(x, facing), is_seen))
 
     @checked
     def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
         """Finds the row of the face that has the place of `closest`. Traced; the host finds it."""
         x = self._like("x", x)
-        none = jnp.zeros((0, self.points.shape[1]))
+        none = np.zeros((0, self.points.shape[1]))
         facing = None if facing is None else self._like("facing", facing, len(x))
         given = (x, facing, self.points, self.faces, self.sides)
-        given = jax.lax.stop_gradient(
-            [none if each is None else jnp.asarray(each) for each in given]
-        )
+        given = jax.lax.stop_gradient([none if each is None else array(each) for each in given])
         return host_call(_find_faces, jax.ShapeDtypeStruct(x.shape[:1], np.int32), *given)
 
     @checked
@@ -159,7 +166,7 @@ class Facets(Module):
         return norm(x - self.closest(x))
 
     def _like(self, name: str, values: Any, count: int | None = None) -> Places:
-        values = jnp.asarray(values)
+        values = array(values)
         d = self.points.shape[1]
         if values.ndim != 2 or values.shape[1] != d or (count is not None and len(values) != count):
             raise ValueError(f"`{name}` has shape {values.shape}; expected ({count or 'm'}, {d}).")
@@ -170,90 +177,98 @@ class Facets(Module):
     def areas(self) -> Float[Array, "k d"]:
         """Computes area vectors of the faces, in 2-D as long as the segments. Traced."""
         with quickly_compiled(len(self.faces) < QUICK_FACES):
-            return _measure_areas(self)
+            return as_jax(_measure_areas(self))
 
     def normals(self) -> Float[Array, "n d"]:
         """Computes unit normals at the points; at a sharp edge, the mean of its sides. Traced."""
         with quickly_compiled(len(self.faces) < QUICK_FACES):
-            return _unit_normals(self)
+            return as_jax(_unit_normals(self))
 
 
-@compiled
-def _measure_areas(facets: Facets) -> Float[Array, "k d"]:
-    return area_vectors(jnp.asarray(facets.points)[jnp.asarray(facets.faces)])
+@by_place
+def _measure_areas(facets: Facets) -> Float[Either, "k d"]:
+    return area_vectors(facets.points[facets.faces])
 
 
-@compiled
-def _unit_normals(facets: Facets) -> Float[Array, "n d"]:
-    above = _normals_of(facets, jnp.asarray(facets.points))
-    total = jnp.zeros_like(facets.points, above.dtype).at[facets.origins].add(above)
+@by_place
+def _unit_normals(facets: Facets) -> Float[Either, "n d"]:
+    above = _normals_of(facets)
+    xp = namespace(above)
+    total = add_at(xp.zeros(facets.points.shape, above.dtype), facets.origins, above)
     length = norm(total)
-    return (total / jnp.where(length > 0, length, 1)[:, None])[facets.welded]
+    return (total / xp.where(length > 0, length, 1)[:, None])[facets.welded]
 
 
-def _normals_of(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v d"]:
-    return smooth_normals(points[jnp.asarray(facets.origins)], jnp.asarray(facets.corners))
+def _normals_of(facets: Facets) -> Float[Either, "v d"]:
+    return smooth_normals(facets.points[facets.origins], facets.corners)
 
 
-@eqx.filter_jit
-def _place(facets: Facets, x: Places, facing: Any, along: bool) -> Places:
-    points = jnp.asarray(facets.points)
-    face = facets.face(x, facing)
-    flat = jax.vmap(on_simplex)(x, points[jnp.asarray(facets.faces)[face]])
-    if not (facets.smooth or along):
+@by_place
+def _place(
+    facets: Facets, x: Float[Either, "m d"], face: Int[Either, " m"], is_seen: bool
+) -> Float[Either, "m d"]:
+    """Finds the place on each face that is closest to x, or from which x is seen."""
+    xp = namespace(x)
+    flat = on_simplices(x, facets.points[facets.faces[face]])
+    if not is_seen:
         return flat
-    faces, beside, numbers = (
-        jnp.asarray(ids, np.int32) for ids in (facets.faces, facets.beside, facets.corners)
-    )
-    above = _normals_of(facets, points)
+    above = _normals_of(facets)
 
-    def shares(x, face, steps):
-        return _along_normals(x, points[faces[face]], above[numbers[face]], steps)
+    def shares(face, steps):
+        corners = facets.points[facets.faces[face]]
+        normals = above[facets.corners[face]]
+        return _along_normals(x, corners, normals, steps), corners, normals
 
-    def found(x, face):
-        # From the host's facet over the edges beyond which the place is, until it is inside.
-        def walk(face, _):
-            at = shares(x, face, NEWTON // 2)
-            lowest = jnp.argmin(at)
-            return jnp.where(at[lowest] < 0, beside[face, (lowest + 1) % len(at)], face), None
+    def walk(face):
+        # from the host's facet over the edges beyond which the place is, until it is inside
+        at = shares(face, NEWTON // 2)[0]
+        lowest = xp.argmin(at, axis=1)
+        after = facets.beside[face, (lowest + 1) % at.shape[1]]
+        return xp.where(xp.min(at, axis=1) < 0, after.astype(face.dtype), face)
 
-        face = jax.lax.scan(walk, face, length=WALK)[0]
-        at = shares(x, face, NEWTON)
-        corners = points[faces[face]]
-        normals = above[numbers[face]]
-        inside = jnp.min(at)
-        at = jnp.clip(at, 0, 1)
-        at = at / jnp.sum(at)
-        place = at @ corners
-        along = at @ normals
-        unit = along / norm(along)
-        lift = (at * jnp.sum((corners - place[None]) * normals, axis=1)) @ normals
-        return place + 0.5 * facets.smooth * jnp.sum(lift * unit) * unit, inside
-
-    places, inside = jax.vmap(found)(x, face)
+    at, corners, normals = shares(iterate(walk, face, WALK), NEWTON)
+    inside = xp.min(at, axis=1)
+    at = xp.clip(at, 0, 1)
+    at = at / xp.sum(at, axis=1)[:, None]
+    place = _weighted(at, corners)
+    along = _weighted(at, normals)
+    unit = along / norm(along)[:, None]
+    height = xp.sum((corners - place[:, None]) * normals, axis=2)
+    lift = xp.sum(_weighted(at * height, normals) * unit, axis=1)
+    place = place + 0.5 * facets.smooth * lift[:, None] * unit
     # far from a rough surface no place may be seen along the normals
-    return jnp.where(inside[:, None] > SEEN, places, flat)
+    return xp.where(inside[:, None] > SEEN, place, flat)
+
+
+def _weighted(shares: Float[Either, "m c"], rows: Float[Either, "m c d"]) -> Float[Either, "m d"]:
+    return namespace(rows).sum(shares[:, :, None] * rows, axis=1)
 
 
 def _along_normals(
-    x: Float[Array, " d"], corners: Float[Array, "c d"], normals: Float[Array, "c d"], steps: int
-) -> Float[Array, " c"]:
+    x: Float[Either, "m d"],
+    corners: Float[Either, "m c d"],
+    normals: Float[Either, "m c d"],
+    steps: int,
+) -> Float[Either, "m c"]:
     # Shares of the corners in the place p from which x is seen along the normal n: p + h n = x, by
     # Newton's method. A smooth surface lies above p as in Phong tessellation, but along n.
-    sides = corners[1:] - corners[:1]
-    bends = normals[1:] - normals[:1]
+    xp = namespace(x)
+    sides = corners[:, 1:] - corners[:, :1]
+    bends = normals[:, 1:] - normals[:, :1]
 
-    def nearer(z, _):
-        along = normals[0] + z[:-1] @ bends
-        off = corners[0] + z[:-1] @ sides + z[-1] * along - x
-        columns = [*(sides + z[-1] * bends), along]
+    def nearer(z):
+        height = z[:, -1:]
+        along = normals[:, 0] + _weighted(z[:, :-1], bends)
+        off = corners[:, 0] + _weighted(z[:, :-1], sides) + height * along - x
+        columns = [*xp.moveaxis(sides + height[:, :, None] * bends, (1, 2), (0, 1)), along.T]
         size = determinant(columns)
-        change = jnp.stack([dot(row, off) for row in cofactors(columns)])
-        return z - change / jnp.where(size != 0, size, jnp.inf), None
+        change = xp.stack([dot(row, off.T) for row in cofactors(columns)], axis=1)
+        return z - change / xp.where(size != 0, size, xp.inf)[:, None]
 
-    start = jnp.append(jnp.full(len(sides), 1 / len(corners), x.dtype), jnp.zeros((), x.dtype))
-    at = jax.lax.scan(nearer, start, length=steps)[0][:-1]
-    return jnp.concatenate([1 - jnp.sum(at, keepdims=True), at])
+    count = corners.shape[1]
+    start = xp.where(xp.arange(count) < count - 1, xp.asarray(1 / count, x.dtype), 0)
+    at = iterate(nearer, xp.broadcast_to(start, (len(x), count)), steps)[:, :-1]
+    return xp.concatenate([1 - xp.sum(at, axis=1)[:, None], at], axis=1)
 
 
 def _facets_of(mesh: Mesh, patches: tuple[str, ...]) -> list[np.ndarray]:

@@ -82,5 +82,10 @@ class Images(eqx.Module):
         return sides
 
     @property
+    def is_plain(self) -> bool:
+        """True without planes and pairs: the rows are only in another order."""
+        return not len(self.normals) and not self.pairings
+
+    @property
     def planes(self) -> tuple[Plane, ...]:
         return tuple(Plane(self.normals[k], self.origins[k]) for k in range(len(self.normals)))

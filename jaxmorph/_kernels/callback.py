@@ -39,7 +39,7 @@ def _call_each(
 
 
 _call_p = Primitive("jaxmorph_host_call")
-_call_p.def_impl(lambda *arguments, **params: jnp.asarray(_call_each(*arguments, **params)))
+_call_p.def_impl(lambda *arguments, **params: jax.device_put(_call_each(*arguments, **params)))
 
 
 @_call_p.def_abstract_eval

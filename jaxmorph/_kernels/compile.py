@@ -1,4 +1,4 @@
-"""Compilation of public functions: quick, and with the processor's widest vectors."""
+"""Compilation of public functions: quick, with the processor's widest vectors, or none."""
 
 import contextlib
 import contextvars
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .values import is_known
+from .values import is_known, on_host
 
 XLA_OPTIONS = {
     # XLA's default is 256 bits: a kernel sum takes up to 50 % longer. No effect on smaller
@@ -22,7 +22,8 @@ XLA_OPTIONS = {
 }
 
 UNTUNED = {
-    "xla_backend_optimization_level": 0
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_parallel_codegen_split_count": 1,  # each part has a price of its own
 }  # a third of the compile time, for few runs on little data
 
 _is_quick = contextvars.ContextVar("_is_quick", default=False)
@@ -70,6 +71,25 @@ def compiled(function: Function) -> Function:
             return direct(only_arrays, _is_quick.get(), for_cpu)(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]
+
+
+def by_place(function: Function) -> Function:
+    """Makes a function that runs by NumPy where its arrays are in the host's memory, else compiled:
+    a compilation would take longer than NumPy. Whole numbers among its arguments are static.
+    """
+    program = compiled(function)
+
+    def call(*arguments: Any) -> Any:
+        if not on_host(arguments):
+            return program(*_converted(jnp.asarray, arguments))
+        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
+            return function(*_converted(np.asarray, arguments))
+
+    return call  # pyright: ignore[reportReturnType]
+
+
+def _converted(convert: Callable, arguments: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, int) else convert(leaf), arguments)
 
 
 def is_for_cpu() -> bool:

@@ -1,6 +1,7 @@
 """Values of NumPy and JAX: roots and maxima with safe derivatives, formulas for both arrays."""
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -78,6 +79,40 @@ def root(squared: Float[Either, "*shape"]) -> Float[Either, "*shape"]:
 def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
     """Euclidean lengths; their derivative at zero is zero."""
     return root(namespace(vectors).sum(vectors**2, axis=-1))
+
+
+def at_rows(array: Either, rows: Either) -> Either:
+    """Picks rows that are known to be there: traced code then checks and wraps no index."""
+    if namespace(array) is np:
+        return array[rows]
+    return array.at[rows].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def add_at(total: Either, rows: Any, values: Either) -> Either:
+    """Adds values to rows of `total`, also several to one row."""
+    if namespace(total) is not np:
+        return total.at[rows].add(values)
+    total = total.copy()
+    np.add.at(total, rows, values)
+    return total
+
+
+def put_at(array: Either, rows: Any, values: Either) -> Either:
+    """Replaces rows, of which none comes twice."""
+    if namespace(array) is not np:
+        return array.at[rows].set(values)
+    array = array.copy()
+    array[rows] = values
+    return array
+
+
+def iterate(function: Callable[[Either], Either], start: Either, count: int) -> Either:
+    """Applies a function `count` times to an array, in traced code in one loop."""
+    if namespace(start) is not np:
+        return jax.lax.scan(lambda value, _: (function(value), None), start, length=count)[0]
+    for _ in range(count):
+        start = function(start)
+    return start
 
 
 def area_vectors(corners: Float[Either, "f c d"]) -> Float[Either, "f d"]:

@@ -12,6 +12,7 @@ from .sparse import Interpolation
 
 # factor of a block's size off the CPU: a GPU wants many elements at once, and few launches
 WIDER = 256
+PLACES_TOGETHER = 4096  # in a block: their memory is little, and few need no loop
 FEW_BLOCKS = 64  # most blocks of a single program on any platform; two programs are traced for more
 
 
@@ -42,21 +43,30 @@ def place_points(
 
     every = jax.checkpoint(jax.vmap(place))
     rows = (points, ids) if placed is None else (points, ids, without_tables(placed))
-    return map_rows(lambda rows: every(*rows), rows, POINT_BLOCK)
+    return map_rows(lambda rows: every(*rows), rows, PLACES_TOGETHER)
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Maps blocks of rows to as many rows; the last block may be shorter, GPUs get larger ones."""
+    """Maps blocks of rows to as many rows; GPUs get larger blocks."""
 
+    # The last block begins so early that it is whole: the program has the function once. Its first
+    # rows are those of the block before, too, and come from there.
     def mapped(rows, block):
-        blocks, rest = _split_rows(rows, block)
-        last = function(rest)
-        if blocks is None:
-            return last
-        whole = jax.lax.map(function, blocks)
-        return jax.tree.map(
-            lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b]), whole, last
-        )
+        count = len(jax.tree.leaves(rows)[0])
+        if count <= block:
+            return function(rows)
+        blocks = -(-count // block)
+        before = (blocks - 1) * block
+
+        def stacked(leaf):
+            parts = [leaf[:before], leaf[count - block :]]
+            return jnp.concatenate(parts).reshape(blocks, block, *leaf.shape[1:])
+
+        def joined(leaf):
+            every = leaf.reshape(-1, *leaf.shape[2:])
+            return jnp.concatenate([every[:before], every[before + blocks * block - count :]])
+
+        return jax.tree.map(joined, jax.lax.map(function, jax.tree.map(stacked, rows)))
 
     return sized_by_platform(mapped, rows, block)
 
@@ -93,7 +103,7 @@ def sized_by_platform(
     return jax.lax.platform_dependent(
         rows,
         cpu=lambda rows: function(rows, block),
-        default=lambda rows: function(rows, WIDER * block),
+        default=lambda rows: function(rows, WIDER * min(block, POINT_BLOCK)),
     )
 
 

@@ -13,7 +13,7 @@ from .._host.package.cores import beside
 from .._host.package.rounding import Tree, first_largest, nearest_of
 from .._host.surface.graph import Graph, graph_of, locate
 from .._host.surface.neighbours import digest, near_walls
-from .._kernels.values import Either, as_jax, jax_arrays, namespace, norm, root
+from .._kernels.values import Either, as_jax, at_rows, jax_arrays, namespace, norm, root
 from .base import (
     AbstractField,
     AbstractMethod,
@@ -61,7 +61,7 @@ class DelaunayGraph(AbstractPlacing):
         return None
 
     def place(self, x, ids, factors, surface):
-        e = barycentric(x, [surface[i] for i in ids], ids[0] == ids[1])
+        e = barycentric(x, list(at_rows(surface, ids)), ids[0] == ids[1])
         return Interpolation(ids, jnp.stack(e))
 
     def field(self, ids, factors, surface, u):
@@ -229,9 +229,11 @@ def _placed(
     turn = factors.turn
     if turn is None:
         return WallPlace(correction, wall, share)
-    above = jnp.sum((x[None] - surface[wall.nodes]) * turn.normal[wall.nodes], axis=1)
+    normals = at_rows(turn.normal, wall.nodes)
+    above = jnp.sum((x[None] - at_rows(surface, wall.nodes)) * normals, axis=1)
     rise = risen(
-        jnp.maximum(dot(wall.weights, above), 0), dot(wall.weights, turn.height[wall.nodes])
+        jnp.maximum(jnp.sum(wall.weights * above), 0),
+        jnp.sum(wall.weights * at_rows(turn.height, wall.nodes)),
     )
     # the slope fades more evenly than the share: what turns near the wall turns back above
     return WallPlace(correction, wall, share, rise * jnp.maximum(1 - ratio, 0) ** 2)
@@ -276,8 +278,9 @@ def layer_width(
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
-    span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
-    return (CHORD * extent.chord.astype(surface.dtype) * span)[extent.wall]
+    ends = at_rows(surface, extent.ends)
+    span = norm(ends[:, 0] - ends[:, 1])
+    return at_rows(CHORD * extent.chord.astype(surface.dtype) * span, extent.wall)
 
 
 class WallRow(eqx.Module):
@@ -315,7 +318,8 @@ def _blend(
     """
     nearest = row.nodes[:-1]
     other = row.nodes[-1]
-    distance = norm(surface[nearest] - x[None])
+    away = norm(at_rows(surface, row.nodes) - x[None])
+    distance = away[:-1]
     # the last node was the farthest when it was found: of nodes as far as it is, it alone decides,
     # so there is no kink
     reach = jnp.maximum(distance[-1], (1 - SLIGHTLY) * distance.max()) * (1 + 2 * SLIGHTLY)
@@ -324,16 +328,18 @@ def _blend(
     weights = (
         jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2
     )  # Franke and Little, times safe[0]
-    weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
-    layer = or_one(width[nearest[0]])
-    gap = norm(surface[other] - x)
+    first = jnp.arange(len(weights)) == 0
+    weights = jnp.where(at_node, first.astype(weights.dtype), weights)[:-1]
+    whole = at_rows(width, nearest[0])
+    layer = or_one(whole)
+    gap = away[-1]
     alone = (other == nearest[0]) | (gap == 0)
     halfway = jnp.where(
         alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap))
     )  # 1 between two walls
     # the layer ends at its width or half way, whichever is nearer, without a kink
     fourth = (distance[0] / layer) ** 4 + halfway**4
-    ratio = jnp.where(row.reached & (width[nearest[0]] > 0), root(fourth), 1)
+    ratio = jnp.where(row.reached & (whole > 0), root(fourth), 1)
     return Interpolation(nearest[:-1], weights / weights.sum(), row.reached), ratio
 
 

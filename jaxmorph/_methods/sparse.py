@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import csr_array
 
 from .._kernels.linear import linear_primitive
-from .._kernels.values import as_jax
+from .._kernels.values import as_jax, at_rows
 from .base import AbstractWhole, Flag, Points, Rows, Scalar
 
 WIDTH = 16  # entries in a row of the table
@@ -160,19 +160,15 @@ def _sum(values, weights, *table, turned: bool, count: int):
         values
     )  # else what makes them is done again for each gather
     if not turned:
-        return sum(weights[:, i, None] * _gather(values, nodes[:, i]) for i in range(k))
+        return sum(weights[:, i, None] * at_rows(values, nodes[:, i]) for i in range(k))
     if not len(owner):
         entries = (weights[..., None] * values[:, None]).reshape(-1, values.shape[1])
         return jnp.zeros((count, values.shape[1]), entries.dtype).at[nodes.ravel()].add(entries)
     points = [
         jax.lax.div(entries[:, i], jnp.int32(k)) for i in range(entries.shape[1])
     ]  # 0 where there is no entry
-    rows = sum(sorted_weights[:, i, None] * _gather(values, at) for i, at in enumerate(points))
+    rows = sum(sorted_weights[:, i, None] * at_rows(values, at) for i, at in enumerate(points))
     return jax.ops.segment_sum(rows, owner, count, indices_are_sorted=True)
-
-
-def _gather(values: Float[Array, "b c"], ids: Int[Array, " n"]) -> Float[Array, "n c"]:
-    return values.at[ids].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 _sum_p = linear_primitive(

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.linear.products import unit_rows
+from .._host.linear.products import cofactors, determinant, unit_rows
 from .._host.package.rounding import Tree
 from .._host.surface.skin import edges, nearest_held
-from .._kernels.values import Either, area_vectors, as_jax, namespace, norm
+from .._kernels.values import Either, add_at, area_vectors, as_jax, at_rows, namespace, norm
 from .base import Pairs, Rows, Scalar, or_one
 from .surface import Surface
 
@@ -80,12 +80,9 @@ def _areas(
     xp = namespace(x)
     sums = xp.zeros((len(x), x.shape[1] + 1), x.dtype)
     for corners in faces:
-        area = -area_vectors(x[corners])
+        area = -area_vectors(at_rows(x, corners))
         both = xp.concatenate([area, norm(area)[:, None]], axis=1)[:, None]
-        if xp is np:
-            np.add.at(sums, corners, both)
-        else:
-            sums = sums.at[corners].add(both)
+        sums = add_at(sums, corners, both)
     return sums[:, :-1], sums[:, -1]
 
 
@@ -100,9 +97,9 @@ def _heights(
     is_alone = other == xp.arange(len(x))
     limits = [
         OF_WIDTH * width,
-        OF_BALL * _radius(x[inside] - x, -normal),
-        OF_BALL * _radius(x[outside] - x, normal),
-        OF_WIDTH * xp.where(is_alone, xp.inf, norm(x[other] - x) / 2),
+        OF_BALL * _radius(at_rows(x, inside) - x, -normal),
+        OF_BALL * _radius(at_rows(x, outside) - x, normal),
+        OF_WIDTH * xp.where(is_alone, xp.inf, norm(at_rows(x, other) - x) / 2),
     ]
     is_flat = xp.min(xp.stack(limits), axis=0) <= 0
     total = sum(xp.where(is_flat, 1, limit) ** -4.0 for limit in limits)
@@ -203,7 +200,8 @@ class WallTurn(eqx.Module):
         length, or grows as the wall does.
         """
         first, second = ids.pairs.T
-        rise = jnp.sum(self.normal[first] * (u[second] - u[first]), axis=1)
+        climb = at_rows(u, second) - at_rows(u, first)
+        rise = jnp.sum(at_rows(self.normal, first) * climb, axis=1)
         wanted = jnp.zeros_like(u).at[first].add(-self.slopes * rise[:, None])
         growth = _over_wall(ids.wall, jnp.sum(self.arms * u, axis=1))
         wanted = wanted + growth[:, None] * self.normal
@@ -212,7 +210,7 @@ class WallTurn(eqx.Module):
 
 def _over_wall(wall: Int[Array, " b"], values: Float[Array, "b *k"]) -> Float[Array, "b *k"]:
     """Sums values over each row's wall."""
-    return jnp.zeros_like(values).at[wall].add(values)[wall]
+    return at_rows(jnp.zeros_like(values).at[wall].add(values), wall)
 
 
 def _arms(wall: Int[Array, " b"], x: Rows, size: Float[Array, " b"]) -> Rows:
@@ -226,13 +224,13 @@ def _arms(wall: Int[Array, " b"], x: Rows, size: Float[Array, " b"]) -> Rows:
 def _slopes(pairs: Pairs, x: Rows, normal: Rows, height: Float[Array, " b"]) -> Float[Array, "p d"]:
     """Weights of least squares for the derivative along the wall from differences to other rows."""
     first, second = pairs.T
-    arm = x[second] - x[first]
-    n = normal[first]
+    arm = at_rows(x, second) - at_rows(x, first)
+    n = at_rows(normal, first)
     arm = arm - jnp.sum(arm * n, axis=1)[:, None] * n
     # rows of another side do not count; all others alike, whether near or far
-    agree = jnp.maximum(jnp.sum(n * normal[second], axis=1), 0) ** 2
+    agree = jnp.maximum(jnp.sum(n * at_rows(normal, second), axis=1), 0) ** 2
     squared = jnp.sum(arm**2, axis=1)
-    weight = agree / or_one(squared + height[first] ** 2)
+    weight = agree / or_one(squared + at_rows(height, first) ** 2)
     product = weight[:, None, None] * arm[:, :, None] * arm[:, None]
     matrix = jnp.zeros((*x.shape, x.shape[1]), x.dtype).at[first].add(product)
     trace = jnp.trace(matrix, axis1=1, axis2=2)
@@ -240,8 +238,11 @@ def _slopes(pairs: Pairs, x: Rows, normal: Rows, height: Float[Array, " b"]) -> 
     matrix = matrix + or_one(trace)[:, None, None] * (
         normal[:, :, None] * normal[:, None] + 1e-9 * eye[None]
     )
-    inverse = jnp.linalg.inv(matrix)
-    return jnp.einsum("pab,pb->pa", inverse[first], weight[:, None] * arm)
+    # symmetric: its rows are its columns, and those of the adjugate are the cofactors
+    columns = list(jnp.moveaxis(matrix, 0, 2))
+    adjugate = jnp.stack([jnp.stack(row) for row in cofactors(columns)])
+    inverse = at_rows((adjugate / determinant(columns)[None, None]).transpose(2, 0, 1), first)
+    return jnp.sum(inverse * (weight[:, None] * arm)[:, None], axis=2)
 
 
 def risen(place: Scalar, height: Scalar) -> Scalar:

@@ -16,7 +16,7 @@ from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import taken
+from .._kernels.values import array, taken
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractField, AbstractMethod, Point, Rows
 from .._methods.blocks import map_points
@@ -241,7 +241,9 @@ class Plan(Module):
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Extends `u`, of the moving nodes, to displacements of all surface nodes. Traced."""
-        return _constrain(self, extended(self, u))
+        vectors = extended(self, u)
+        is_plain = self.surface.guide is None and self.images.is_plain
+        return vectors if is_plain else _constrain(self, vectors)
 
     def __repr__(self) -> str:
         points = self.volume.points
@@ -292,7 +294,7 @@ def extended(plan: Plan, u: Any) -> Own:
     dtype = plan.points.dtype
     count = len(plan.surface.nodes) - m
     if isinstance(u, np.ndarray):
-        return jnp.asarray(np.pad(u.astype(dtype), ((0, count), (0, 0))))
+        return array(np.pad(u.astype(dtype), ((0, count), (0, 0))))
     return jnp.zeros((m + count, d), dtype).at[:m].set(u.astype(dtype))
 
 

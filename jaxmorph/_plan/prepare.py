@@ -182,7 +182,8 @@ def _trial_displacement(plan: Plan) -> Rows:
     arms = moving - moving.mean(axis=0)
     u = np.zeros_like(points)
     u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
-    return _with_images(plan.images, u)
+    images = plan.images
+    return as_jax(u[np.asarray(images.rows)]) if images.is_plain else _with_images(images, u)
 
 
 @compiled

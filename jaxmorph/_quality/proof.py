@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.cells.topology import DIMENSION, solid
 from .._host.package.arguments import between, checked, whole
+from .._kernels.compile import by_place
 from .._kernels.values import Either, as_jax, constant, is_known, namespace, smallest
 from .._mesh.mesh import Mesh, PointsLike
 from . import bernstein
@@ -19,7 +20,7 @@ from .bounds import DEPTH, ROOM, bounds
 from .jacobian_form import JacobianForm, form_of, nodes_of
 from .quality import check_solid, places, signs_of
 from .report import Report, place_of_cell
-from .vector import PerCell, Points, ValuesByType, by_place, in_blocks, join_values
+from .vector import PerCell, Points, ValuesByType, in_blocks, join_values
 
 Bounds = Float[np.ndarray, " k"]
 IsDecided = Bool[np.ndarray, " k"]

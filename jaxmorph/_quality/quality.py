@@ -13,6 +13,7 @@ from .._host.cells.topology import CORNERS, DIMENSION, FACES, HIGH_ORDER, SHAPES
 from .._host.package.arguments import checked
 from .._host.tolerances import FLAT_CORNER
 from .._kernels.callback import host_call
+from .._kernels.compile import by_place
 from .._kernels.values import (
     Either,
     array,
@@ -36,7 +37,6 @@ from .vector import (
     Samples,
     ValuesByType,
     Vector,
-    by_place,
     by_type,
     join_values,
     middle,

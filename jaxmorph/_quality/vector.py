@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from .._host.linear import products
 from .._host.linear.products import Components, dot
-from .._kernels.compile import Function, compiled
-from .._kernels.values import Either, namespace, on_host, root
+from .._kernels.values import Either, namespace, root
 
 Scalar = Float[Either, "*rows k"]
 PerCell = Float[Either, " k"]
@@ -120,25 +119,6 @@ def angle(a: Vector, b: Vector) -> Scalar:
 
 VALUES_OF_BLOCK = 1 << 16  # cells in a block
 CACHED = 1 << 13  # cells in a block of NumPy: intermediate values stay in the processor's cache
-
-
-def by_place(function: Function) -> Function:
-    """Makes a function that runs by NumPy where its arrays are in the host's memory, else compiled:
-    a compilation would take longer than NumPy. Whole numbers among its arguments are static.
-    """
-    program = compiled(function)
-
-    def call(*arguments: Any) -> Any:
-        if not on_host(arguments):
-            return program(*_converted(jnp.asarray, arguments))
-        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
-            return function(*_converted(np.asarray, arguments))
-
-    return call  # pyright: ignore[reportReturnType]
-
-
-def _converted(convert: Callable, arguments: Any) -> Any:
-    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, int) else convert(leaf), arguments)
 
 
 def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:

@@ -10,11 +10,12 @@ from jaxtyping import Array, Float, Int
 
 from .._host.cells.first_lines import Lines, first_lines
 from .._host.package.arguments import between, checked, rows_of
+from .._kernels.compile import by_place
 from .._kernels.module import Module
 from .._kernels.values import Either, as_jax, is_known, largest, namespace, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
-from .vector import Points, Vector, angle, by_place, cross_product, dot, unit_of
+from .vector import Points, Vector, angle, cross_product, dot, unit_of
 
 Heights = Float[Either, " w"]
 

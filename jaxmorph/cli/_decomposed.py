@@ -33,15 +33,15 @@ class _Bad(Exception): ...
 def run_decomposed(request: Deform, out: Output) -> int:
     ranks = _ranks()
     out.is_silent = ranks.rank > 0
-    case = together(ranks, lambda: io.Decomposed(request.file))
-    together(ranks, lambda: case.check_output(request.output))
-    share = range(ranks.rank, len(case), ranks.size)
     with out.progress("reading the surface"):
+        case = together(ranks, lambda: io.Decomposed(request.file))
+        together(ranks, lambda: case.check_output(request.output))
+        share = range(ranks.rank, len(case), ranks.size)
         sides = together(
             ranks, lambda: {k: (case.side(k), len(case.read(k).points)) for k in share}
         )
-    largest = max(ranks.allgather(max((count for _, count in sides.values()), default=0)))
-    gathered = ranks.gather({k: side for k, (side, _) in sides.items()})
+        largest = max(ranks.allgather(max((count for _, count in sides.values()), default=0)))
+        gathered = ranks.gather({k: side for k, (side, _) in sides.items()})
     del sides
 
     prepared = together(
@@ -131,9 +131,10 @@ def _ranks() -> Any:
 def _prepare_half(
     request: Deform, surface: jm.Mesh, out: Output
 ) -> tuple[jm.SurfaceHalf, np.ndarray]:
-    patches = patches_of(request, surface)
-    moves = motion(request, surface, patches.nodes)
-    path = moves.path(np.asarray(surface.points)[patches.nodes], request.step_count)
+    with out.progress("finding the motion"):
+        patches = patches_of(request, surface)
+        moves = motion(request, surface, patches.nodes)
+        path = moves.path(np.asarray(surface.points)[patches.nodes], request.step_count)
     with out.progress("preparing the surface"):
         half = patches.half()
     out.say(
@@ -141,9 +142,10 @@ def _prepare_half(
         f"{surface.points.shape[1]}-D"
     )
     say_motion(request, patches, half.plan, path[-1], out)
-    inspection = jm.inspect(half.plan, path[-1].astype(request.method.dtype))
-    rows = np.searchsorted(io.global_nodes(surface), half.nodes)
-    crossed = str(wall_crossings(half.plan, surface, path, nodes=rows))
+    with out.progress("inspecting the motion"):
+        inspection = jm.inspect(half.plan, path[-1].astype(request.method.dtype))
+        rows = np.searchsorted(io.global_nodes(surface), half.nodes)
+        crossed = str(wall_crossings(half.plan, surface, path, nodes=rows))
     for warning in (*inspection.warnings, *filter(None, [crossed])):
         out.warn(warning)
     write_job(request, out)

@@ -45,6 +45,9 @@ MOST_TRIED = 16
 PATIENCE = 120.0
 """Seconds of an attempt after which no other is tried."""
 
+MeasureRow = tuple[str, int, float, str]
+"""A row of the table of measures: label, before, after and place."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
@@ -110,8 +113,10 @@ def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
     io.check_output(request.output, mesh)
     check_picture(request.picture)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
-    patches = patches_of(request, mesh)
-    attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
+    with out.progress("finding the motion"):
+        patches = patches_of(request, mesh)
+        attempt = Attempt(request, patches, motion(request, mesh, patches.nodes), judging)
+        u = attempt.path()[-1]
     with out.progress("preparing"):
         chunks = patches.chunks(request.chunk)
         nodes, plan = next(chunks)
@@ -121,7 +126,7 @@ def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
-    say_motion(request, patches, plan, attempt.path()[-1], out)
+    say_motion(request, patches, plan, u, out)
     if attempt.reached is not None:
         reach = (
             f"keep the cells for {attempt.reached:.1%} of the motion, and not for all of it"
@@ -156,18 +161,21 @@ def _find_steps(attempt: Attempt, plan: jm.Plan, out: Output) -> Attempt:
 def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, out: Output) -> int:
     """Inspects and judges the motion, and writes the mesh; `nodes` are those of `plan`."""
     request = attempt.request
-    judging = in_background(attempt.judge, way)
-    off = distances(request, way.mesh, way.stored)
+    with out.progress("judging the cells"):
+        stored = way.stored
+        judging = in_background(attempt.judge, way)
+        off = distances(request, way.mesh, stored)
     with out.progress("inspecting the motion"):
-        is_known = request.step_count == 1 and plan.points.dtype == way.stored.dtype
-        points = way.stored[nodes] if is_known else None
+        is_known = request.step_count == 1 and plan.points.dtype == stored.dtype
+        points = stored[nodes] if is_known else None
         inspection = jm.inspect(plan, attempt.path()[-1], mesh=way.mesh, nodes=nodes, moved=points)
         for warning in inspection.warnings:
             out.warn(warning)
-        boundary = jm.boundary_quality(plan, way.stored[nodes]).renumbered(nodes)
+        boundary = jm.boundary_quality(plan, stored[nodes]).renumbered(nodes)
     with out.progress("judging the cells"):
         verdict = judging.result()
-    _say_measures(attempt, way, verdict, inspection, off, out)
+        wall = _wall_rows(attempt, stored)
+    _say_measures(attempt, way, verdict, inspection, wall, off, out)
     if boundary.nodes:
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(
@@ -176,11 +184,12 @@ def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, 
         )
     write_job(request, out)
     picture = request.picture
-    draw(picture, way.mesh, out, way.stored, moving=attempt.patches.nodes, verdict=verdict)
+    draw(picture, way.mesh, out, stored, moving=attempt.patches.nodes, verdict=verdict)
     if picture is not None:
-        for name, wall in off.items():
+        for name, distance in off.items():
             file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
-            _draw_distances(file, *wall)
+            with out.progress("drawing"):
+                _draw_distances(file, *distance)
             out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad:
@@ -218,10 +227,10 @@ def _say_measures(
     way: Way,
     verdict: jm.Verdict,
     inspection: jm.Inspection,
+    wall: list[MeasureRow],
     off: Distances,
     out: Output,
 ) -> None:
-    wall = _wall_rows(attempt, way.stored)
     overshoots = {name: getattr(inspection, name) for name in ("overshoot", "overshoot_behind")}
     rows = [
         *wall,
@@ -242,7 +251,7 @@ def _say_measures(
     )
 
 
-def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[tuple[str, int, float, str]]:
+def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[MeasureRow]:
     """Measures the first grid line: label, before, after and place; none without a line."""
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)

@@ -44,9 +44,10 @@ def answer(words: Sequence[str]) -> int:
         warnings.filterwarnings("always", DAMAGED_ENTRY)  # each entry, though two are of one name
         warnings.showwarning = lambda message, *_: is_healed(message) or out.warn(one_line(message))
         try:
-            request = request_of(words, parsers)
-            importlib.import_module("._early", __package__).check_request(request)
-            run = _load_command(name, request)
+            with out.progress("starting"):
+                request = request_of(words, parsers)
+                importlib.import_module("._early", __package__).check_request(request)
+                run = _load_command(name, request)
             out.verbose = getattr(request, "speech", Speech()).verbose
             return out.end(run(request, out))
         except (OSError, ValueError, ImportError) as error:

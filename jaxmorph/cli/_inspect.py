@@ -76,7 +76,8 @@ def run_info(request: Info, out: Output) -> int:
     check_picture(request.picture)
     zones: list[dict[str, Any]] = []
     for number, mesh in enumerate(meshes, start=1):
-        facts = _list_facts(mesh)
+        with out.progress("counting"):
+            facts = _list_facts(mesh)
         name = title(request.file) + (f" zone {number}" if len(meshes) > 1 else "")
         out.say("\n".join(_describe_mesh(name, mesh, facts)))
         zones.append({key: value for key, value in facts.items() if value or key in ALWAYS})
@@ -89,7 +90,8 @@ def run_convert(request: Convert, out: Output) -> int:
     io.check_output(request.output, request.file)
     with out.progress("reading"):
         mesh = load_mesh(request.file, tags=request.tags)
-    lost = list(io.losses(request.output, mesh))
+    with out.progress("comparing the formats"):
+        lost = list(io.losses(request.output, mesh))
     for sentence in lost:
         out.warn(sentence)
     old = ", in place of an older file" if request.output.is_file() else ""

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io, shapes
+from jaxmorph.extend import as_jax
 
 from ._early import is_given
 from ._output import format_place, some
@@ -122,7 +123,7 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
         )
     except ValueError as error:
         raise ValueError(f"--set: {error}") from None
-    made.check(jnp.asarray(np.asarray(mesh.points, float)[moving]), moving)
+    made.check(as_jax(np.asarray(mesh.points, float)[moving]), moving)
     return made
 
 
@@ -159,6 +160,7 @@ def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndar
         key = name.replace("_", "-")
         try:
             made[key], values[key] = PARTS[name](patch)
+            values[key] = jax.tree.map(np.asarray, values[key])  # of one type, for one program
             made[key](patch.points, values[key])  # raises for what does not fit the patch
         except ValueError as error:
             raise ValueError(f"--{key}: {str(error).removeprefix(f'--{key}: ')}") from None

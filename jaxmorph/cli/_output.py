@@ -121,9 +121,11 @@ class Output:
             )  # JSON has no NaN, no infinity
             _print_line(json.dumps(plain, allow_nan=False))
         elif self.verbose:
-            stages = self.stages | {"all": self.seconds}
+            total = self.seconds
+            rest = max(0.0, total - sum(self.stages.values()))
+            stages = self.stages | {"between them": rest, "all": total}
             lines = [
-                f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s"
+                f"  {name:<{max(map(len, stages))}} {taken:>9.2f} s {taken / total:>6.1%}"
                 for name, taken in stages.items()
             ]
             _print_line("\n".join(["timings", *lines]))

@@ -29,7 +29,8 @@ BATCH = 8
 def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
     with out.progress(f"reading {title(request.file)}"):
         mesh = load_mesh(request.file, getattr(request, "zone", None), request.tags)
-    return patches_of(request, mesh)
+    with out.progress("finding the patches"):
+        return patches_of(request, mesh)
 
 
 def _prepare_plan(request: PlanRequest, patches: Patches, out: Output, what: str = "") -> jm.Plan:
@@ -75,7 +76,8 @@ def run_modes(request: ModesRequest, out: Output) -> int:
             f"proven   cells that fold nowhere inside, {instants(plan.is_linear, 1)}",
             on_the_way=plan.is_linear,
         )
-    before = jm.judge(mesh, None, limits)
+    with out.progress("judging the cells"):
+        before = jm.judge(mesh, None, limits)
     ratio = list(before.rows)[-1][1][0].upper()  # of volumes, or of Jacobians
     columns = f"{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}"
     out.say(f"\n{'':>6}{'amplitude':>12}{columns}  mode")
@@ -177,7 +179,8 @@ def run_sensitivity(request: SensitivityRequest, out: Output) -> int:
     mesh = patches.mesh
     moving = patches.nodes
     wall = np.asarray(mesh.points, float)[moving]
-    moves = None if job is None else motion(job, mesh, moving)
+    with out.progress("finding the motion"):
+        moves = None if job is None else motion(job, mesh, moving)
     was_there = request.output.is_file()
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
@@ -201,9 +204,9 @@ def run_sensitivity(request: SensitivityRequest, out: Output) -> int:
             f"{title(request.file)}: {plural(len(given), 'moving node')}, sensitivities of the "
             "surface"
         )
-        _write_variables(
-            request, moves, shapes.project(moves.shape, wall, moves.parameters, given), out
-        )
+        with out.progress("pulling back"):
+            gradient = shapes.project(moves.shape, wall, moves.parameters, given)
+        _write_variables(request, moves, gradient, out)
     out.wrote(request.output, was_there)
     return 0
 

@@ -109,7 +109,8 @@ def _move_by_config(request: SU2, config: su2.Config, out: Output) -> int:
         request.picture, mesh, out, moved.points, moving=mesh.patch(*config.moving), verdict=verdict
     )
     if config.boxes:
-        moved = io.with_boxes(moved, config.moved_boxes)
+        with out.progress("moving the boxes"):
+            moved = io.with_boxes(moved, config.moved_boxes)
         out.say(
             f"boxes    {', '.join(box.name for box in config.boxes)}",
             boxes=[box.name for box in config.boxes],
@@ -172,4 +173,5 @@ def _compute_derivatives(
     project = jax.jit(
         lambda by_wall: shapes.project(config.shape, wall, config.shape.neutral(), by_wall)
     )
-    return np.array(project(by_nodes), float)
+    with out.progress("pulling back"):
+        return np.array(project(by_nodes), float)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 import jaxmorph as jm
 from jaxmorph import Plan
-from jaxmorph.extend import Module, checked, is_known, whole
+from jaxmorph.extend import Either, Module, as_jax, by_place, checked, is_known, namespace, whole
 
 from ._arguments import (
     Column,
@@ -57,7 +57,7 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     x = positions(x)
     whole("steps", steps)
     if steps == 1:
-        return moves(shape, x, parameters)[None]
+        return as_jax(_stacked(moves(shape, x, parameters)))
     start = neutral(shape)
     given, needed = (jax.tree.map(np.shape, tree) for tree in (parameters, start))
     if given != needed:
@@ -67,7 +67,7 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
         values = jax.tree.map(lambda a, b: a + share * (b - a), start, parameters)
         return moves(shape, x, values)
 
-    return jnp.stack([at((k + 1) / steps) for k in range(steps)])
+    return as_jax(_stacked(*(at((k + 1) / steps) for k in range(steps))))
 
 
 @checked
@@ -148,7 +148,17 @@ def moves(shape: AnyShape, x: Positions, parameters: PyTree) -> Positions:
         raise ValueError(
             f"the shape turns positions {x.shape} into {moved.shape}; it must keep their shape."
         )
-    return moved - x
+    return as_jax(_difference(moved, x))
+
+
+@by_place
+def _difference(a: Float[Either, "m d"], b: Float[Either, "m d"]) -> Float[Either, "m d"]:
+    return a - b
+
+
+@by_place
+def _stacked(*rows: Float[Either, "m d"]) -> Float[Either, "k m d"]:
+    return namespace(rows[0]).stack(rows)
 
 
 def names(parameters: PyTree) -> list[str]:

@@ -4,20 +4,20 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from jaxmorph import Facets, MeshError, Plane
-from jaxmorph.extend import Module
+from jaxmorph.extend import Either, Module, namespace
 
-from ._arguments import Column, Positions, rows_like, shown_place
+from ._arguments import rows_like, shown_place
 from ._tolerances import ON_SYMMETRY
 
 NodeIds = Int[ndarray | Array, " _"]
+Places = Float[Either, "m d"]
 Planes = Plane | Sequence[Plane]
 Borders = tuple[tuple[Plane, NodeIds], ...]
 
@@ -36,7 +36,7 @@ class Rail(Module):
     ids: NodeIds | None = None
     curve: Facets | None = None
 
-    def places(self, x: Positions, facing: Positions, points: Array) -> Any:
+    def places(self, x: Places, facing: Places, points: Float[Either, "n d"]) -> Any:
         return (
             points[self.ids]
             if self.curve is None
@@ -53,15 +53,16 @@ class Clip(Module):
     on: Bool[ndarray | Array, " n"]
     plane: Plane
 
-    def __call__(self, points: Array) -> Positions:
+    def __call__(self, points: Float[Either, "n d"]) -> Places:
+        xp = namespace(points)
         a, b = points[self.pairs.T]
         first = height_of(a, self.plane)
         apart = first - height_of(b, self.plane)
-        share = jnp.where(apart != 0, first / jnp.where(apart != 0, apart, 1), 0)
+        share = xp.where(apart != 0, first / xp.where(apart != 0, apart, 1), 0)
         place = a + share[:, None] * (b - a)
-        normal = jnp.asarray(self.plane.normal, a.dtype)
+        normal = xp.asarray(self.plane.normal, a.dtype)
         place = place - height_of(place, self.plane)[:, None] * normal[None]
-        return jnp.where(self.on[:, None], place, a)
+        return xp.where(self.on[:, None], place, a)
 
 
 def borders_of(wall: Facets, symmetry: Planes) -> Borders:
@@ -76,9 +77,10 @@ def borders_of(wall: Facets, symmetry: Planes) -> Borders:
     return tuple((plane, rim[np.abs(plane.height(x[rim])) <= slack]) for plane in planes)
 
 
-def height_of(x: Positions, plane: Plane) -> Column:
-    normal, origin = (jnp.asarray(vector, x.dtype) for vector in (plane.normal, plane.origin))
-    return jnp.matmul(x - origin[None], normal, precision="highest")
+def height_of(x: Places, plane: Plane) -> Float[Either, " m"]:
+    xp = namespace(x)
+    normal, origin = (xp.asarray(vector, x.dtype) for vector in (plane.normal, plane.origin))
+    return xp.sum((x - origin[None]) * normal[None], axis=1)
 
 
 def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Clip, Facets]:
@@ -111,7 +113,7 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
         )
     clip = Clip(pairs, on, plane)
     cut = place.reshape(-1, width)
-    return clip, Facets(clip(jnp.asarray(points)), cut, smooth=target.smooth, angle=target.angle)
+    return clip, Facets(clip(points), cut, smooth=target.smooth, angle=target.angle)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A wall onto a target: a scan, another CAD surface, or a function of closest places."""
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,9 +17,23 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from jaxmorph import Facets, FarthestPoints, MeshError, Plane
-from jaxmorph.extend import Module, area_vectors, between, checked, closest, host_call, norm
+from jaxmorph.extend import (
+    Either,
+    Module,
+    add_at,
+    area_vectors,
+    as_jax,
+    between,
+    by_place,
+    checked,
+    closest,
+    host_call,
+    namespace,
+    norm,
+    put_at,
+)
 
-from ._arguments import Column, Numbers, Positions, positions, shown_place
+from ._arguments import Numbers, Positions, positions, shown_place
 from ._features import (
     Borders,
     Clip,
@@ -32,6 +47,8 @@ from ._features import (
 from ._smooth import stiffness_of
 from ._tolerances import ON_SYMMETRY, RESTED, SAME_LENGTH
 
+Places = Float[Either, "m d"]
+Masses = Float[Either, " m"]
 Target = Facets | Callable
 Motion = tuple[ndarray, ndarray]
 
@@ -134,70 +151,78 @@ class Onto(Module):
         x = positions(x, like=self.wall.points.shape)
         target = self.target
         if target is not None and points is not None:
-            points = positions(points, "points")
+            places: Any = positions(points, "points")
             for clip in self.clips:
-                points = clip(points)
-            target = target.at(points)
-        return _move_walls(self, x, target)
+                places = clip(places)
+            target = target.at(places)
+        return as_jax(_move_walls(self, x, target))
 
-    def _places(self, y: Positions, facing: Positions, target: Facets | None) -> Positions:
+    def _places(self, y: Places, facing: Places, target: Facets | None) -> Places:
+        xp = namespace(y)
         if target is None:
             assert self.function is not None
-            places = jnp.asarray(self.function(y), y.dtype)
+            find = jax.jit(self.function)
+            places = xp.asarray(find(y), y.dtype)
             for _ in self.borders:
-                places = jnp.asarray(self.function(self._in_planes(places)), y.dtype)
+                places = xp.asarray(find(self._in_planes(places)), y.dtype)
             return self._in_planes(places)
-        places = target.closest(y, facing, along=True)
+        places = xp.asarray(target.closest(y, facing, along=True))
         for guide in self.guides:
-            places = places.at[guide.rows].set(guide.places(y, facing, jnp.asarray(target.points)))
+            own = xp.asarray(guide.places(y, facing, target.points))
+            places = put_at(places, guide.rows, own)
         return self._in_planes(places)
 
-    def _in_planes(self, y: Positions) -> Positions:
+    def _in_planes(self, y: Places) -> Places:
+        xp = namespace(y)
         for plane, rows in self.borders:
-            y = y.at[rows].add(
-                -height_of(y[rows], plane)[:, None] * jnp.asarray(plane.normal, y.dtype)[None]
-            )
+            normal = xp.asarray(plane.normal, y.dtype)
+            y = add_at(y, rows, -height_of(y[rows], plane)[:, None] * normal[None])
         return y
 
-    def _weights(self, y: Positions, facing: Positions, mass: Column, hard: Column):
+    def _weights(self, y: Places, facing: Places, mass: Masses, hard: Masses):
         """Weights (m, d, d) of distances from places: across the wall, across curves, or whole."""
-        one = jnp.eye(y.shape[1], dtype=y.dtype)
+        xp = namespace(y)
+        one = xp.eye(y.shape[1], dtype=y.dtype)
         weights = mass[:, None, None] * facing[:, :, None] * facing[:, None]
         for guide in self.guides:
             along = y[guide.beside[:, 1]] - y[guide.beside[:, 0]]
-            squared = jnp.sum(along**2, axis=1)
+            squared = xp.sum(along**2, axis=1)
             share = (
                 along[:, :, None]
                 * along[:, None]
-                / jnp.where(squared > 0, squared, 1)[:, None, None]
+                / xp.where(squared > 0, squared, 1)[:, None, None]
             )
-            weights = weights.at[guide.rows].set(hard[guide.rows, None, None] * (one[None] - share))
+            across = hard[guide.rows, None, None] * (one[None] - share)
+            weights = put_at(weights, guide.rows, across)
         for plane, rows in self.borders:
-            normal = jnp.asarray(plane.normal, y.dtype)
-            weights = weights.at[rows].add(hard[rows, None, None] * jnp.outer(normal, normal)[None])
+            normal = xp.asarray(plane.normal, y.dtype)
+            weights = add_at(weights, rows, hard[rows, None, None] * xp.outer(normal, normal)[None])
         return weights
 
-    def _nearer(self, y: Positions, step: Any, start: Positions, target: Facets | None) -> Any:
+    def _nearer(self, y: Places, step: Any, start: Places, target: Facets | None) -> Places:
         # Each face keeps its shape, at last turned as the wall is now: K y = K R x_0. Each node is
         # drawn to the tangent plane at its closest place c: N y = N c. The length of K falls: the
         # wall first goes as a whole, at the end its faces only resist sliding.
+        xp = namespace(y)
         length, is_last = step
-        faces = jnp.asarray(self.wall.faces)
+        faces = self.wall.faces
         m, d = y.shape
         size, local = stiffness_of(start[faces])
         local = length**2 * local
-        mass = jnp.zeros(m, y.dtype).at[faces].add(size[:, None] / d)
-        stiff = jnp.zeros(m, y.dtype).at[faces].add(jnp.diagonal(local, axis1=1, axis2=2))
-        facing = self.wall.at(y).normals()
+        none = xp.zeros(m, y.dtype)
+        mass = add_at(none, faces, size[:, None] / d)
+        stiff = add_at(none, faces, xp.diagonal(local, axis1=1, axis2=2))
+        facing = xp.asarray(self.wall.at(y).normals())
         weights = self._weights(y, facing, mass, mass + HARD * stiff)
         off = _times(weights, self._places(y, facing, target) - y)
         shape = start[faces]
         if self.is_exact:
-            shape = jnp.where(
-                is_last, _rotated(shape, area_vectors(shape), area_vectors(y[faces])), shape
-            )
-        off = off.at[faces].add(_times(local, shape - y[faces]))
-        weights = weights + STAYING * mass[:, None, None] * jnp.eye(d, dtype=y.dtype)[None]
+            turned = _rotated(shape, area_vectors(shape), area_vectors(y[faces]))
+            shape = xp.where(is_last, turned, shape)
+        off = add_at(off, faces, _times(local, shape - y[faces]))
+        weights = weights + STAYING * mass[:, None, None] * xp.eye(d, dtype=y.dtype)[None]
+        if xp is np:
+            return y + _solve_motion(faces, local, weights, off).astype(y.dtype)
 
         def product(v):
             return _times(weights, v).at[faces].add(_times(local, v[faces]))
@@ -210,36 +235,47 @@ class Onto(Module):
         return y + jax.lax.custom_linear_solve(product, off, solve, symmetric=True)
 
 
-@eqx.filter_jit
-def _move_walls(onto: Onto, x: Positions, target: Facets | None) -> Positions:
-    turn, shift = (jnp.asarray(part, x.dtype) for part in (onto.turn, onto.shift))
-    start = jnp.matmul(x, turn.T, precision="highest") + shift[None]
-    is_last = np.arange(len(onto.lengths)) >= PROJECTION_STEPS
-    nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
-    y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
-    return (
-        onto._places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto._in_planes(y)
+@by_place
+def _move_walls(onto: Onto, x: Places, target: Facets | None) -> Places:
+    xp = namespace(x)
+    turn, shift, lengths = (
+        xp.asarray(part, x.dtype) for part in (onto.turn, onto.shift, onto.lengths)
     )
+    start = xp.sum(x[:, None] * turn[None], axis=2) + shift[None]
+    is_last = np.arange(len(lengths)) >= PROJECTION_STEPS
+    nearer = functools.partial(onto._nearer, start=start, target=target)
+    y = start
+    if xp is np:
+        for step in zip(lengths, is_last, strict=True):
+            y = nearer(y, step)
+    else:
+        y = jax.lax.scan(lambda y, step: (nearer(y, step), None), y, (lengths, is_last))[0]
+    if not onto.is_exact:
+        return onto._in_planes(y)
+    return onto._places(y, xp.asarray(onto.wall.at(y).normals()), target)
 
 
-def _times(matrices: Float[Array, "k i j"], vectors: Any) -> Any:
+def _times(matrices: Float[Either, "k i j"], vectors: Any) -> Any:
     form = "kij,kj->ki" if vectors.ndim == 2 else "kij,kjd->kid"
+    if namespace(matrices) is np:
+        return np.einsum(form, matrices, vectors)
     return jnp.einsum(form, matrices, vectors, precision="highest")
 
 
 def _rotated(
-    corners: Float[Array, "k c d"], old: Float[Array, "k d"], new: Float[Array, "k d"]
+    corners: Float[Either, "k c d"], old: Float[Either, "k d"], new: Float[Either, "k d"]
 ) -> Any:
     """Turns faces by the shortest way, as their area vectors turned."""
+    xp = namespace(corners)
     d = corners.shape[2]
     old, new, corners = (
-        jnp.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, 3 - d)]) for rows in (old, new, corners)
+        xp.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, 3 - d)]) for rows in (old, new, corners)
     )
-    old, new = (rows / jnp.where(norm(rows) > 0, norm(rows), 1)[:, None] for rows in (old, new))
-    cosine = jnp.sum(old * new, axis=1)[:, None, None]
-    axis = jnp.broadcast_to(jnp.cross(old, new)[:, None], corners.shape)
-    across = jnp.cross(axis, corners)
-    return (corners + across + jnp.cross(axis, across) / jnp.maximum(1 + cosine, 0.01))[..., :d]
+    old, new = (rows / xp.where(norm(rows) > 0, norm(rows), 1)[:, None] for rows in (old, new))
+    cosine = xp.sum(old * new, axis=1)[:, None, None]
+    axis = xp.broadcast_to(xp.cross(old, new)[:, None], corners.shape)
+    across = xp.cross(axis, corners)
+    return (corners + across + xp.cross(axis, across) / xp.maximum(1 + cosine, 0.01))[..., :d]
 
 
 def _solve_motion(faces: ndarray, local: ndarray, weights: ndarray, right: ndarray) -> ndarray:

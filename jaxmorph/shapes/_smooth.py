@@ -152,7 +152,7 @@ def stiffness_of(corners: Any) -> tuple[Any, Any]:
     xp = np if isinstance(corners, ndarray) else jnp
     if corners.shape[1] == 2:
         size = norm(corners[:, 1] - corners[:, 0])
-        local = np.array([[1, -1], [-1, 1]])[None]
+        local = np.array([[1, -1], [-1, 1]], size.dtype)[None]
         scale = xp.where(size > 0, size, 1)
     else:
         sides = xp.roll(corners, -1, axis=1) - xp.roll(corners, -2, axis=1)  # opposite each corner

@@ -14,7 +14,15 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from jaxmorph import Mesh, io, shapes
-from jaxmorph.extend import checked, complete, finite_array, input_path, output_path, warn
+from jaxmorph.extend import (
+    as_jax,
+    checked,
+    complete,
+    finite_array,
+    input_path,
+    output_path,
+    warn,
+)
 
 from ._boxes import BoxPart, box_parts, boxes_of
 from ._motion import AbstractPart, DesignVariables, PatchNamesOfMotion, wall_parts
@@ -290,9 +298,9 @@ def _make_shape(
     return DesignVariables(
         names=tuple(names),
         parts=tuple(parts),
-        scales=jnp.asarray(np.array(scales, float)),
-        rest=jnp.asarray(np.array(rest, float)),
-        free=jnp.asarray(free),
+        scales=as_jax(np.array(scales, float)),
+        rest=as_jax(np.array(rest, float)),
+        free=as_jax(free),
     )
 
 
