@@ -5,6 +5,7 @@ Plots take matplotlib's axes `ax` or pyvista's `plotter`, by default a new one, 
 
 # isort: off
 from ._curves import convergence as convergence, histogram as histogram
+from ._distances import distances as distances
 from ._picture import picture as picture
 from ._plane import (
     Window as Window,

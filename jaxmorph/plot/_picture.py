@@ -17,6 +17,7 @@ from ._plane import Figure, plt
 from ._space import before_after_3d, surface
 from ._style import (
     BLUE,
+    FLAT_VIEW,
     LINE_WIDTH,
     STILL,
     PlotColumn,
@@ -26,8 +27,6 @@ from ._style import (
     check_cells,
     choose_points,
 )
-
-FLAT_VIEW = 0.45  # height over width of a window below which two of them stand one above the other
 
 
 @checked

@@ -45,7 +45,7 @@ try:
     from matplotlib.font_manager import findfont as findfont
     from matplotlib.patches import Patch
     from matplotlib.textpath import TextPath as TextPath
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import MaxNLocator as MaxNLocator
 except ImportError as error:
     raise ImportError(
         "jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'"

@@ -418,7 +418,11 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
 
 
 def _skin(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -> Any:
-    surface, owner = mesh.moved(places).skin(*patches)
+    whole = mesh.moved(places)
+    surface, owner = whole.skin(*patches)
+    if not patches and not len(owner):  # a mesh of faces alone
+        surface = whole
+        owner = np.arange(len(whole.cell_ids))
     if not len(owner):
         return pyvista().PolyData()
     grid, face = _as_grid(surface, mesh, values, owner)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 from scipy import sparse
 from scipy.linalg import null_space
@@ -25,12 +25,15 @@ from ._features import (
     Planes,
     Rail,
     borders_of,
+    check_pairs,
     clipped,
     guides_of,
     height_of,
+    on_target,
+    staying,
 )
 from ._smooth import stiffness_of
-from ._tolerances import ON_SYMMETRY, RESTED, SAME_LENGTH
+from ._tolerances import ON_BORDER, ON_SYMMETRY, RESTED, SAME_LENGTH
 
 Target = Facets | Callable
 Motion = tuple[ndarray, ndarray]
@@ -62,10 +65,11 @@ class Onto(Module):
     - `features`: pairs of curves by ids, nodes of the wall and points of the target: edges between
       the first go onto edges between the second (in 2-D nodes onto points). Default: sharp edges.
     - `length`: 0, the default: the wall goes onto the target. Else it stays near the target,
-      without waves much shorter than this length, such as the noise of a scan.
+      without waves much shorter than this length, such as the noise of a scan. What is beyond the
+      border of an open target then follows the rest of the wall.
 
-    **Raises:** `ValueError` for different dimensions, a target that does not reach a plane, and
-    corners that would share one of the target.
+    **Raises:** `ValueError` for different dimensions, a target in another unit, one that does not
+    reach a plane (unless there is a `length`), and corners that would share one of the target.
 
     Source: Amberg, Romdhani and Vetter, Optimal step nonrigid ICP algorithms, CVPR 2007; Sorkine
     and Alexa, As-rigid-as-possible surface modeling, SGP 2007.
@@ -77,6 +81,7 @@ class Onto(Module):
     clips: tuple[Clip, ...]
     guides: tuple[Rail, ...]
     borders: Borders
+    border: Int[Array | ndarray, "r e"]
     turn: Float[Array | ndarray, "d d"]
     shift: Float[Array | ndarray, " d"]
     lengths: Float[Array | ndarray, " s"]
@@ -107,17 +112,26 @@ class Onto(Module):
         self.function = None
         self.target = None
         nearest = target.closest if isinstance(target, Facets) else target
+        if isinstance(target, Facets):
+            _check_unit(x, target)
         self.turn, self.shift = _rigid(wall, target, nearest, planes)
         self.clips = ()
         self.guides = ()
+        self.border = np.zeros((0, 2), int)
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
+            check_pairs(features)
+            slack = ON_SYMMETRY * extent
+            whole = target
             for plane in planes:
-                clip, target = clipped(
-                    target, plane, np.sign(np.median(plane.height(x))), ON_SYMMETRY * extent
-                )
-                self.clips += (clip,)
+                side = np.sign(np.median(plane.height(x)))
+                if self.is_exact or (side * plane.height(np.asarray(target.points))).min() <= slack:
+                    clip, target = clipped(target, plane, side, slack)
+                    self.clips += (clip,)
+            features = on_target(features, whole, self.clips)
             self.target = _turn_normals(target, wall.at(start))
+            if not self.is_exact:
+                self.border = _border_of(self.target, planes, slack)
             if self.is_exact or features:  # edges of noise are none
                 self.guides = guides_of(wall.at(start), self.target, planes, features)
             nearest = target.closest
@@ -151,6 +165,15 @@ class Onto(Module):
         for guide in self.guides:
             places = places.at[guide.rows].set(guide.places(y, facing, jnp.asarray(target.points)))
         return self._in_planes(places)
+
+    def _is_beyond(self, places: Positions, target: Facets | None) -> Bool[Array, " m"]:
+        """Whether places are on the border of the target: nothing draws their nodes."""
+        if target is None or not len(self.border):
+            return jnp.zeros(len(places), bool)
+        corners = jnp.asarray(target.points)[self.border]
+        given = jax.lax.stop_gradient((corners, places))
+        off = host_call(_rim_distance, jax.ShapeDtypeStruct(places.shape[:1], places.dtype), *given)
+        return off < ON_BORDER * jnp.max(jnp.ptp(places, axis=0))
 
     def _in_planes(self, y: Positions) -> Positions:
         for plane, rows in self.borders:
@@ -189,8 +212,10 @@ class Onto(Module):
         mass = jnp.zeros(m, y.dtype).at[faces].add(size[:, None] / d)
         stiff = jnp.zeros(m, y.dtype).at[faces].add(jnp.diagonal(local, axis1=1, axis2=2))
         facing = self.wall.at(y).normals()
-        weights = self._weights(y, facing, mass, mass + HARD * stiff)
-        off = _times(weights, self._places(y, facing, target) - y)
+        places = self._places(y, facing, target)
+        pull = jnp.where(self._is_beyond(places, target), 0, mass)
+        weights = self._weights(y, facing, pull, mass + HARD * stiff)
+        off = _times(weights, places - y)
         shape = start[faces]
         if self.is_exact:
             shape = jnp.where(
@@ -220,6 +245,47 @@ def _move_walls(onto: Onto, x: Positions, target: Facets | None) -> Positions:
     return (
         onto._places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto._in_planes(y)
     )
+
+
+def _rim_distance(corners: ndarray, x: ndarray) -> ndarray:
+    return closest(corners.astype(float), x.astype(float)).distance.astype(x.dtype)
+
+
+def _border_of(target: Facets, planes: Sequence[Plane], slack: float) -> ndarray:
+    """Edges (r, 2) of the border that lie in no plane; in 2-D a point twice."""
+    rim = np.asarray(target.rim)
+    points = np.asarray(target.points, float)[rim]
+    for plane in planes:
+        apart = ~(np.abs(plane.height(points)) <= slack).all(axis=1)
+        rim = rim[apart]
+        points = points[apart]
+    return np.broadcast_to(rim, (len(rim), 2))
+
+
+UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
+CLOSE_UNIT = 1.3
+NEARER = 4.0
+"""Of a target's unit: ratios of units in use, the factor by which that of extents may differ, for a
+part of a body is smaller, and the factor by which distances fall in the right unit."""
+
+
+def _check_unit(x: ndarray, target: Facets) -> None:
+    """Refuses a target whose extent is that of the wall in another unit."""
+    points = np.asarray(target.points)[np.unique(target.faces)]
+    own, other = (float(np.ptp(places, axis=0).max()) for places in (x, points))
+    apart = abs(np.log(other / own))
+    unit = min(UNIT_RATIOS, key=lambda unit: abs(apart - np.log(unit)))
+    if abs(apart - np.log(unit)) > np.log(CLOSE_UNIT):
+        return
+    factor = 1 / unit if other > own else unit
+    some = x[:: 1 + len(x) // SAMPLE]
+    off = np.median(target.distance(some))
+    in_unit = factor * np.median(target.distance(some / factor))
+    if off > FAR * own or in_unit < off / NEARER:
+        raise ValueError(
+            f"the target is {other:.4g} long, the wall {own:.4g}: it seems to be in another unit. "
+            f"Multiply its points by {factor:.10g}."
+        )
 
 
 def _times(matrices: Float[Array, "k i j"], vectors: Any) -> Any:
@@ -401,7 +467,7 @@ def _check_one_to_one(made: Onto, x: ndarray, moved: ndarray) -> None:
         raise MeshError(
             f"{many} of the wall {what}, at node {{node}} near {shown_place(x[bad[0, 0]])}: the "
             "way onto the target is not one to "
-            "one there. Extend or repair the target, name pairs of curves in `features`, or give "
-            "a `length` to stay near it.",
+            "one there. Extend or repair the target, name pairs of curves in `features`, or stay "
+            f"near it by {staying(x)}.",
             np.unique(bad),
         )
