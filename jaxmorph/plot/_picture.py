@@ -45,8 +45,8 @@ def picture(
     """Writes a mesh, or a mesh before and after: in 2-D the skewness, in 3-D bodies and what moved.
 
     Each cell has the mean over its nodes of the skewness at them, itself a mean over their cells. A
-    cross is at the worst cell, if the picture has it. A mesh in 3-D that is one cell wide, and moves
-    in its plane, is drawn as one in 2-D.
+    cross is at the worst cell, if the picture has it. A mesh in 3-D that is one cell wide, and
+    moves in its plane, is drawn as one in 2-D.
 
     **Arguments:**
 

@@ -45,6 +45,7 @@ try:
     from matplotlib.font_manager import findfont as findfont
     from matplotlib.patches import Patch
     from matplotlib.textpath import TextPath as TextPath
+    from matplotlib.ticker import Formatter as Formatter
     from matplotlib.ticker import MaxNLocator as MaxNLocator
 except ImportError as error:
     raise ImportError(
