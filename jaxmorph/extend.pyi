@@ -30,6 +30,7 @@ from ._kernels.compile import float64_mode as float64_mode, quickly_compiled as 
 from ._kernels.module import Module as Module
 from ._kernels.values import area_vectors as area_vectors, is_known as is_known, norm as norm
 
+def listing(names: dict[str, Any]) -> Callable[[], list[str]]: ...
 def attached(
     module: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]: ...

@@ -18,7 +18,8 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io, shapes
 
 from ._early import is_given
-from ._output import format_place, some
+from ._output import format_place, plural, some
+from ._parser import flag_of
 from ._requests import Deform, MotionFlags, Names
 
 Points = Float[np.ndarray, "m d"]
@@ -176,6 +177,7 @@ def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndar
     nodes = mesh.patch(*flags.patches)
     if not len(nodes):
         raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
+    _check_vectors(flags, mesh.points.shape[1])
     wall = _read_wall(flags, mesh)
     patch = MovingPatch(flags, mesh, nodes, request.boundary.symmetry, wall)
     made = {}
@@ -190,6 +192,24 @@ def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndar
     rows = np.searchsorted(moving, patch.nodes)
     names = mesh.patch_names(*flags.patches)
     return MotionGroup(names, shapes.Chain(made), values, rows=rows, nodes=nodes, wall=wall)
+
+
+VECTORS = ("scale", "translate", "about", "axis", "along")
+
+
+def _check_vectors(flags: MotionFlags, d: int) -> None:
+    if d == 2 and flags.axis is not None:
+        raise ValueError("--axis is for meshes in 3-D, and this one is in 2-D. Leave it out.")
+    if d == 2 and flags.twist is not None:
+        raise ValueError("--twist is for meshes in 3-D; --rotate turns a section in 2-D.")
+    for name in VECTORS:
+        given = getattr(flags, name) or [0.0] * d
+        if len(given) != d and (name, len(given)) != ("scale", 1):
+            numbers = " ".join(f"{number:g}" for number in given)
+            raise ValueError(
+                f"{flag_of(name)} {numbers}: {plural(len(given), 'number')}, and this mesh is in "
+                f"{d}-D: give {'X Y' if d == 2 else 'X Y Z'}."
+            )
 
 
 class MovingPatch(NamedTuple):

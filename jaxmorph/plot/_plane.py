@@ -43,7 +43,7 @@ try:
     from matplotlib.colors import to_hex as to_hex
     from matplotlib.figure import Figure as Figure
     from matplotlib.font_manager import findfont as findfont
-    from matplotlib.patches import Patch
+    from matplotlib.patches import Patch, Polygon
     from matplotlib.textpath import TextPath as TextPath
     from matplotlib.ticker import Formatter as Formatter
     from matplotlib.ticker import MaxNLocator as MaxNLocator
@@ -334,9 +334,8 @@ def fill_bodies(ax: Axes, cells: PlaneCells, colour: str) -> None:
     first[place] = np.arange(len(place))
     # the two sides of a cut at one place are no boundary
     edges, count = np.unique(np.sort(place[cells.boundary], axis=1), axis=0, return_counts=True)
-    rings = [cells.points[first[ring]] for ring in rings_of(edges[count % 2 == 1])]
-    bodies = PolyCollection(rings, facecolors=colour, edgecolors="none", zorder=0.5)
-    ax.add_collection(bodies, autolim=False)
+    for ring in rings_of(edges[count % 2 == 1]):
+        ax.add_patch(Polygon(cells.points[first[ring]], facecolor=colour, zorder=0.5))
 
 
 def rings_of(edges: Int[ndarray, "e 2"]) -> list[list[int]]:

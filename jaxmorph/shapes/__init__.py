@@ -1,6 +1,7 @@
 """Shapes: traced functions from positions to positions, from design variables to a new wall."""
 
 # isort: off
+from jaxmorph.extend import listing as _listing
 from ._curves import (
     BSplineCurve as BSplineCurve,
     CST as CST,
@@ -46,3 +47,5 @@ from ._walls import (
     wall_loop as wall_loop,
     wall_normals as wall_normals,
 )
+
+__dir__ = _listing(globals())
