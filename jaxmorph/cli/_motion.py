@@ -102,12 +102,14 @@ class Motion:
                 first = next(
                     other for other, of_other in self.sides.items() if wrong[0] in of_other
                 )
+                walls = [self.groups[name].wall for name in (*first, *names)]
+                onto = ", and a surface of both after --onto" if all(walls) else ""
                 raise ValueError(
                     f"{' then '.join(first)} and {' then '.join(names)} move {len(wrong)} common "
                     "nodes differently, by up to "
                     f"{off.max():.3g}: nodes {some(moving[wrong])}, the first near "
                     f"{format_place(x[wrong[0]])}. Name both "
-                    "patches after one --moving, or take the common nodes out of one of the "
+                    f"patches after one --moving{onto}, or take the common nodes out of one of the "
                     "patches."
                 )
 

@@ -49,7 +49,7 @@ def distances(
     for name, x, own in zip(("before", "after"), (start, end), off, strict=True):
         is_on = own.max() <= ROUNDOFF * np.ptp(start, axis=0).max()
         most = "none" if is_on else f"up to {own.max():.3g}"
-        states.append((x, None if is_on else own, f"distance {label} {name}: {most}"))
+        states.append((x, None if is_on else own, f"distance {label}\n{name}: {most}"))
     if start.shape[1] == 2:
         return _write_in_2d(path, wall, target, states)
     _write_in_3d(path, wall, states)
@@ -70,7 +70,7 @@ def _write_in_3d(path: pathlib.Path, wall: jm.Facets, states: list[State]) -> No
         colours = {} if off is None else {"limits": _limits(wall, off), "label": "distance"}
         surface(skin, values=of_faces, plotter=plotter, **colours)
         viewer = viewer_of(plotter.meshes[0]) if viewer is None else viewer
-        add_legend(plotter, [(title, DARK)])
+        add_legend(plotter, [(title.replace("\n", " "), DARK)])
         aim(plotter, viewer)
         pictures.append(plotter.screenshot(return_img=True))
         plotter.close()
@@ -93,7 +93,7 @@ def _write_in_2d(
     window = whole(np.stack([everything.min(axis=0) - room, everything.max(axis=0) + room]))
     width, height = (end - start for start, end in window)
     rows = 2 if height < FLAT_VIEW * width else 1
-    size = LINE_WIDTH, 0.6 + rows * (0.3 + 0.72 * LINE_WIDTH * rows / 2 * height / width)
+    size = LINE_WIDTH, 0.4 + 0.4 / rows + rows * (0.3 + 0.72 * LINE_WIDTH * rows / 2 * height / width)
     figure = Figure(figsize=size, dpi=300, layout="constrained")
     axes = figure.subplots(rows, 2 // rows, sharex=True, sharey=True)
     places = np.asarray(target.points)[np.asarray(target.faces)]
@@ -105,7 +105,7 @@ def _write_in_2d(
             list(x[faces]), linewidths=WALL_WIDTH, capstyle="round", zorder=1, **style
         )
         axis.add_collection(drawn)
-        axis.set_title(title, fontsize="medium")
+        axis.set_title(title if rows == 1 else title.replace("\n", " "), fontsize="medium")
         axis.label_outer()
         if off is not None:
             drawn.set_array(off[faces].mean(axis=1))
