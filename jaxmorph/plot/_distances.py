@@ -93,7 +93,10 @@ def _write_in_2d(
     window = whole(np.stack([everything.min(axis=0) - room, everything.max(axis=0) + room]))
     width, height = (end - start for start, end in window)
     rows = 2 if height < FLAT_VIEW * width else 1
-    size = LINE_WIDTH, 0.4 + 0.4 / rows + rows * (0.3 + 0.72 * LINE_WIDTH * rows / 2 * height / width)
+    size = (
+        LINE_WIDTH,
+        0.4 + 0.4 / rows + rows * (0.3 + 0.72 * LINE_WIDTH * rows / 2 * height / width),
+    )
     figure = Figure(figsize=size, dpi=300, layout="constrained")
     axes = figure.subplots(rows, 2 // rows, sharex=True, sharey=True)
     places = np.asarray(target.points)[np.asarray(target.faces)]

@@ -103,31 +103,26 @@ class Onto(Module):
         planes = [plane for plane, _ in self.borders]
         extent = np.ptp(x, axis=0).max()
         last = length or LAST * np.ptp(x, axis=0).max()
-        if isinstance(target, Facets) and target.points.shape[1] != x.shape[1]:
-            raise ValueError(
-                f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
-            )
         self.wall = wall
         self.is_exact = length == 0
         self.function = None
         self.target = None
-        nearest = target.closest if isinstance(target, Facets) else target
-        if isinstance(target, Facets):
-            _check_unit(x, target)
-        self.turn, self.shift = _rigid(wall, target, nearest, planes)
         self.clips = ()
         self.guides = ()
         self.border = np.zeros((0, 2), int)
+        slack = ON_SYMMETRY * extent
+        open_ends = np.zeros((0, 2, x.shape[1]))
+        if isinstance(target, Facets):
+            _check_target(x, target)
+            check_pairs(features)
+            if not self.is_exact:
+                open_ends = np.asarray(target.points, float)[_border_of(target, planes, slack)]
+        nearest = target.closest if isinstance(target, Facets) else target
+        self.turn, self.shift = _rigid(wall, target, nearest, planes, open_ends)
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
-            check_pairs(features)
-            slack = ON_SYMMETRY * extent
             whole = target
-            for plane in planes:
-                side = np.sign(np.median(plane.height(x)))
-                if self.is_exact or (side * plane.height(np.asarray(target.points))).min() <= slack:
-                    clip, target = clipped(target, plane, side, slack)
-                    self.clips += (clip,)
+            target, self.clips = _cut(target, planes, x, may_end=not self.is_exact)
             features = on_target(features, whole, self.clips)
             self.target = _turn_normals(target, wall.at(start))
             if not self.is_exact:
@@ -251,6 +246,21 @@ def _rim_distance(corners: ndarray, x: ndarray) -> ndarray:
     return closest(corners.astype(float), x.astype(float)).distance.astype(x.dtype)
 
 
+def _cut(
+    target: Facets, planes: Sequence[Plane], x: ndarray, *, may_end: bool
+) -> tuple[Facets, tuple[Clip, ...]]:
+    """Cuts a target off at planes; it may end before them."""
+    slack = ON_SYMMETRY * np.ptp(x, axis=0).max()
+    clips = []
+    for plane in planes:
+        side = np.sign(np.median(plane.height(x)))
+        least = (side * plane.height(np.asarray(target.points))).min()
+        if not may_end or least <= slack:
+            clip, target = clipped(target, plane, side, slack)
+            clips.append(clip)
+    return target, tuple(clips)
+
+
 def _border_of(target: Facets, planes: Sequence[Plane], slack: float) -> ndarray:
     """Edges (r, 2) of the border that lie in no plane; in 2-D a point twice."""
     rim = np.asarray(target.rim)
@@ -269,8 +279,12 @@ NEARER = 4.0
 part of a body is smaller, and the factor by which distances fall in the right unit."""
 
 
-def _check_unit(x: ndarray, target: Facets) -> None:
-    """Refuses a target whose extent is that of the wall in another unit."""
+def _check_target(x: ndarray, target: Facets) -> None:
+    """Refuses a target of another dimension, and one as long as the wall in another unit."""
+    if target.points.shape[1] != x.shape[1]:
+        raise ValueError(
+            f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
+        )
     points = np.asarray(target.points)[np.unique(target.faces)]
     own, other = (float(np.ptp(places, axis=0).max()) for places in (x, points))
     apart = abs(np.log(other / own))
@@ -341,11 +355,14 @@ WHOLE = 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
 
-def _rigid(wall: Facets, target: Target, nearest: Callable, planes: Sequence[Plane]) -> Motion:
+def _rigid(
+    wall: Facets, target: Target, nearest: Callable, planes: Sequence[Plane], open_ends: ndarray
+) -> Motion:
     """Finds a turn (d, d) and a shift (d,) that halve the distance, from here and from the axes.
 
-    Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
-    Chen and Medioni, Object modelling by registration, Image and Vision Computing 10, 1992.
+    Nodes go to the tangent planes at their closest places, again and again; planes stay. Nodes
+    beyond the edges `open_ends` (r, 2, d) do not count, and no motion takes more of them there.
+    Source: Chen and Medioni, Object modelling by registration, Image and Vision Computing 10, 1992.
     """
     x = np.asarray(wall.points, float)
     normals = np.asarray(wall.normals(), float)
@@ -354,20 +371,34 @@ def _rigid(wall: Facets, target: Target, nearest: Callable, planes: Sequence[Pla
     starts = _starts(x, target, planes)
     motions = _free_motions(planes, d)
 
+    extent = np.ptp(x, axis=0).max()
+
     def off(turn, shift):
         y = x[some] @ turn.T + shift
-        return y, np.asarray(nearest(y), float) - y
+        places = np.asarray(nearest(y), float)
+        on = np.ones(len(y), bool)
+        if len(open_ends):
+            on = closest(open_ends, places).distance > ON_BORDER * extent
+        return y[on], places[on] - y[on], on
 
     best = starts[0]
-    least = np.sqrt(np.mean(off(*starts[0])[1] ** 2))
+    _, away, on = off(*best)
+    count = on.sum()
+    least = np.sqrt(np.mean(away**2)) if count else np.inf
+    if least <= NEAR_TARGET * extent:
+        return best  # else an open wall would slide along its target, middle onto middle
     for turn, shift in starts:
-        for _ in range(FITS if least > NEAR_TARGET * np.ptp(x, axis=0).max() else 0):
+        for _ in range(FITS):
+            y, away, on = off(turn, shift)
+            if on.sum() < len(motions):  # too few for a motion
+                break
             turn, shift, is_done = _fitted(
-                *off(turn, shift), normals[some] @ turn.T, motions, turn, shift
+                y, away, (normals[some] @ turn.T)[on], motions, turn, shift
             )
             if is_done:
                 break
-        left = np.sqrt(np.mean(off(turn, shift)[1] ** 2))
+        _, away, on = off(turn, shift)
+        left = np.sqrt(np.mean(away**2)) if on.sum() >= max(count, 1) else np.inf
         best, least = ((turn, shift), left) if left < least / 2 else (best, least)
     return best
 
