@@ -56,7 +56,7 @@ PAGES = {
        jaxmorph deform --job FILE""",
         """\
 Each --moving begins a motion; the flags after it, up to the next --moving,
-describe that motion. The order is fixed: displacement file, modes, box,
+describe that motion. The order is fixed: displacement file, onto, modes, box,
 scaling, twist, bend, rotation, translation. A patch named by several --moving
 gets the motions in turn. A node of several patches moves once, and they must
 agree there. With --steps N the mesh follows in N steps, each with 1/N of every

@@ -179,7 +179,7 @@ def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndar
     nodes = mesh.patch(*flags.patches)
     if not len(nodes):
         raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
-    _check_vectors(flags, mesh.points.shape[1])
+    _check_dimension(flags, mesh.points.shape[1])
     wall = _read_wall(flags, mesh)
     patch = MovingPatch(flags, mesh, nodes, request.boundary.symmetry, wall)
     made = {}
@@ -199,7 +199,7 @@ def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndar
 VECTORS = ("scale", "translate", "about", "axis", "along")
 
 
-def _check_vectors(flags: MotionFlags, d: int) -> None:
+def _check_dimension(flags: MotionFlags, d: int) -> None:
     if d == 2 and flags.axis is not None:
         raise ValueError("--axis is for meshes in 3-D, and this one is in 2-D. Leave it out.")
     if d == 2 and flags.twist is not None:

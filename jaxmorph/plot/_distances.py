@@ -16,7 +16,7 @@ from ._style import COLOURS, DARK, FLAT_VIEW, GREY, LINE_WIDTH, PlotColumn, Plot
 
 ROUNDOFF = 1e-9  # distance over the wall's extent of a wall that is on its target
 WALL_WIDTH = 3.0  # points of a wall in the colours of its distances
-ROOM = 0.1  # round a wall in 2-D, over its extent
+WALL_ROOM = 0.1  # round a wall in 2-D, over its extent
 
 
 @checked
@@ -89,7 +89,7 @@ def _write_in_2d(
 ) -> None:
     faces = np.asarray(wall.faces)
     everything = np.concatenate([x for x, _, _ in states])
-    room = ROOM * np.ptp(everything, axis=0).max()
+    room = WALL_ROOM * np.ptp(everything, axis=0).max()
     window = whole(np.stack([everything.min(axis=0) - room, everything.max(axis=0) + room]))
     width, height = (end - start for start, end in window)
     rows = 2 if height < FLAT_VIEW * width else 1

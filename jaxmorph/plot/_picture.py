@@ -130,7 +130,7 @@ def _draw_in_2d(path: pathlib.Path, side: "FlatSide", moving: ndarray, verdict: 
         )
         worst = own.rows["max", name]
         value = round(worst.value, 9) + 0.0  # no -0
-        is_marked = value > 0 and _mark(axis, np.array(worst.near)[side.axes], window)
+        is_marked = value > 0 and _put_cross(axis, np.array(worst.near)[side.axes], window)
         titles = [state, f"largest {label} {value:.3g}{' (×)' * is_marked}"][-axes.size :]
         axis.set_title(("\n" if len(axes) == 1 else ": ").join(titles), fontsize="medium")
         axis.label_outer()
@@ -159,7 +159,7 @@ def _largest_seen(
     return (largest, bool(np.any(every > largest))) if largest > ROUNDOFF_MEASURE else (1.0, False)
 
 
-def _mark(axis: Any, place: ndarray, window: _plane.Window) -> bool:
+def _put_cross(axis: Any, place: ndarray, window: _plane.Window) -> bool:
     (left, right), (bottom, top) = window
     if not (left <= place[0] <= right and bottom <= place[1] <= top):
         return False

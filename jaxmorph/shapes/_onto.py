@@ -68,8 +68,9 @@ class Onto(Module):
       without waves much shorter than this length, such as the noise of a scan. What is beyond the
       border of an open target then follows the rest of the wall.
 
-    **Raises:** `ValueError` for different dimensions, a target in another unit, one that does not
-    reach a plane (unless there is a `length`), and corners that would share one of the target.
+    **Raises:** `ValueError` for different dimensions, a target in another unit, and corners that
+    would share one of the target. Also for a target that does not reach a plane, without a
+    `length`.
 
     Source: Amberg, Romdhani and Vetter, Optimal step nonrigid ICP algorithms, CVPR 2007; Sorkine
     and Alexa, As-rigid-as-possible surface modeling, SGP 2007.
@@ -122,7 +123,7 @@ class Onto(Module):
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
             whole = target
-            target, self.clips = _cut(target, planes, x, may_end=not self.is_exact)
+            target, self.clips = _cut_off(target, planes, x, may_end=not self.is_exact)
             features = on_target(features, whole, self.clips)
             self.target = _turn_normals(target, wall.at(start))
             if not self.is_exact:
@@ -246,7 +247,7 @@ def _rim_distance(corners: ndarray, x: ndarray) -> ndarray:
     return closest(corners.astype(float), x.astype(float)).distance.astype(x.dtype)
 
 
-def _cut(
+def _cut_off(
     target: Facets, planes: Sequence[Plane], x: ndarray, *, may_end: bool
 ) -> tuple[Facets, tuple[Clip, ...]]:
     """Cuts a target off at planes; it may end before them."""
@@ -275,8 +276,8 @@ def _border_of(target: Facets, planes: Sequence[Plane], slack: float) -> ndarray
 UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
 CLOSE_UNIT = 1.3
 NEARER = 4.0
-"""Of a target's unit: ratios of units in use, the factor by which that of extents may differ, for a
-part of a body is smaller, and the factor by which distances fall in the right unit."""
+"""Of a target's unit: ratios of units in use; the factor by which a part of a body may be smaller; the
+one by which distances fall in the right unit."""
 
 
 def _check_target(x: ndarray, target: Facets) -> None:
