@@ -66,11 +66,12 @@ class Motion:
     @property
     def walls(self) -> "dict[str, tuple[np.ndarray, Wall]]":
         """Walls with a target and their nodes, by file; by name too where several have one."""
-        found = {name: group for name, group in self.groups.items() if group.wall}
-        files = [group.wall.file.name for group in found.values()]
+        found = [(name, group.nodes, group.wall) for name, group in self.groups.items()]
+        files = [wall.file.name for _, _, wall in found if wall]
         return {
-            file if files.count(file) == 1 else f"{file} ({name})": (group.nodes, group.wall)
-            for file, (name, group) in zip(files, found.items(), strict=True)
+            wall.file.name + f" ({name})" * (files.count(wall.file.name) > 1): (nodes, wall)
+            for name, nodes, wall in found
+            if wall
         }
 
     def moved(self, x: Any, parameters: Mapping[str, Any]) -> Any:
@@ -246,13 +247,13 @@ def _displacement_shape(patch: MovingPatch) -> Parametrised:
 def _read_wall(flags: MotionFlags, mesh: Mesh) -> Wall | None:
     if flags.onto is None:
         return None
-    angle = {} if flags.onto_angle is None else {"angle": math.radians(flags.onto_angle)}
-    target = io.read_facets(flags.onto, mesh.points.shape[1], **angle)
+    angle = math.radians(60 if flags.onto_angle is None else flags.onto_angle)
+    target = io.read_facets(flags.onto, mesh.points.shape[1], angle=angle)
     if flags.onto_scale is not None:
         if flags.onto_scale <= 0:
             raise ValueError(f"--onto-scale {flags.onto_scale:g}: a factor above 0 is expected.")
         target = target.at(np.asarray(target.points) * flags.onto_scale)
-    return Wall(jm.Facets.of(mesh, *flags.patches, **angle), target, flags.onto)
+    return Wall(jm.Facets.of(mesh, *flags.patches, angle=angle), target, flags.onto)
 
 
 ONTO_WORDS = {

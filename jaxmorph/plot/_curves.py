@@ -105,7 +105,8 @@ class WholeNumbers(Formatter):
     """Labels numbers whole: an offset or a power above the axis would be in the title's place."""
 
     def __call__(self, x: float, pos: Any = None) -> str:
-        low, high = sorted(self.axis.get_view_interval())
+        axis: Any = self.axis
+        low, high = sorted(axis.get_view_interval())
         span = high - low or 1.0
         digits = 2 + int(np.ceil(np.log10(max(abs(low), abs(high), span) / span)))
         return f"{0.0 if abs(x) < 1e-9 * span else x:.{digits}g}"
