@@ -276,8 +276,8 @@ def _border_of(target: Facets, planes: Sequence[Plane], slack: float) -> ndarray
 UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
 CLOSE_UNIT = 1.3
 NEARER = 4.0
-"""Ratios of units in use; factor by which a part of a body may be smaller; factor by which distances
-fall in the right unit."""
+"""Ratios of units in use; factor by which a part of a body may be smaller; factor by which
+distances fall in the right unit."""
 
 
 def _check_target(x: ndarray, target: Facets) -> None:
