@@ -81,7 +81,8 @@ def _write_in_3d(path: pathlib.Path, wall: jm.Facets, states: list[State]) -> No
 def _limits(wall: jm.Facets, off: PlotColumn) -> tuple[float, float]:
     faces = np.asarray(wall.faces)
     sizes = np.linalg.norm(np.asarray(wall.areas()), axis=1)
-    return 0.0, usual_limits(off[faces].mean(axis=1), sizes)[1]
+    of_faces = off[faces].mean(axis=1)
+    return 0.0, min(usual_limits(of_faces, sizes)[1], float(of_faces.max()))
 
 
 def _write_in_2d(

@@ -156,6 +156,7 @@ def _largest_seen(
         sizes.append(cells.areas[seen])
     every = np.concatenate(values)
     largest = usual_limits(every, np.concatenate(sizes))[1]
+    largest = min(largest, float(np.nanmax(every, initial=0)))
     return (largest, bool(np.any(every > largest))) if largest > ROUNDOFF_MEASURE else (1.0, False)
 
 
