@@ -13,15 +13,16 @@ The first use of a public name imports its module, and JAX with it: the command 
 without. Submodules are imported when they are first used.
 """
 
-import importlib
-from typing import Any
+# names without an underscore are offered to who types `jm.`
+import importlib as _importlib
+from typing import Any as _Any
 
-from .extend import attached
+from .extend import attached as _attached
 
-_attribute, __dir__, __all__ = attached(__name__, __file__)
+_attribute, __dir__, __all__ = _attached(__name__, __file__)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> _Any:
     if name == "__version__":
-        return importlib.import_module("importlib.metadata").version(__name__)
+        return _importlib.import_module("importlib.metadata").version(__name__)
     return _attribute(name)

@@ -5,9 +5,9 @@ public ones of `jaxmorph`, as an extension outside of the package would be. The 
 imports its module: NumPy, SciPy and JAX come with those that need them.
 """
 
-import ast
-import importlib
-import sys
+import ast as _ast
+import importlib as _importlib
+import sys as _sys
 
 
 def attached(module, file):
@@ -15,8 +15,8 @@ def attached(module, file):
     the file for type checkers beside it, as `attach_stub` of lazy-loader does.
     """
     with open(f"{file.rpartition('.')[0]}.pyi", encoding="utf-8") as stub:
-        body = ast.parse(stub.read()).body
-    imports = [node for node in body if isinstance(node, ast.ImportFrom) and node.level]
+        body = _ast.parse(stub.read()).body
+    imports = [node for node in body if isinstance(node, _ast.ImportFrom) and node.level]
     homes = {each.name: f".{node.module or ''}" for node in imports for each in node.names}
     is_package = file.rpartition(".")[0].endswith("__init__")  # also of bytecode alone
     package = module if is_package else module.rpartition(".")[0]
@@ -25,13 +25,18 @@ def attached(module, file):
         if name not in homes:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         if homes[name] == ".":
-            return importlib.import_module(f".{name}", module)
-        value = getattr(importlib.import_module(homes[name], package), name)
-        setattr(sys.modules[module], name, value)  # the next use is as fast as that of any name
+            return _importlib.import_module(f".{name}", module)
+        value = getattr(_importlib.import_module(homes[name], package), name)
+        setattr(_sys.modules[module], name, value)  # the next use is as fast as that of any name
         return value
 
     names = [*homes, "__version__"] if module == __package__ else list(homes)
     return attribute, lambda: sorted(names), list(homes)
+
+
+def listing(names):
+    """Makes `__dir__` of a module, of its `globals()`: completion offers public names alone."""
+    return lambda: sorted(name for name in names if not name.startswith("_"))
 
 
 __getattr__, __dir__, __all__ = attached(__name__, __file__)

@@ -43,6 +43,7 @@ from ._kernels.values import (
     put_at as put_at,
 )
 
+def listing(names: dict[str, Any]) -> Callable[[], list[str]]: ...
 def attached(
     module: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]: ...

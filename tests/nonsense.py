@@ -298,6 +298,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
     "plot.convergence": {"history": history},
     "plot.cut": SPACE | {"plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3])},
+    "plot.distances": {"wall": FACETS, "target": FACETS, "points": FACETS.points},
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
     "plot.mesh": {"values": np.zeros(9)},

@@ -135,7 +135,8 @@ def test_paths_in_a_job_are_relative_to_its_folder(here, monkeypatch):
 EVERY_FLAG = """
 deform ring.su2 out.su2 --decomposed --picture p.png
   --displacement d.dat --displacement-is displacement --mode m.csv 0.5 --mode n.csv -2
-  --moving wall far --onto t.stl --box b.toml
+  --moving wall far --onto t.stl --onto-scale 2 --onto-length 0.1 --onto-angle 40
+  --onto-features [[[1,2],[3]]] --box b.toml
   --scale 2 3 --twist 1 --bend -2 --rotate 3 --translate 0 1e-3
   --about 1 2 --axis 0 1 --along 1 0 --length 4 --name first --moving wall --rotate 5 --box {"low":[0]}
   --fixed far a.* --symmetry s --sliding t --sliding u --periodic v w --free x --set first.rotate=2 y=1,2
@@ -191,8 +192,8 @@ BAD_JOBS = [
         "method = ['rbf', 'other.su2']",
         r"job.toml: method is one value, found \['rbf', 'other.su2'\]",
     ),
-    ("method = '--json'", "job.toml: argument --method: invalid choice: '--json' .choose from"),
-    ("dtype = 'float16'", "job.toml: argument --dtype: invalid choice: 'float16'"),
+    ("method = '--json'", "job.toml: argument --method: there is no --json; there are default"),
+    ("dtype = 'float16'", "job.toml: argument --dtype: there is no float16; did you mean float"),
     ("set = 5", "job.toml: set is a table of names and numbers, found 5"),
     ("set = {a = 'x'}", "job.toml: argument --set: 'a=x' is not NAME=NUMBER"),
     (

@@ -236,7 +236,7 @@ def test_a_box_moves_what_is_inside_by_bernstein_polynomials(brick):
 
 BOX = '--box {{"low":[0,0,0],"high":[1,1,{}],"points":[2,2,2],"moved":[{}]}}'
 WRONG = {
-    "--translate 1 0": r"--translate: `by` has shape \(2,\); positions in 3-D need \(3,\)",
+    "--translate 1 0": "--translate 1 0: 2 numbers, and this mesh is in 3-D: give X Y Z",
     "--rotate 1 --axis 0 0 0": "--rotate: `axis` has length 0; it must be a direction",
     "--rotate 1": "--rotate: `axis` is missing: a rotation in 3-D needs",
     "--bend 5 --along 0 1 0": "--bend: `axis` is missing",

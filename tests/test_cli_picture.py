@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from meshes import bricks, write_ring
+from meshes import bricks, grid, write_ring
 from meshes import ring as ring_mesh
 from PIL import Image
 from runs import runs
@@ -161,6 +161,21 @@ def test_of_internal_flow_the_whole_mesh_is_in_view_and_the_numbers_are_those_of
     at_nodes = np.array([skewness[(ids == k).any(axis=1)].mean() for k in range(len(mesh.points))])
     np.testing.assert_allclose(second.collections[0].get_array(), at_nodes[ids].mean(axis=1))
     assert figures[0].axes[2].get_xlabel() == "skewness, mean of the cells at each node"
+
+
+def test_a_picture_has_no_blank_no_minus_zero_and_whole_crosses(tmp_path, figures):
+    """Of a rectangle of ideal cells, whose worst cell afterwards is at the frame."""
+    mesh = grid(np.linspace(0, 1, 9), np.linspace(0, 0.5, 5))
+    moved = np.array(mesh.points)
+    moved[np.abs(moved).sum(axis=1) == 0.125, 1] += 0.05
+    plot.picture(tmp_path / "plain.png", mesh, moved, moving=np.arange(9))
+    figure = figures[0]
+    first, second = figure.axes[:2]
+    assert first.get_title().endswith("largest skewness 0")
+    assert not first.lines
+    assert second.get_title().endswith("(×)")
+    assert not second.lines[-1].get_clip_on()
+    assert figure.get_tightbbox().height > 0.93 * figure.get_figheight()
 
 
 def test_of_polyhedra_one_layer_thick_the_measure_is_that_of_the_table(tmp_path, figures):

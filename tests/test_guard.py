@@ -184,6 +184,11 @@ def test_what_an_optimisation_did_has_a_panel_and_a_scale_for_each(tmp_path, is_
     np.testing.assert_array_equal(lines[2], history.column("thickness").T)
     assert panels[0].get_ylim()[1] < 0.01 < panels[1].get_ylim()[0] < 0.45  # the bound is in view
     assert panels[1].get_position().y1 < panels[0].get_position().y0
+    first.figure.canvas.draw()
+    for panel in panels:  # numbers are whole: nothing stands in the title's place
+        assert not panel.yaxis.get_offset_text().get_text()
+        shown = [label.get_text() for label in panel.get_yticklabels()]
+        assert len({*shown}) == len(shown)
     with pytest.raises(
         ValueError, match="no iteration has `name` 'drag'; there are: lift, thickness"
     ):

@@ -361,3 +361,28 @@ def test_the_command_line_moves_a_wall_onto_a_file(tmp_path, capsys, monkeypatch
     moved = io.read("out.su2")
     assert float(other.distance(moved.points[moved.patch("airfoil")]).max()) < 1e-12
     assert (tmp_path / "out_distance_scan.png").stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_derivatives_beyond_the_border_of_a_scan_equal_differences():
+    """Nodes that nothing draws follow their neighbours; any numbering of the nodes has the same answer."""
+    places = np.linspace(0, 1, 41)
+    x = np.column_stack([places, 0.05 * np.sin(6 * places)])
+    along = np.linspace(-0.2, 0.7, 60)
+    scan = np.column_stack([along, 0.03 + 0.06 * np.sin(6 * along)])
+    segments = np.column_stack([np.arange(59), np.arange(1, 60)])
+    wall, target = jm.Facets(x, segments[:40]), jm.Facets(scan, segments)
+    made = shapes.Onto(wall, target, length=0.1)
+    rng = np.random.default_rng(0)
+    weights = rng.normal(size=x.shape)
+    value = lambda x, points: jnp.sum(weights * made(x, points))  # noqa: E731
+    gradients = jax.grad(value, argnums=(0, 1))(x, scan)
+    ways = [rng.normal(size=gradient.shape) for gradient in gradients]
+    moved = (lambda h: value(x + h * ways[0], scan), lambda h: value(x, scan + h * ways[1]))
+    for line, gradient, way in zip(moved, gradients, ways, strict=True):
+        slope = float(jacobian(line, 0.0, 4e-6))
+        assert float(jnp.sum(gradient * way)) == pytest.approx(slope, rel=1e-6)
+    order = rng.permutation(41)
+    other = jm.Facets(x[order], np.argsort(order)[np.asarray(wall.faces)])
+    again = shapes.Onto(other, target, length=0.1)(x[order])
+    np.testing.assert_allclose(again, np.asarray(made(x))[order], atol=1e-12)

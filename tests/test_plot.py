@@ -12,12 +12,15 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from meshes import bricks, grid, mixed
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from meshes import ball, bricks, circle, grid, mixed
 from runs import runs
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
 from jaxmorph import cases, io, plot
+from jaxmorph.plot._space import outside
 
 pytestmark = pytest.mark.usefixtures("closed_figures")
 
@@ -25,6 +28,22 @@ pytestmark = pytest.mark.usefixtures("closed_figures")
 @pytest.fixture(scope="module")
 def airfoil():
     return cases.naca0015(points=600)
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """The figures that are saved."""
+    saved, save = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure,
+        "savefig",
+        lambda self, *args, **settings: saved.append(self) or save(self, *args, **settings),
+    )
+    return saved
+
+
+def polygon(count):
+    return np.stack([np.arange(count), np.roll(np.arange(count), -1)], axis=1)
 
 
 def outlines(collection):
@@ -127,12 +146,90 @@ def test_mesh_at_other_points_in_a_window_of_a_given_axis():
     np.testing.assert_array_equal(axis.collections[0].get_array(), [4])
 
 
-def test_lines_are_thin_where_cells_are(airfoil):
-    lines = plot.mesh(airfoil, window=plot.whole(airfoil.points)).collections[0]
-    length = [np.linalg.norm(edge[1] - edge[0]) for edge in lines.get_segments()]
-    widths = lines.get_linewidths()
-    assert widths[np.argmin(length)] == min(widths) < 0.1
-    assert max(widths) <= 0.6
+LAYERS = grid(np.linspace(0, 4, 9), np.append(0, 1e-3 * 2.0 ** np.arange(12)))
+"""Layers of quads, of which the first are 1e-3 high."""
+
+
+def layer_lines(**values):
+    lines = plot.mesh(LAYERS, window=plot.whole(LAYERS.points), **values).collections[-2]
+    ends = np.array(lines.get_segments())
+    return np.ptp(ends[:, :, 0], axis=1) > 0, ends[:, :, 1].max(axis=1), lines
+
+
+def test_lines_are_thin_where_they_are_close():
+    """Lines along thin layers; those across them are as far apart as elsewhere."""
+    along, height, lines = layer_lines()
+    widths = np.asarray(lines.get_linewidths())
+    assert widths[along & (height < 2e-3)].max() < 0.1
+    assert widths.max() <= 0.6
+    np.testing.assert_allclose(widths[~along], widths.max())
+
+
+def test_over_colours_whole_lines_fade():
+    """A line along the layers has one ink from end to end, less the closer it is; lines across reach the wall."""
+    along, height, lines = layer_lines(values=np.zeros(len(LAYERS.cell_ids)))
+    ink = np.asarray(lines.get_colors())[:, 3]
+    heights = np.unique(height[along])
+    of_line = [np.unique(ink[along & (height == y)]) for y in heights]
+    assert all(len(own) == 1 for own in of_line)
+    faded = np.concatenate(of_line)
+    assert (np.diff(faded[heights > heights[0]][:-1]) >= 0).all()
+    assert faded.max() == 1
+    assert 0 < faded.min() < 0.6
+    assert len(heights) < 13  # the closest ones are left out
+    assert (np.unique(height[~along]).size, ink[~along].min()) == (12, 1)
+
+
+def test_bodies_are_filled_and_not_what_is_outside_of_a_channel(airfoil):
+    """Also where a cut behind the body has two nodes at each place."""
+    channel = grid(np.linspace(0, 3, 7), [0.0, 0.4, 1.0])
+    channel = channel.moved(channel.points + 0.3 * np.sin(channel.points[:, [1, 0]]))
+    axis = plot.mesh(channel, values=np.zeros(12))
+    (outer,) = axis.patches
+    assert len(outer.get_xy()) == 17
+    assert to_rgba(axis.get_facecolor()) == to_rgba("white")
+    rings = [patch.get_xy() for patch in plot.mesh(airfoil, values=np.zeros(588)).patches]
+    wall = airfoil.points[airfoil.patch("airfoil")]
+    assert len(rings) == 2
+    assert {tuple(x) for x in min(rings, key=len)} == {tuple(x) for x in wall}
+
+
+def test_a_wall_s_distances_are_drawn_before_and_after(tmp_path, figures):
+    x = circle(20)
+    wall, target = (jm.Facets(places, polygon(len(places))) for places in (x, 1.1 * circle(200)))
+    plot.distances(tmp_path / "flat.png", wall, target, 1.05 * x, label="from scan.stl")
+    before, after = figures[0].axes[:2]
+    assert before.get_title() == "distance from scan.stl\nbefore: up to 0.1"
+    assert after.get_title() == "distance from scan.stl\nafter: up to 0.05"
+    ends = [axis.collections[-1].get_clim() for axis in (before, after)]
+    assert ends[0][1] > 1.5 * ends[1][1] > 0  # each in its own colours
+    plot.distances(tmp_path / "on.png", wall, target, 1.1 * x)
+    on = figures[1].axes[1]
+    assert on.get_title().endswith("after: none")
+    assert on.collections[-1].get_array() is None
+
+
+@pytest.mark.slow
+def test_a_wall_s_distances_in_3d_fill_the_picture(tmp_path):
+    points, faces = ball(60)
+    wall, target = jm.Facets(points, faces), jm.Facets(1.1 * points, faces)
+    plot.distances(tmp_path / "ball.png", wall, target, np.asarray(target.points))
+    picture = plt.imread(tmp_path / "ball.png")[:, :, :3]
+    halves = np.array_split(picture, 2)
+    coloured = [(np.ptp(half, axis=2) > 0.1).mean() for half in halves]
+    assert coloured[0] > 0.1 > 0.02 > coloured[1]  # on the target there is nothing to colour
+    drawn = [(half.min(axis=2) < 0.95).mean() for half in halves]
+    assert min(drawn) > 0.2
+
+
+@pytest.mark.slow
+def test_the_camera_sees_what_is_drawn_and_no_other_points():
+    """One patch of a mesh fills the picture as far as it would alone."""
+    mesh = bricks(2)
+    roof = np.flatnonzero(mesh.points[:, 2] == 1)
+    faces = outside(jm.Mesh(mesh.points, mesh.cells, {"roof": roof}), None, None, ("roof",))
+    assert (faces.n_points, faces.n_cells) == (9, 4)
+    assert faces.bounds[4] == faces.bounds[5] == 1
 
 
 def test_colours_turn_round_where_small_is_bad_and_a_label_brings_a_bar():

@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, Int, Integer
+from jaxtyping import Int, Integer
 
 from .._host.package.arguments import real_array, rows_of, shown
 from .._host.package.errors import MeshError, check_all_finite, check_none, warn
@@ -33,7 +33,7 @@ SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
 INNER_KINDS = "cyclic", "processor", "empty", "wedge", "overset"
 """Prefixes of kinds of patches that are no outer boundary; overset grids lie inside others."""
 
-Nodes = str | Sequence[str] | Integer[ArrayLike, " _k"] | Sequence[int | np.integer]
+Nodes = str | Sequence[str] | Integer[jax.Array | np.ndarray, " _k"] | Sequence[int | np.integer]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from jaxmorph.extend import complete, quickly_compiled, wall_crossings
 
 from ._job import text_of
 from ._method import Chunks, Patches, describe_method, patches_of
-from ._motion import Distances, Motion, distances, motion
+from ._motion import Motion, motion
 from ._output import Output, format_place, plural, title, wrap
 from ._requests import AUTO, Deform
 from ._way import (
@@ -31,6 +30,7 @@ from ._way import (
     finish,
     in_background,
     move_in_steps,
+    paint,
     say_verdict,
     warn_of_size,
 )
@@ -42,11 +42,18 @@ SMALL_WORK = 10_000
 MOST_TRIED = 16
 """Steps that `--steps auto` tries at most."""
 
+ON_TARGET = 1e-9
+"""Distance from a target, over the wall's extent, of nodes that are on it."""
+
+OVERSHOOT = "   wider beyond a wall that turns"
+"""Beside an overshoot above 1."""
+
 PATIENCE = 120.0
 """Seconds of an attempt after which no other is tried."""
 
 MeasureRow = tuple[str, int, float, str]
-"""A row of the table of measures: label, before, after and place."""
+DistanceRow = tuple[float, float, str]
+"""Rows of the table of measures: label, before, after and place; a distance without label."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,7 +171,7 @@ def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, 
     with out.progress("judging the cells"):
         stored = way.stored
         judging = in_background(attempt.judge, way)
-        off = distances(request, way.mesh, stored)
+        off = _distance_rows(attempt, stored)
     with out.progress("inspecting the motion"):
         is_known = request.step_count == 1 and plan.points.dtype == stored.dtype
         points = stored[nodes] if is_known else None
@@ -183,43 +190,26 @@ def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, 
             boundary=measures | {"ended": boundary.ended.tolist()},
         )
     write_job(request, out)
-    picture = request.picture
-    draw(picture, way.mesh, out, stored, moving=attempt.patches.nodes, verdict=verdict)
-    if picture is not None:
-        for name, distance in off.items():
-            file = picture.with_name(f"{picture.stem}_distance_{Path(name).stem}.png")
-            with out.progress("drawing"):
-                _draw_distances(file, *distance)
-            out.say(f"picture  {file}")
+    draw(request.picture, way.mesh, out, stored, moving=attempt.patches.nodes, verdict=verdict)
+    _draw_distances(attempt, stored, out)
     bad = faults(verdict)
     if bad:
         bad[-1] += "" if inspection.is_hopeless else _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
 
 
-def _draw_distances(file: Path, wall: jm.Facets, *distances: np.ndarray) -> None:
-    """Draws the distances of a wall's nodes from its target, before and after, in one scale."""
-    import matplotlib.pyplot as plt
-
-    points = np.asarray(wall.points)
-    faces = np.asarray(wall.faces)
-    figure = plt.figure(figsize=(10, 4))
-    for k, off in enumerate(distances):
-        axes: Any = figure.add_subplot(
-            1, 2, 1 + k, projection="3d" if points.shape[1] == 3 else None
+def _draw_distances(attempt: Attempt, points: np.ndarray, out: Output) -> None:
+    picture = attempt.request.picture
+    for name, (nodes, wall) in attempt.motion.walls.items() if picture else ():
+        assert picture is not None
+        what = re.sub(r"\W+", "_", re.sub(r"\.\w+(?= |$)", "", name)).strip("_")
+        paint(
+            picture.with_name(f"{picture.stem}_distance_{what}.png"),
+            out,
+            lambda plot, file, name=name, nodes=nodes, wall=wall: plot.distances(
+                file, wall.wall, wall.target, points[nodes], label=f"from {name}"
+            ),
         )
-        axes.set_title(f"distance {('before', 'after')[k]}, up to {off.max():.3g}")
-        if points.shape[1] == 2:
-            drawn = axes.scatter(*points.T, c=off, s=8)
-        else:
-            drawn = axes.plot_trisurf(*points.T, triangles=faces, antialiased=False)
-            drawn.set_array(off[faces].mean(axis=1))
-        drawn.set_clim(0.0, max(distances[0].max(), 1e-300))
-        axes.set_aspect("equal")
-        figure.colorbar(drawn, ax=axes, shrink=0.7)
-    with complete(file) as partial:
-        figure.savefig(partial, format="png", dpi=120)
-    plt.close(figure)
 
 
 def _say_measures(
@@ -228,27 +218,39 @@ def _say_measures(
     verdict: jm.Verdict,
     inspection: jm.Inspection,
     wall: list[MeasureRow],
-    off: Distances,
+    off: dict[str, DistanceRow],
     out: Output,
 ) -> None:
     overshoots = {name: getattr(inspection, name) for name in ("overshoot", "overshoot_behind")}
     rows = [
         *wall,
-        *((name.replace("_", " "), "-", value, "") for name, value in overshoots.items()),
+        ("overshoot", "-", inspection.overshoot, OVERSHOOT if inspection.overshoot > 1 else ""),
+        ("overshoot behind", "-", inspection.overshoot_behind, ""),
+        *((f"distance from {file}", *row) for file, row in off.items()),
     ]
-    rows += [
-        (f"distance from {file}", f"{a.max():.5g}", b.max(), "") for file, (_, a, b) in off.items()
+    table = [
+        f"{label:<23}{start if isinstance(start, str) else f'{start:.5g}':>12}{end:>12.5g}{place}"
+        for label, start, end, place in rows
     ]
-    table = [f"{label:<23}{start:>12}{end:>12.5g}{place}" for label, start, end, place in rows]
     say_verdict(
         verdict, out, is_straight=way.is_straight, steps=attempt.request.step_count, more=table
     )
     names = [re.sub("[ -]", "_", label) for label, *_ in wall]
     starts, ends = (dict(zip(names, (row[k] for row in wall), strict=True)) for k in (1, 2))
     out.say(before=attempt.before.facts | starts, after=verdict.facts | ends, **overshoots)
-    out.say(
-        distance={file: {"before": a.max(), "after": b.max()} for file, (_, a, b) in off.items()}
-    )
+    out.say(distance={file: {"before": row[0], "after": row[1]} for file, row in off.items()})
+
+
+def _distance_rows(attempt: Attempt, points: np.ndarray) -> dict[str, DistanceRow]:
+    """The largest distance of each wall from its target, before and after, and where."""
+    found = {}
+    for name, (nodes, wall) in attempt.motion.walls.items():
+        before, after = (np.asarray(wall.target.distance(x[nodes])) for x in (attempt.base, points))
+        worst = nodes[after.argmax()]
+        is_off = after.max() > ON_TARGET * np.ptp(points[nodes], axis=0).max()
+        place = f"   node {worst} near {format_place(points[worst])}" if is_off else ""
+        found[name] = (float(before.max()), float(after.max()), place)
+    return found
 
 
 def _wall_rows(attempt: Attempt, points: np.ndarray) -> list[MeasureRow]:

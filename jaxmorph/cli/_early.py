@@ -45,6 +45,10 @@ OWNERS = {
     "about": ("rotate", "scale", "bend", "twist"),
     "along": ("bend", "twist"),
     "length": ("bend", "twist"),
+    "onto_scale": ("onto",),
+    "onto_length": ("onto",),
+    "onto_angle": ("onto",),
+    "onto_features": ("onto",),
 }
 """Flags that make sense only beside others, and these others."""
 

@@ -56,7 +56,7 @@ PAGES = {
        jaxmorph deform --job FILE""",
         """\
 Each --moving begins a motion; the flags after it, up to the next --moving,
-describe that motion. The order is fixed: displacement file, modes, box,
+describe that motion. The order is fixed: displacement file, onto, modes, box,
 scaling, twist, bend, rotation, translation. A patch named by several --moving
 gets the motions in turn. A node of several patches moves once, and they must
 agree there. With --steps N the mesh follows in N steps, each with 1/N of every
@@ -99,7 +99,14 @@ is a table.
 The table of quality ends with the first grid line at the moving wall: the
 degrees by which its direction to the wall has changed, and the height of its
 cells over the undeformed one. Overshoot is the largest motion of an inner node
-over the largest motion of the wall.
+over the largest motion of the wall; beyond a wall that turns nodes swing wider,
+and it is above 1.
+
+--onto takes the patches onto a surface, such as a scan: sharp edges go onto
+sharp edges, the border in a symmetry patch onto the surface's section, and the
+table tells the distance before and after. Each --moving may have its own. Pairs
+of curves that belong together are a job's onto_features, lists of node ids and
+of the surface's points: [[[0, 1], [5, 6]], ...].
 
 examples:
   pitch nose-up about the quarter chord, in three steps:
@@ -120,6 +127,9 @@ examples:
         --moving flap --rotate 10 --about 0.8 0 0 --axis 0 1 0 \\
         --moving slat --rotate -5 --about 0.1 0 0 --axis 0 1 0 \\
         --preset checkmesh --save-job flaps.toml
+  a wing in metres onto a scan in millimetres with some noise:
+    jaxmorph deform wing.su2 as_built.su2 --moving wing --fixed farfield \\
+        --symmetry symmetry --onto scan.stl --onto-scale 0.001 --onto-length 0.1
   that motion from its job, in four steps:
     jaxmorph deform --job flaps.toml --steps 4
   that motion with another angle of the flap:

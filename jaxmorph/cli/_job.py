@@ -88,6 +88,8 @@ class JobParser(Parser):
                 for file, size in self.pairs(value)
                 for word in (flag, self.word(file, True), str(size))
             ]
+        if name == "onto_features":
+            return [f"{flag}={json.dumps(value)}"]
         if isinstance(value, list) and "nargs" not in settings:
             self.error(f"{name} is one value, found {reprlib.repr(value)}")
         words = [self.word(entry, kind_of(field) is not None) for entry in as_list(value)]

@@ -3,7 +3,10 @@
 import dataclasses
 import functools
 import itertools
+import math
+import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -16,11 +19,20 @@ from jaxmorph import Mesh, io, shapes
 from jaxmorph.extend import as_jax
 
 from ._early import is_given
-from ._output import format_place, some
+from ._output import format_place, plural, some
+from ._parser import flag_of
 from ._requests import Deform, MotionFlags, Names
 
 Points = Float[np.ndarray, "m d"]
 Parametrised = tuple[shapes.AbstractShape, Any]
+
+
+class Wall(NamedTuple):
+    """What goes onto a target, of which the file is told."""
+
+    wall: jm.Facets
+    target: jm.Facets
+    file: Path
 
 
 class MotionGroup(NamedTuple):
@@ -30,6 +42,8 @@ class MotionGroup(NamedTuple):
     shape: shapes.Chain
     values: dict[str, Any]
     rows: np.ndarray
+    nodes: np.ndarray
+    wall: "Wall | None" = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +63,17 @@ class Motion:
         return shapes.Function(
             self.moved, {name: group.shape.neutral() for name, group in self.groups.items()}
         )
+
+    @property
+    def walls(self) -> "dict[str, tuple[np.ndarray, Wall]]":
+        """Walls with a target and their nodes, by file; by name too where several have one."""
+        found = [(name, group.nodes, group.wall) for name, group in self.groups.items()]
+        files = [wall.file.name for _, _, wall in found if wall]
+        return {
+            wall.file.name + f" ({name})" * (files.count(wall.file.name) > 1): (nodes, wall)
+            for name, nodes, wall in found
+            if wall
+        }
 
     def moved(self, x: Any, parameters: Mapping[str, Any]) -> Any:
         moved = x
@@ -79,12 +104,14 @@ class Motion:
                 first = next(
                     other for other, of_other in self.sides.items() if wrong[0] in of_other
                 )
+                walls = [self.groups[name].wall for name in (*first, *names)]
+                onto = ", and a surface of both after --onto" if all(walls) else ""
                 raise ValueError(
                     f"{' then '.join(first)} and {' then '.join(names)} move {len(wrong)} common "
                     "nodes differently, by up to "
                     f"{off.max():.3g}: nodes {some(moving[wrong])}, the first near "
                     f"{format_place(x[wrong[0]])}. Name both "
-                    "patches after one --moving, or take the common nodes out of one of the "
+                    f"patches after one --moving{onto}, or take the common nodes out of one of the "
                     "patches."
                 )
 
@@ -151,9 +178,12 @@ def _name_group(flags: MotionFlags, others: Mapping[str, Any]) -> str:
 
 
 def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndarray) -> MotionGroup:
-    patch = MovingPatch(flags, mesh, mesh.patch(*flags.patches), request.boundary.symmetry)
-    if not len(patch.nodes):
+    nodes = mesh.patch(*flags.patches)
+    if not len(nodes):
         raise ValueError(f"--moving {' '.join(flags.patches)}: there are no nodes in it.")
+    _check_dimension(flags, mesh.points.shape[1])
+    wall = _read_wall(flags, mesh)
+    patch = MovingPatch(flags, mesh, nodes, request.boundary.symmetry, wall)
     made = {}
     values = {}
     for name in (name for name in PARTS if is_given(flags, name)):
@@ -165,7 +195,26 @@ def _make_group(flags: MotionFlags, request: Deform, mesh: Mesh, moving: np.ndar
         except ValueError as error:
             raise ValueError(f"--{key}: {str(error).removeprefix(f'--{key}: ')}") from None
     rows = np.searchsorted(moving, patch.nodes)
-    return MotionGroup(mesh.patch_names(*flags.patches), shapes.Chain(made), values, rows)
+    names = mesh.patch_names(*flags.patches)
+    return MotionGroup(names, shapes.Chain(made), values, rows=rows, nodes=nodes, wall=wall)
+
+
+VECTORS = ("scale", "translate", "about", "axis", "along")
+
+
+def _check_dimension(flags: MotionFlags, d: int) -> None:
+    if d == 2 and flags.axis is not None:
+        raise ValueError("--axis is for meshes in 3-D, and this one is in 2-D. Leave it out.")
+    if d == 2 and flags.twist is not None:
+        raise ValueError("--twist is for meshes in 3-D; --rotate turns a section in 2-D.")
+    for name in VECTORS:
+        given = getattr(flags, name) or [0.0] * d
+        if len(given) != d and (name, len(given)) != ("scale", 1):
+            numbers = " ".join(f"{number:g}" for number in given)
+            raise ValueError(
+                f"{flag_of(name)} {numbers}: {plural(len(given), 'number')}, and this mesh is in "
+                f"{d}-D: give {'X Y' if d == 2 else 'X Y Z'}."
+            )
 
 
 class MovingPatch(NamedTuple):
@@ -173,6 +222,7 @@ class MovingPatch(NamedTuple):
     mesh: Mesh
     nodes: np.ndarray
     symmetry: Names
+    wall: Wall | None = None
 
     @property
     def points(self) -> Points:
@@ -196,34 +246,57 @@ def _displacement_shape(patch: MovingPatch) -> Parametrised:
     return shapes.Function(lambda x, share: x + turn.at(share), 0.0), 1.0
 
 
+def _read_wall(flags: MotionFlags, mesh: Mesh) -> Wall | None:
+    if flags.onto is None:
+        return None
+    angle = math.radians(60 if flags.onto_angle is None else flags.onto_angle)
+    target = io.read_facets(flags.onto, mesh.points.shape[1], angle=angle)
+    if flags.onto_scale is not None:
+        if flags.onto_scale <= 0:
+            raise ValueError(f"--onto-scale {flags.onto_scale:g}: a factor above 0 is expected.")
+        target = target.at(np.asarray(target.points) * flags.onto_scale)
+    return Wall(jm.Facets.of(mesh, *flags.patches, angle=angle), target, flags.onto)
+
+
+ONTO_WORDS = {
+    "`features`": "onto_features of a job",
+    "the `angle` of `Facets`": "--onto-angle",
+    "`length=(.*?)`": r"--onto-length \1",
+    "`length`": "--onto-length",
+    "Multiply its points by": "Give --onto-scale",
+}
+"""Words of `shapes.onto` for arguments, and those of the command line."""
+
+
 def _onto_shape(patch: MovingPatch) -> Parametrised:
     mesh = patch.mesh
+    assert patch.wall is not None
+    wall, target, _ = patch.wall
     d = patch.dimension
     sides = [mesh.patch(name) for name in mesh.patch_names(*patch.symmetry)]
     touching = [nodes for nodes in sides if np.isin(nodes, patch.nodes).sum() >= d - 1]
     planes = [jm.Plane.through(np.asarray(mesh.points), nodes) for nodes in touching]
-    wall = jm.Facets.of(mesh, *patch.group.patches)
-    target = io.read_facets(str(patch.group.onto), d)
-    u = shapes.onto(wall, target, symmetry=planes)
+    length = patch.group.onto_length or 0.0
+    try:
+        features = [
+            (_rows_of_wall(own, patch), list(other))
+            for own, other in patch.group.onto_features or ()
+        ]
+        u = shapes.onto(wall, target, symmetry=planes, features=features, length=length)
+    except ValueError as error:
+        is_of_nodes = isinstance(error, jm.MeshError)
+        said = str(error.renumbered(patch.nodes) if is_of_nodes else error)
+        for word, flag in ONTO_WORDS.items():
+            said = re.sub(word, flag, said)
+        raise ValueError(said) from None
     return shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0
 
 
-Distances = dict[str, tuple[jm.Facets, np.ndarray, np.ndarray]]
-"""Walls that went onto targets, and their distances before and after, by file."""
-
-
-def distances(request: Deform, mesh: Mesh, points: Points) -> Distances:
-    found = {}
-    for group in request.groups:
-        if group.onto is not None:
-            nodes = mesh.patch(*group.patches)
-            target = io.read_facets(group.onto, points.shape[1])
-            off = [
-                np.asarray(target.distance(x[nodes]))
-                for x in (np.asarray(mesh.points, float), points)
-            ]
-            found[group.onto.name] = (jm.Facets.of(mesh, *group.patches), *off)
-    return found
+def _rows_of_wall(nodes: tuple[int, ...], patch: MovingPatch) -> np.ndarray:
+    missing = np.setdiff1d(nodes, patch.nodes)
+    if len(missing):
+        raise ValueError(f"`features`: nodes {some(missing)} are not among those that move.")
+    return np.searchsorted(patch.nodes, nodes)
 
 
 def _modes_shape(patch: MovingPatch) -> Parametrised:

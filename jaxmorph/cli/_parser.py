@@ -203,6 +203,12 @@ class Parser(argparse.ArgumentParser):
                 hint = f"did you mean -{name}? The patch {name} is written --moving={name}"
                 self.error(f"there is no flag {name}; {hint}")
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            known = [str(choice) for choice in action.choices]
+            hint = guess_meant(str(value), known) or f"; there are {', '.join(known)}"
+            raise argparse.ArgumentError(action, f"there is no {value}{hint}")
+
     def error(self, message: str):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 

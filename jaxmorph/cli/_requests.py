@@ -5,6 +5,7 @@ import contextlib
 import dataclasses
 import json
 import re
+import reprlib
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
@@ -45,6 +46,9 @@ SHAPE_FLAGS: dict[str, Any] = {"section": "shapes", "everyday": True}
 SEVERAL: dict[str, Any] = {"default": (), "nargs": "+", "action": "extend"}
 
 Table = dict[str, Any]
+Ids = tuple[int, ...]
+Pairs = tuple[tuple[Ids, Ids], ...]
+"""Nodes of a wall, and points of the surface onto which they go."""
 Names = tuple[str, ...]
 """Several names, above all of patches."""
 Change = tuple[str, tuple[float, ...]]
@@ -74,6 +78,20 @@ def table(word: str) -> Path | Table:
         return json.loads(word) if word.lstrip().startswith("{") else Path(word)
     except (json.JSONDecodeError, RecursionError) as error:
         raise argparse.ArgumentTypeError(f"not a table in JSON ({error})") from None
+
+
+def pairs(word: str) -> Pairs:
+    try:
+        found = tuple((tuple(own), tuple(other)) for own, other in json.loads(word))
+    except (ValueError, TypeError, RecursionError):
+        found = None
+    if found is None or not all(
+        type(node) is int for pair in found for ids in pair for node in ids
+    ):
+        raise argparse.ArgumentTypeError(
+            f"pairs of lists of ids, [[[0, 1], [5, 6]], ...], expected, found {reprlib.repr(word)}"
+        )
+    return found
 
 
 def steps(word: str) -> int | str:
@@ -142,7 +160,24 @@ class MotionFlags:
         choices=("position", "displacement"),
         default="position",
     )
-    onto: Path | None = flag("a surface onto which the patches go: .stl, .obj, .npz, a mesh")
+    onto: Path | None = flag("a surface to go onto: .stl, .obj, .npz, a mesh", everyday=True)
+    onto_scale: float | None = flag(
+        "factor of that surface's coordinates: 0.001 for millimetres where the mesh is in metres"
+    )
+    onto_length: float | None = flag(
+        "stay near that surface, without waves shorter than L: for a scan with noise, or one that "
+        "is cut off (a twentieth of the patches' length, say)",
+        metavar="L",
+    )
+    onto_angle: Angle | None = flag(
+        "degrees by which faces turn at a sharp edge, and edges go onto edges (60)"
+    )
+    onto_features: Pairs | None = flag(
+        "pairs of curves that go onto each other, in JSON: [[[node, ...], [point of the surface, "
+        "...]], ...]",
+        type=pairs,
+        metavar="PAIRS",
+    )
     mode: tuple[tuple[Path, float], ...] = flag(
         "a file of displacements, and a factor; may be repeated",
         metavar=("FILE", "AMPLITUDE"),

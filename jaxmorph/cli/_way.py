@@ -126,14 +126,18 @@ def draw(
     picture: Path | None, mesh: Mesh, out: Output, points: Any = None, **settings: Any
 ) -> None:
     """Draws a mesh, or before and after; one that fails is a warning: the rest is worth more."""
-    if picture is None:
-        return
+    if picture is not None:
+        paint(picture, out, lambda plot, file: plot.picture(file, mesh, points, **settings))
+
+
+def paint(file: Path, out: Output, call: Callable[[Any, Path], None]) -> None:
     try:
         with out.progress("drawing"):
             from jaxmorph import plot
 
-            plot.picture(picture, mesh, points, **settings)
-        out.say(f"picture  {picture}", picture=str(picture))
+            call(plot, file)
+        out.say(f"picture  {file}")
+        out.facts.setdefault("picture", str(file))
     except (ValueError, OSError) as error:
         out.warn(f"no picture: {error}")
 

@@ -1,5 +1,5 @@
 """Meshes from files and into files: everything but the coordinates as it was."""
 
-from jaxmorph.extend import attached
+from jaxmorph.extend import attached as _attached
 
-__getattr__, __dir__, __all__ = attached(__name__, __file__)
+__getattr__, __dir__, __all__ = _attached(__name__, __file__)

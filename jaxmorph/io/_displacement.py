@@ -88,7 +88,9 @@ def take_labels(mesh: Mesh, nodes: NodeIds) -> ndarray | None:
 
 
 @checked
-def read_facets(path: PathLike, d: int = 3, *, smooth: bool = False) -> Facets:
+def read_facets(
+    path: PathLike, d: int = 3, *, smooth: bool = False, angle: float = np.pi / 3
+) -> Facets:
     """Reads a surface in 3-D, a curve in 2-D: a scan, or the tessellation of a CAD model.
 
     **Arguments:**
@@ -96,20 +98,20 @@ def read_facets(path: PathLike, d: int = 3, *, smooth: bool = False) -> Facets:
     - `path`: .stl, .obj, .npz of `points` and `triangles` (2-D: `lines`), or a mesh, of which its
       faces count, else its boundary.
     - `d`: 2 takes x and y of .obj. Default 3.
-    - `smooth`: as `Facets` takes it.
+    - `smooth`, `angle`: as `Facets` takes them.
 
     **Raises:** `ValueError` for a damaged file, and for triangles in 2-D or lines in 3-D.
     """
     path = input_path(path)
     if path.suffix.lower() not in READERS:
-        return Facets.of(read(path), smooth=smooth)
+        return Facets.of(read(path), smooth=smooth, angle=angle)
     shape = read_shape(path)
     if shape.points.shape[1] < d or shape.simplices.shape[1] != d:
         found = f"faces of {shape.simplices.shape[1]} points in {shape.points.shape[1]}-D"
         raise ValueError(
             f"{path}: {'lines' if d == 2 else 'triangles'} in {d}-D are expected, found {found}."
         )
-    return Facets(shape.points[:, :d], shape.simplices, smooth=smooth)
+    return Facets(shape.points[:, :d], shape.simplices, smooth=smooth, angle=angle)
 
 
 def _interpolate_motion(before: Path, after: Path, x: ndarray) -> ndarray:

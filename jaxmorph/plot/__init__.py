@@ -4,7 +4,9 @@ Plots take matplotlib's axes `ax` or pyvista's `plotter`, by default a new one, 
 """
 
 # isort: off
+from jaxmorph.extend import listing as _listing
 from ._curves import convergence as convergence, histogram as histogram
+from ._distances import distances as distances
 from ._picture import picture as picture
 from ._plane import (
     Window as Window,
@@ -23,3 +25,5 @@ from ._style import (
     GREY as GREY,
     ORANGE as ORANGE,
 )
+
+__dir__ = _listing(globals())

@@ -10,7 +10,7 @@ import jaxmorph as jm
 from jaxmorph.extend import checked
 from jaxmorph.shapes import History
 
-from ._plane import Axes, choose_axes, legend_above, plt
+from ._plane import Axes, Formatter, choose_axes, legend_above, plt
 from ._style import BLUE, DARK, GREEN, GREY, LINE_WIDTH, ORANGE, RULE, PlotColumn
 
 
@@ -92,12 +92,24 @@ def convergence(
         for bound in filter(np.isfinite, bounds.get(name, ())):
             axis.axhline(bound, color=ORANGE, linestyle="--")
         axis.set_title(name.replace("_", " "), loc="left", fontsize="medium", pad=3)
+        axis.yaxis.set_major_formatter(WholeNumbers())
         axis.grid(color=RULE)
         axis.set_axisbelow(True)
         axis.label_outer()
     axes[-1].set_xlabel("iteration")
     axes[-1].locator_params("x", integer=True)
     return axes[0]
+
+
+class WholeNumbers(Formatter):
+    """Labels numbers whole: an offset or a power above the axis would be in the title's place."""
+
+    def __call__(self, x: float, pos: Any = None) -> str:
+        axis: Any = self.axis
+        low, high = sorted(axis.get_view_interval())
+        span = high - low or 1.0
+        digits = 2 + int(np.ceil(np.log10(max(abs(low), abs(high), span) / span)))
+        return f"{0.0 if abs(x) < 1e-9 * span else x:.{digits}g}"
 
 
 def _stack(ax: Axes | None, count: int) -> list[Axes]:

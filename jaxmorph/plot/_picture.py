@@ -17,6 +17,7 @@ from ._plane import Figure, plt
 from ._space import before_after_3d, surface
 from ._style import (
     BLUE,
+    FLAT_VIEW,
     LINE_WIDTH,
     STILL,
     PlotColumn,
@@ -25,9 +26,11 @@ from ._style import (
     body_patches,
     check_cells,
     choose_points,
+    usual_limits,
 )
 
-FLAT_VIEW = 0.45  # height over width of a window below which two of them stand one above the other
+ROUNDOFF_MEASURE = 1e-9  # of a mesh of ideal cells
+PAD = 0.05  # inches round what is drawn
 
 
 @checked
@@ -42,8 +45,8 @@ def picture(
     """Writes a mesh, or a mesh before and after: in 2-D the skewness, in 3-D bodies and what moved.
 
     Each cell has the mean over its nodes of the skewness at them, itself a mean over their cells. A
-    cross is at the worst cell. A mesh in 3-D that is one cell wide, and moves in its plane, is
-    drawn as one in 2-D.
+    cross is at the worst cell, if the picture has it. A mesh in 3-D that is one cell wide, and
+    moves in its plane, is drawn as one in 2-D.
 
     **Arguments:**
 
@@ -116,24 +119,60 @@ def _draw_in_2d(path: pathlib.Path, side: "FlatSide", moving: ndarray, verdict: 
     window = _plane.window_of(mesh, seen, *(points for points, _ in states.values()))
     figure, axes = _panels(window, len(states))
     colours = [_average(mesh, _values_of_cells(own)[side.cells]) for _, own in states.values()]
-    largest = np.nanmax([np.nanmax(values, initial=0) for values in colours])
+    largest, is_beyond = _largest_seen(
+        mesh, colours, [points for points, _ in states.values()], window
+    )
     for axis, values, (state, (points, own)) in zip(
         axes.ravel(), colours, states.items(), strict=True
     ):
         _plane.mesh(
-            mesh, points, values=values, limits=(0, largest or 1), window=window, bar=False, ax=axis
+            mesh, points, values=values, limits=(0, largest), window=window, bar=False, ax=axis
         )
         worst = own.rows["max", name]
-        axis.plot(
-            *np.array(worst.near)[side.axes], "x", color=BLUE, markersize=7, markeredgewidth=1.5
-        )
-        titles = [state, f"largest {label} {round(worst.value, 9):.3g} (×)"][-axes.size :]
+        value = round(worst.value, 9) + 0.0  # no -0
+        is_marked = value > 0 and _put_cross(axis, np.array(worst.near)[side.axes], window)
+        titles = [state, f"largest {label} {value:.3g}{' (×)' * is_marked}"][-axes.size :]
         axis.set_title(("\n" if len(axes) == 1 else ": ").join(titles), fontsize="medium")
         axis.label_outer()
-    bar = figure.colorbar(axes[0, 0].collections[0], ax=axes, location="bottom", aspect=40)
+    extend = "max" if is_beyond else "neither"
+    faces = axes[0, 0].collections[0]
+    bar = figure.colorbar(faces, ax=axes, location="bottom", aspect=40, extend=extend)
     bar.set_label(f"{label}, mean of the cells at each node")
+    _leave_out_blank(figure)
     with complete(path) as partial:
         figure.savefig(partial, format="png")
+
+
+def _largest_seen(
+    mesh: jm.Mesh, colours: list[PlotColumn], states: list[PlotPlaces], window: _plane.Window
+) -> tuple[float, bool]:
+    """The largest value of all states in a window, without outliers, and whether there are any."""
+    values = []
+    sizes = []
+    for own, points in zip(colours, states, strict=True):
+        cells = _plane.PlaneCells.of(mesh, points)
+        seen = _plane.find_seen(cells.outlines, window)
+        values.append(own[cells.cell[seen]])
+        sizes.append(cells.areas[seen])
+    every = np.concatenate(values)
+    largest = usual_limits(every, np.concatenate(sizes))[1]
+    largest = min(largest, float(np.nanmax(every, initial=0)))
+    return (largest, bool(np.any(every > largest))) if largest > ROUNDOFF_MEASURE else (1.0, False)
+
+
+def _put_cross(axis: Any, place: ndarray, window: _plane.Window) -> bool:
+    (left, right), (bottom, top) = window
+    if not (left <= place[0] <= right and bottom <= place[1] <= top):
+        return False
+    axis.plot(*place, "x", color=BLUE, markersize=7, markeredgewidth=1.5, clip_on=False, zorder=9)
+    return True
+
+
+def _leave_out_blank(figure: Figure) -> None:
+    """Lowers a figure to what is drawn: axes of one scale leave room above them."""
+    figure.draw_without_rendering()
+    drawn = figure.get_tightbbox()
+    figure.set_figheight(min(drawn.height + 2 * PAD, figure.get_figheight()))
 
 
 def _panels(window: _plane.Window, count: int) -> tuple[Figure, Any]:

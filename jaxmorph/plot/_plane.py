@@ -43,9 +43,10 @@ try:
     from matplotlib.colors import to_hex as to_hex
     from matplotlib.figure import Figure as Figure
     from matplotlib.font_manager import findfont as findfont
-    from matplotlib.patches import Patch
+    from matplotlib.patches import Patch, Polygon
     from matplotlib.textpath import TextPath as TextPath
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import Formatter as Formatter
+    from matplotlib.ticker import MaxNLocator as MaxNLocator
 except ImportError as error:
     raise ImportError(
         "jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'"
@@ -59,7 +60,9 @@ THINNEST = 0.01
 THICKEST = 0.5
 WALL = 1.4
 
-NARROW_FIGURE = 0.8  # width in points below which cells show their colour and no line
+# distance in points of a line from the next, over colours: below the first it is left out, from the
+# second on it is whole, between them it fades
+FADING = (0.5, 2.0)
 
 # the part of the area below which lines of the cells that are wide enough for one are left out
 WIDE_PART = 0.5
@@ -86,8 +89,8 @@ def mesh(
 ) -> Axes:
     """Draws a 2-D mesh's cells, coloured by a value each, and its boundary in a stronger line.
 
-    Cells too narrow for a line show their colour alone. Polygons are drawn whole, edges of curved
-    cells along their polynomials.
+    Lines of coloured cells fade where they are close to each other. Polygons are drawn whole, edges
+    of curved cells along their polynomials.
 
     **Arguments:**
 
@@ -121,7 +124,7 @@ def mesh(
         colours, ends, *beyond = scale_of(every[seen], cells.areas[seen], limits)
         ax = show(choose_axes(ax, window, bar=bar), window)
         faces = fill(ax, cells.outlines[drawn], cmap=colours)
-        ax.set_facecolor(BODY)
+        fill_bodies(ax, cells, BODY)
         faces.set_array(every[drawn])
         faces.set_clim(*ends)
         if bar:
@@ -129,7 +132,7 @@ def mesh(
             ax.figure.colorbar(
                 faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or UNNAMED, extend=extend
             )
-    draw_lines(ax, cells, drawn, window, DARK, least=0 if every is None else NARROW_FIGURE)
+    draw_lines(ax, cells, drawn, window, DARK, fading=None if every is None else FADING)
     draw_walls(ax, cells, DARK)
     return ax
 
@@ -152,7 +155,7 @@ def before_after(
     new = after.drawn(window)
     window = window_of(mesh, None, None, points) if window is None else window
     ax = show(choose_axes(ax, window, above=0.35), window)
-    ax.set_facecolor(LIGHT)  # where there was no mesh
+    fill_bodies(ax, before, LIGHT)
     fill(ax, before.outlines[old], facecolors="white")
     draw_lines(ax, after, new, window, BLUE)
     draw_walls(ax, before, ORANGE)
@@ -262,15 +265,12 @@ class PlaneCells:
         return np.arange(len(self.ids)) if window is None else find_seen(self.outlines, window)
 
     def edges(self, cells: PlotIds) -> tuple[ndarray, ndarray, ndarray]:
-        """Lists edges (e, 2, 2) of whole cells, their counts, and the narrowest widths (e,)."""
+        """Lists edges (e, 2) of whole cells, their counts, and how far (e,) the next line is."""
         ids = self.ids[cells]
         ends = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        lengths = (
-            np.linalg.norm(np.diff(self.points[ends], axis=1), axis=2).reshape(-1, 4).max(axis=1)
-        )
-        width = np.repeat(
-            self.steps * self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny), 4
-        )
+        lengths = np.linalg.norm(np.diff(self.points[ends], axis=1), axis=2).ravel()
+        areas = np.repeat(self.steps * self.areas[cells], 4)
+        width = np.divide(areas, lengths, out=np.zeros(len(areas)), where=lengths > 0)
         real = ends[:, 0] != ends[:, 1]
         # an edge between two pieces of a whole cell is none; a line's cell has its edge twice
         keys = np.column_stack([ends, np.repeat(self.whole[cells], 4)])[real]
@@ -280,7 +280,13 @@ class PlaneCells:
         edges, which = np.unique(own[shown, :2], axis=0, return_inverse=True)
         narrowest = np.full(len(edges), np.inf)
         np.minimum.at(narrowest, which.ravel(), width[shown])
-        return self.points[edges], np.bincount(which.ravel(), count[shown]), narrowest
+        return edges, np.bincount(which.ravel(), count[shown]), narrowest
+
+    @property
+    def boundary(self) -> Int[ndarray, "e 2"]:
+        # an edge with a cell on one side has an odd count: a line's cell has it twice
+        edges, counts, _ = self.edges(np.arange(len(self.ids)))
+        return edges[counts % 2 == 1]
 
 
 def find_seen(corners: Outlines, window: Window) -> PlotIds:
@@ -299,23 +305,62 @@ def fill(ax: Axes, outlines: Outlines, **style: Any) -> PolyCollection:
 
 
 def draw_lines(
-    ax: Axes, cells: PlaneCells, seen: PlotIds, window: Window, colour: str, least: float | int = 0
+    ax: Axes,
+    cells: PlaneCells,
+    seen: PlotIds,
+    window: Window,
+    colour: str,
+    fading: tuple[float, float] | None = None,
 ) -> None:
-    edges, _, narrowest = cells.edges(seen)
+    ids, _, narrowest = cells.edges(seen)
+    edges = cells.points[ids]
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
-    chosen = narrowest * to_points >= least
+    width = narrowest * to_points
+    ink = np.ones(len(width)) if fading is None else np.clip(np.interp(width, fading, (0, 1)), 0, 1)
     areas = narrowest * np.linalg.norm(np.ptp(edges, axis=1), axis=1)
-    if areas[chosen].sum() < WIDE_PART * areas.sum():  # single lines here and there are no mesh
+    if areas[ink > 0].sum() < WIDE_PART * areas.sum():  # single lines here and there are no mesh
         return
-    widths = np.clip(narrowest[chosen] * to_points / 6, THINNEST, THICKEST)
-    lines = LineCollection(list(edges[chosen]), colors=colour, linewidths=widths, rasterized=True)
+    chosen = ink > 0
+    widths = np.clip(width[chosen] / 6, THINNEST, THICKEST)
+    colours = [(colour, share) for share in ink[chosen].tolist()]
+    lines = LineCollection(list(edges[chosen]), colors=colours, linewidths=widths, rasterized=True)
     ax.add_collection(lines, autolim=False)
 
 
+def fill_bodies(ax: Axes, cells: PlaneCells, colour: str) -> None:
+    """Fills all that boundaries enclose; cells are then drawn on it, and bodies are left."""
+    place = np.unique(cells.points, axis=0, return_inverse=True)[1].ravel()
+    first = np.zeros(len(cells.points), int)
+    first[place] = np.arange(len(place))
+    # the two sides of a cut at one place are no boundary
+    edges, count = np.unique(np.sort(place[cells.boundary], axis=1), axis=0, return_counts=True)
+    for ring in rings_of(edges[count % 2 == 1]):
+        ax.add_patch(Polygon(cells.points[first[ring]], facecolor=colour, zorder=0.5))
+
+
+def rings_of(edges: Int[ndarray, "e 2"]) -> list[list[int]]:
+    """Walks along edges until none is left: closed rings of nodes."""
+    beside: dict[int, set[int]] = {}
+    for a, b in edges.tolist():
+        beside.setdefault(a, set()).add(b)
+        beside.setdefault(b, set()).add(a)
+    rings = []
+    while beside:
+        ring = [next(iter(beside))]
+        while ring[-1] in beside:
+            node = ring[-1]
+            after = beside[node].pop()
+            beside[after].discard(node)
+            ring.append(after)
+            for end in (node, after):
+                if not beside.get(end, True):
+                    del beside[end]
+        rings.append(ring)
+    return rings
+
+
 def draw_walls(ax: Axes, cells: PlaneCells, colour: str) -> None:
-    # an edge with a cell on one side has an odd count: a line's cell has it twice
-    edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
-    lines = list(edges[counts % 2 == 1])
+    lines = list(cells.points[cells.boundary])
     ax.add_collection(
         LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False
     )

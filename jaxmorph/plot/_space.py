@@ -102,8 +102,8 @@ def before_after_3d(
     plotter.enable_depth_peeling(number_of_peels=8)
     parts = (
         (after.extract_cells(is_still), GREY, 1.0, "in place"),
-        (before.extract_cells(~is_still), ORANGE, 0.5, "undeformed"),
-        (after.extract_cells(~is_still), BLUE, 0.45, "deformed"),
+        (before.extract_cells(~is_still), ORANGE, 0.6, "undeformed"),
+        (after.extract_cells(~is_still), BLUE, 0.6, "deformed"),
     )
     parts = [part for part in parts if part[0].n_cells]
     for faces, colour, opacity, _ in parts:
@@ -418,18 +418,25 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patches: Sequence[str]) -> 
 
 
 def _skin(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -> Any:
-    surface, owner = mesh.moved(places).skin(*patches)
+    whole = mesh.moved(places)
+    surface, owner = whole.skin(*patches)
+    if not patches and not len(owner):  # a mesh of faces alone
+        surface = whole
+        owner = np.arange(len(whole.cell_ids))
     if not len(owner):
         return pyvista().PolyData()
-    grid, face = _as_grid(surface, mesh, values, owner)
+    # a camera takes the points of no face for what is to be seen
+    nodes = np.unique(np.concatenate([ids.ravel() for ids in surface.cells.values()]))
+    cells = {kind: np.searchsorted(nodes, ids) for kind, ids in surface.cells.items()}
+    grid, face = _as_grid(jm.Mesh(surface.points[nodes], cells), mesh, values, owner)
     if mesh.is_curved:
         grid.cell_data["whole"] = face
     from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
-    used = vtkGeometryFilter()  # leaves out points of no face
-    used.SetInputData(grid)
-    used.Update()
-    return pyvista().wrap(used.GetOutput())
+    faces = vtkGeometryFilter()
+    faces.SetInputData(grid)
+    faces.Update()
+    return pyvista().wrap(faces.GetOutput())
 
 
 def _polygons(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -> Any:

@@ -32,6 +32,8 @@ COLOURS = "YlOrBr"
 
 UNNAMED = "values of the cells"  # what a bar says of values without a label
 
+FLAT_VIEW = 0.45  # height over width of a window below which two of them stand one above the other
+
 # a new figure's width and largest height in inches: 10 points are legible at 3.5 inches too
 LINE_WIDTH = 5.0
 TALLEST = 5.0
@@ -90,7 +92,7 @@ def scale_of(
     whether values are below them, and above.
     """
     if limits is None:
-        limits = _usual_limits(values, sizes)
+        limits = usual_limits(values, sizes)
     elif np.shape(limits) != (2,) or not np.isfinite(limits).all() or limits[0] == limits[1]:
         raise ValueError(
             "`limits` are the values at the light and at the dark end of the colours, not "
@@ -101,7 +103,7 @@ def scale_of(
     return colours, (low, high), bool(np.any(values < low)), bool(np.any(values > high))
 
 
-def _usual_limits(values: Real[ndarray, " k"], sizes: PlotColumn) -> Limits:
+def usual_limits(values: Real[ndarray, " k"], sizes: PlotColumn) -> Limits:
     """Returns the least and largest value without outliers: 1 % of the area would pale others."""
     chosen = np.isfinite(values)
     values = values[chosen].astype(float)

@@ -23,6 +23,8 @@ Borders = tuple[tuple[Plane, NodeIds], ...]
 
 # share of the extent: distance of the farthest edge or corner
 FARTHEST = 0.25
+# share of the extent of waves that are noise, as errors suggest it
+NOISE = 0.05
 
 
 class Rail(Module):
@@ -83,6 +85,30 @@ def height_of(x: Places, plane: Plane) -> Float[Either, " m"]:
     return xp.sum((x - origin[None]) * normal[None], axis=1)
 
 
+def on_target(features: Sequence[Any], target: Facets, clips: Sequence[Clip] = ()) -> Sequence[Any]:
+    """Numbers the second ids of pairs as the cut target does, with all points at one place."""
+    found = []
+    for own, other in features:
+        ids = rows_like("features", other, len(target.points))
+        ids = np.flatnonzero(np.isin(target.welded, np.asarray(target.welded)[ids]))
+        for clip in clips:
+            ids = np.flatnonzero(np.isin(clip.pairs, ids).all(axis=1))
+        found.append((own, ids))
+    return found
+
+
+def staying(points: ndarray) -> str:
+    """An argument for a scan with noise, of a length that keeps the shape of a section."""
+    return f"`length={NOISE * np.ptp(points, axis=0).max():.2g}`"
+
+
+def check_pairs(features: Sequence[Any]) -> None:
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
+        raise ValueError(
+            "`features` must be pairs: ids of nodes of the wall, and of points of the target."
+        )
+
+
 def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Clip, Facets]:
     """Cuts a target off at a plane, and keeps one side (1 or -1)."""
     points = np.asarray(target.points, float)
@@ -109,7 +135,8 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
     if not on.any():
         raise ValueError(
             f"the target ends {np.abs(height).min():.3g} before the symmetry plane through "
-            f"{shown_place(plane.origin)}. Extend the target, or leave the plane out."
+            f"{shown_place(plane.origin)}. Extend the target, or stay near it by "
+            f"{staying(points)}: what is beyond its border then follows the rest of the wall."
         )
     clip = Clip(pairs, on, plane)
     cut = place.reshape(-1, width)
@@ -136,13 +163,14 @@ class Curves:
         points = np.asarray(facets.points, float)
         normals = np.asarray(facets.normals())
         rim = np.asarray(facets.rim)
-        faces = np.asarray(facets.faces)
+        welded = np.asarray(facets.welded)
+        faces = welded[np.asarray(facets.faces)]
         found = [np.asarray(facets.sharp) if not len(ids) else rim[:0]]
         found += [rim[(np.abs(plane.height(points[rim])) <= slack).all(axis=1)] for plane in planes]
         sides = np.sort(
             np.concatenate([faces[:, [k, k - 1]] for k in range(faces.shape[1])]), axis=1
         )
-        for own in ids:
+        for own in (np.unique(welded[rows]) for rows in ids):
             edges = np.unique(sides[np.isin(sides, own).all(axis=1)], axis=0)
             found.append(np.reshape(own, (-1, 1)) if rim.shape[1] == 1 else edges)
         edges = np.concatenate(found)
@@ -197,10 +225,6 @@ def guides_of(
 ) -> tuple[Rail, ...]:
     """Finds which nodes of the wall stay on which curves and points of the target."""
     slack = ON_SYMMETRY * np.ptp(np.asarray(wall.points), axis=0).max()
-    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in features):
-        raise ValueError(
-            "`features` must be pairs: ids of nodes of the wall, and of points of the target."
-        )
     own, other = (
         Curves.of(
             facets,
@@ -234,8 +258,8 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
         raise MeshError(
             f"{len(shared)} corners of the wall share one of the target, at "
             f"{shown_place(places[shared[0]])}, one is "
-            "node {node}. Name pairs in `features`, or find fewer edges by the `angle` of "
-            "`Facets`.",
+            "node {node}. Name pairs in `features`, find fewer edges by the `angle` of `Facets`, "
+            f"or stay near a scan with noise by {staying(own.points)}.",
             rows[shared],
         )
     return [Rail(rows=rows, beside=np.stack([rows, rows], axis=1), ids=ids)] if len(rows) else []

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 from scipy import sparse
 from scipy.linalg import null_space
@@ -40,12 +40,15 @@ from ._features import (
     Planes,
     Rail,
     borders_of,
+    check_pairs,
     clipped,
     guides_of,
     height_of,
+    on_target,
+    staying,
 )
 from ._smooth import stiffness_of
-from ._tolerances import ON_SYMMETRY, RESTED, SAME_LENGTH
+from ._tolerances import ON_BORDER, ON_SYMMETRY, RESTED, SAME_LENGTH
 
 Places = Float[Either, "m d"]
 Masses = Float[Either, " m"]
@@ -79,10 +82,12 @@ class Onto(Module):
     - `features`: pairs of curves by ids, nodes of the wall and points of the target: edges between
       the first go onto edges between the second (in 2-D nodes onto points). Default: sharp edges.
     - `length`: 0, the default: the wall goes onto the target. Else it stays near the target,
-      without waves much shorter than this length, such as the noise of a scan.
+      without waves much shorter than this length, such as the noise of a scan. What is beyond the
+      border of an open target then follows the rest of the wall.
 
-    **Raises:** `ValueError` for different dimensions, a target that does not reach a plane, and
-    corners that would share one of the target.
+    **Raises:** `ValueError` for different dimensions, a target in another unit, and corners that
+    would share one of the target. Also for a target that does not reach a plane, without a
+    `length`.
 
     Source: Amberg, Romdhani and Vetter, Optimal step nonrigid ICP algorithms, CVPR 2007; Sorkine
     and Alexa, As-rigid-as-possible surface modeling, SGP 2007.
@@ -94,6 +99,7 @@ class Onto(Module):
     clips: tuple[Clip, ...]
     guides: tuple[Rail, ...]
     borders: Borders
+    border: Int[Array | ndarray, "r e"]
     turn: Float[Array | ndarray, "d d"]
     shift: Float[Array | ndarray, " d"]
     lengths: Float[Array | ndarray, " s"]
@@ -115,26 +121,30 @@ class Onto(Module):
         planes = [plane for plane, _ in self.borders]
         extent = np.ptp(x, axis=0).max()
         last = length or LAST * np.ptp(x, axis=0).max()
-        if isinstance(target, Facets) and target.points.shape[1] != x.shape[1]:
-            raise ValueError(
-                f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
-            )
         self.wall = wall
         self.is_exact = length == 0
         self.function = None
         self.target = None
-        nearest = target.closest if isinstance(target, Facets) else target
-        self.turn, self.shift = _rigid(wall, target, nearest, planes)
         self.clips = ()
         self.guides = ()
+        self.border = np.zeros((0, 2), int)
+        slack = ON_SYMMETRY * extent
+        open_ends = np.zeros((0, 2, x.shape[1]))
+        if isinstance(target, Facets):
+            _check_target(x, target)
+            check_pairs(features)
+            if not self.is_exact:
+                open_ends = np.asarray(target.points, float)[_border_of(target, planes, slack)]
+        nearest = target.closest if isinstance(target, Facets) else target
+        self.turn, self.shift = _rigid(wall, target, nearest, planes, open_ends)
         start = x @ self.turn.T + self.shift
         if isinstance(target, Facets):
-            for plane in planes:
-                clip, target = clipped(
-                    target, plane, np.sign(np.median(plane.height(x))), ON_SYMMETRY * extent
-                )
-                self.clips += (clip,)
+            whole = target
+            target, self.clips = _cut_off(target, planes, x, may_end=not self.is_exact)
+            features = on_target(features, whole, self.clips)
             self.target = _turn_normals(target, wall.at(start))
+            if not self.is_exact:
+                self.border = _border_of(self.target, planes, slack)
             if self.is_exact or features:  # edges of noise are none
                 self.guides = guides_of(wall.at(start), self.target, planes, features)
             nearest = target.closest
@@ -171,6 +181,20 @@ class Onto(Module):
             own = xp.asarray(guide.places(y, facing, target.points))
             places = put_at(places, guide.rows, own)
         return self._in_planes(places)
+
+    def _is_beyond(self, places: Places, target: Facets | None) -> Bool[Either, " m"]:
+        """Whether places are on the border of the target: nothing draws their nodes."""
+        xp = namespace(places)
+        if target is None or not len(self.border):
+            return xp.zeros(len(places), bool)
+        corners = xp.asarray(target.points)[self.border]
+        if xp is np:
+            off = _rim_distance(corners, places)
+        else:
+            given = jax.lax.stop_gradient((corners, places))
+            structure = jax.ShapeDtypeStruct(places.shape[:1], places.dtype)
+            off = host_call(_rim_distance, structure, *given)
+        return off < ON_BORDER * xp.max(xp.ptp(places, axis=0))
 
     def _in_planes(self, y: Places) -> Places:
         xp = namespace(y)
@@ -213,8 +237,10 @@ class Onto(Module):
         mass = add_at(none, faces, size[:, None] / d)
         stiff = add_at(none, faces, xp.diagonal(local, axis1=1, axis2=2))
         facing = xp.asarray(self.wall.at(y).normals())
-        weights = self._weights(y, facing, mass, mass + HARD * stiff)
-        off = _times(weights, self._places(y, facing, target) - y)
+        places = self._places(y, facing, target)
+        pull = xp.where(self._is_beyond(places, target), 0, mass)
+        weights = self._weights(y, facing, pull, mass + HARD * stiff)
+        off = _times(weights, places - y)
         shape = start[faces]
         if self.is_exact:
             turned = _rotated(shape, area_vectors(shape), area_vectors(y[faces]))
@@ -253,6 +279,66 @@ def _move_walls(onto: Onto, x: Places, target: Facets | None) -> Places:
     if not onto.is_exact:
         return onto._in_planes(y)
     return onto._places(y, xp.asarray(onto.wall.at(y).normals()), target)
+
+
+def _rim_distance(corners: ndarray, x: ndarray) -> ndarray:
+    return closest(corners.astype(float), x.astype(float)).distance.astype(x.dtype)
+
+
+def _cut_off(
+    target: Facets, planes: Sequence[Plane], x: ndarray, *, may_end: bool
+) -> tuple[Facets, tuple[Clip, ...]]:
+    """Cuts a target off at planes; it may end before them."""
+    slack = ON_SYMMETRY * np.ptp(x, axis=0).max()
+    clips = []
+    for plane in planes:
+        side = np.sign(np.median(plane.height(x)))
+        least = (side * plane.height(np.asarray(target.points))).min()
+        if not may_end or least <= slack:
+            clip, target = clipped(target, plane, side, slack)
+            clips.append(clip)
+    return target, tuple(clips)
+
+
+def _border_of(target: Facets, planes: Sequence[Plane], slack: float) -> ndarray:
+    """Edges (r, 2) of the border that lie in no plane; in 2-D a point twice."""
+    rim = np.asarray(target.rim)
+    points = np.asarray(target.points, float)[rim]
+    for plane in planes:
+        apart = ~(np.abs(plane.height(points)) <= slack).all(axis=1)
+        rim = rim[apart]
+        points = points[apart]
+    return np.broadcast_to(rim, (len(rim), 2))
+
+
+UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
+CLOSE_UNIT = 1.3
+NEARER = 4.0
+"""Ratios of units in use; factor by which a part of a body may be smaller; factor by which
+distances fall in the right unit."""
+
+
+def _check_target(x: ndarray, target: Facets) -> None:
+    """Refuses a target of another dimension, and one as long as the wall in another unit."""
+    if target.points.shape[1] != x.shape[1]:
+        raise ValueError(
+            f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
+        )
+    points = np.asarray(target.points)[np.unique(target.faces)]
+    own, other = (float(np.ptp(places, axis=0).max()) for places in (x, points))
+    apart = abs(np.log(other / own))
+    unit = min(UNIT_RATIOS, key=lambda unit: abs(apart - np.log(unit)))
+    if abs(apart - np.log(unit)) > np.log(CLOSE_UNIT):
+        return
+    factor = 1 / unit if other > own else unit
+    some = x[:: 1 + len(x) // SAMPLE]
+    off = np.median(target.distance(some))
+    in_unit = factor * np.median(target.distance(some / factor))
+    if off > FAR * own or in_unit < off / NEARER:
+        raise ValueError(
+            f"the target is {other:.4g} long, the wall {own:.4g}: it seems to be in another unit. "
+            f"Multiply its points by {factor:.10g}."
+        )
 
 
 def _times(matrices: Float[Either, "k i j"], vectors: Any) -> Any:
@@ -311,11 +397,14 @@ WHOLE = 0.1
 """Of a rigid fit: most steps and nodes; a distance that needs none; share of whole distances."""
 
 
-def _rigid(wall: Facets, target: Target, nearest: Callable, planes: Sequence[Plane]) -> Motion:
+def _rigid(
+    wall: Facets, target: Target, nearest: Callable, planes: Sequence[Plane], open_ends: ndarray
+) -> Motion:
     """Finds a turn (d, d) and a shift (d,) that halve the distance, from here and from the axes.
 
-    Nodes go to the tangent planes at their closest places, again and again; planes stay. Source:
-    Chen and Medioni, Object modelling by registration, Image and Vision Computing 10, 1992.
+    Nodes go to the tangent planes at their closest places, again and again; planes stay. Nodes
+    beyond the edges `open_ends` (r, 2, d) do not count, and no motion takes more of them there.
+    Source: Chen and Medioni, Object modelling by registration, Image and Vision Computing 10, 1992.
     """
     x = np.asarray(wall.points, float)
     normals = np.asarray(wall.normals(), float)
@@ -324,20 +413,34 @@ def _rigid(wall: Facets, target: Target, nearest: Callable, planes: Sequence[Pla
     starts = _starts(x, target, planes)
     motions = _free_motions(planes, d)
 
+    extent = np.ptp(x, axis=0).max()
+
     def off(turn, shift):
         y = x[some] @ turn.T + shift
-        return y, np.asarray(nearest(y), float) - y
+        places = np.asarray(nearest(y), float)
+        on = np.ones(len(y), bool)
+        if len(open_ends):
+            on = closest(open_ends, places).distance > ON_BORDER * extent
+        return y[on], places[on] - y[on], on
 
     best = starts[0]
-    least = np.sqrt(np.mean(off(*starts[0])[1] ** 2))
+    _, away, on = off(*best)
+    count = on.sum()
+    least = np.sqrt(np.mean(away**2)) if count else np.inf
+    if least <= NEAR_TARGET * extent:
+        return best  # else an open wall would slide along its target, middle onto middle
     for turn, shift in starts:
-        for _ in range(FITS if least > NEAR_TARGET * np.ptp(x, axis=0).max() else 0):
+        for _ in range(FITS):
+            y, away, on = off(turn, shift)
+            if on.sum() < len(motions):  # too few for a motion
+                break
             turn, shift, is_done = _fitted(
-                *off(turn, shift), normals[some] @ turn.T, motions, turn, shift
+                y, away, (normals[some] @ turn.T)[on], motions, turn, shift
             )
             if is_done:
                 break
-        left = np.sqrt(np.mean(off(turn, shift)[1] ** 2))
+        _, away, on = off(turn, shift)
+        left = np.sqrt(np.mean(away**2)) if on.sum() >= max(count, 1) else np.inf
         best, least = ((turn, shift), left) if left < least / 2 else (best, least)
     return best
 
@@ -437,7 +540,7 @@ def _check_one_to_one(made: Onto, x: ndarray, moved: ndarray) -> None:
         raise MeshError(
             f"{many} of the wall {what}, at node {{node}} near {shown_place(x[bad[0, 0]])}: the "
             "way onto the target is not one to "
-            "one there. Extend or repair the target, name pairs of curves in `features`, or give "
-            "a `length` to stay near it.",
+            "one there. Extend or repair the target, name pairs of curves in `features`, or stay "
+            f"near it by {staying(x)}.",
             np.unique(bad),
         )

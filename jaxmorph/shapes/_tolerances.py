@@ -13,6 +13,8 @@ IN_PLANE = 1e-6
 RIGHT_ANGLE = 1e-3
 # Volume of a box over the product of its edges, or the cube of its diagonal, that is none.
 NO_VOLUME = 1e-12
+# Distance from the border of a target, over the wall's extent, of closest places on the border.
+ON_BORDER = 1e-5
 # Determinant of a line and a face's edges, over the largest entry: the line is along the face.
 ALONG_FACE = 1e-14
 # Changes of a rigid motion, in radians and arms, that end its steps.

@@ -25,13 +25,14 @@ def checked(function: Function) -> Function:
     another machine's byte order are turned: JAX reads them as they lie.
     """
     parameters = inspect.signature(function).parameters
+    placed = [name for name, each in parameters.items() if each.kind is not each.KEYWORD_ONLY]
     rest = [name for name, each in parameters.items() if each.kind is each.VAR_POSITIONAL]
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
         arguments = [native_order(value) for value in arguments]
         keywords = {name: native_order(value) for name, value in keywords.items()}
-        names = itertools.chain(parameters, itertools.cycle(rest))
+        names = itertools.chain(placed, itertools.cycle(rest))
         for name, value in (*zip(names, arguments, strict=False), *keywords.items()):
             if name in parameters:
                 check_value(name, value, parameters[name].annotation, call)

@@ -1,5 +1,7 @@
 """SU2's config files as shapes."""
 
+from jaxmorph.extend import listing as _listing
+
 from ._config import Config as Config
 from ._config import Sensitivity as Sensitivity
 from ._config import read_config as read_config
@@ -7,3 +9,5 @@ from ._config import read_sensitivity as read_sensitivity
 from ._config import write_gradient as write_gradient
 from ._motion import DesignVariables as DesignVariables
 from ._options import read_options as read_options
+
+__dir__ = _listing(globals())
