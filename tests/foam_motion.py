@@ -123,8 +123,8 @@ def page_blocks(section):
     page = (ROOT / "docs" / "pages" / "openfoam.md").read_text()
     text = page.partition(f"\n## {section}\n")[2].partition("\n## ")[0]
     assert text
-    kinds = ("sh", r"c\+\+", "")
-    return [re.findall(rf"^```{kind}\n(.*?)^```$", text, re.DOTALL | re.M) for kind in kinds]
+    blocks = re.findall(r"^```(\S*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    return [[block for kind, block in blocks if kind == mine] for mine in ("sh", "c++", "")]
 
 
 def write_motion(case, mover, library, walls="walls"):

@@ -67,7 +67,7 @@ def test_a_body_free_in_six_degrees_moves_exactly(tmp_path, library, axis):
         found = foam_motion.points_of(case, name)
         np.testing.assert_allclose(found[hull], exact, rtol=0, atol=1e-12)
         assert foam.verdict(case, "-time", name) == ["Mesh OK."]
-    assert np.linalg.norm(exact - rest[hull], axis=1).min() > 0.3
+    assert np.linalg.norm(exact - rest[hull], axis=1).min() > 0.1
 
 
 def test_a_stream_moves_a_body(tmp_path, library):
@@ -120,9 +120,7 @@ def test_a_body_deforms_in_a_zone_that_rotates(tmp_path, library):
     rate = 0.8
     frame = frame.replace("omega 10", f"omega {rate}")
     head = foam_motion.HEAD.format("dictionary", "dynamicMeshDict")
-    dictionary = (
-        f'{head}dynamicFvMesh dynamicMotionSolverFvMesh; motionSolverLibs ("{library}");\n{frame}'
-    )
+    dictionary = f'{head}dynamicFvMesh dynamicMotionSolverFvMesh; motionSolverLibs ("libjaxmorphMotion.so");\n{frame}'
     case = foam_motion.tank(tmp_path / "case", is_cut=True)
     rest = foam_motion.points_of(case)
     hull = foam_motion.met(case, "hull")
