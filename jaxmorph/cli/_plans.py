@@ -27,13 +27,13 @@ BATCH = 8
 """Motions computed together."""
 
 
-def _read_mesh(request: PlanRequest, out: Output) -> jm.Mesh:
+def _open_mesh(request: PlanRequest, out: Output) -> jm.Mesh:
     with out.progress(f"reading {title(request.file)}"):
         return load_mesh(request.file, getattr(request, "zone", None), request.tags)
 
 
 def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
-    return patches_of(request, _read_mesh(request, out))
+    return patches_of(request, _open_mesh(request, out))
 
 
 def _prepare_plan(request: PlanRequest, patches: Patches, out: Output, what: str = "") -> jm.Plan:
@@ -254,7 +254,7 @@ def _write_variables(
 
 
 def run_export(request: ExportRequest, out: Output) -> int:
-    mesh = _read_mesh(request, out)
+    mesh = _open_mesh(request, out)
     request = _add_roles(request, mesh, out)
     patches = patches_of(request, mesh)
     plan = _prepare_plan(request, patches, out)

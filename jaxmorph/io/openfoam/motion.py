@@ -143,7 +143,10 @@ def _fits(pattern: str, name: str) -> bool:
 
 
 def _role(entry: FoamEntry, inside: Words) -> str:
-    own = {found.key: found.words for found in _entries(entry.inner or [])}
+    own = {
+        found.key: found.words if found.inner is None else ["{"]
+        for found in _entries(entry.inner or [])
+    }
     kind = "".join(own.get("type", [])).strip('"')
     if kind.startswith(("$", "#")) or kind in ("", *OF_THE_MESH):
         return ""
