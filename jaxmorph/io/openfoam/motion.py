@@ -12,7 +12,7 @@ from .case import NAME, CaseContent, is_time
 from .file import FoamFile, load_file, parse_nested
 
 FIELD = "pointDisplacement"
-STILL = ("fixedValue", "uniformFixedValue")
+VALUED = ("fixedValue", "uniformFixedValue")
 """Types of patches that are fixed where their value is zero, and move where it is not."""
 WITHOUT_VALUES = {
     "zeroGradient": "free",
@@ -150,7 +150,7 @@ def _role(entry: FoamEntry, inside: Words) -> str:
     kind = "".join(own.get("type", [])).strip('"')
     if kind.startswith(("$", "#")) or kind in ("", *OF_THE_MESH):
         return ""
-    if kind in STILL:
+    if kind in VALUED:
         return _role_of_value(own.get("uniformValue", own.get("value", [])), inside)
     return WITHOUT_VALUES.get(kind, "moving")
 
