@@ -39,8 +39,8 @@ def compile_with(folders, standard, release=None):
     version = [] if release is None else [f"-DOPENFOAM={release}"]
     source = native.folder / "openfoam"
     headers = [f"-I{folder}" for folder in (native.folder, source, *folders)]
-    file = source / "jaxmorphMotionSolver.C"
-    command = ["g++", f"-std={standard}", *FLAGS, *version, *headers, str(file)]
+    files = [str(source / f"{name}.C") for name in ("affineFields", "jaxmorphMotionSolver")]
+    command = ["g++", f"-std={standard}", *FLAGS, *version, *headers, *files]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return done.returncode == 0, done.stderr[-3000:]
 

@@ -89,6 +89,7 @@ Foam::jaxmorphMotionSolver::jaxmorphMotionSolver(JM_PARAMETERS)
     readRows();
     checkPoints();
     findMoving();
+    affine_.reset(new affineFields(plan_.get(), wallAtRest()));
     readFrame(coeffsOf(dict));
     registerCellDisplacement();
     checkWall(wall());
@@ -181,6 +182,29 @@ void Foam::jaxmorphMotionSolver::findMoving()
     }
     combine(patchMoving_, addToOp());
     combine(patchPoints_, addToOp());
+}
+
+
+Foam::vectorField Foam::jaxmorphMotionSolver::wallAtRest() const
+{
+    const label d = jm_dimension(plan_.get());
+    List<wallValue> found(jm_moving(plan_.get()), wallValue(scalar(0)));
+    forAll(found, i)
+    {
+        const label node = jm_nodes(plan_.get())[i];
+        for (label k = 0; node >= 0 && k < d; k++)
+        {
+            found[i][0] = 1;
+            found[i][1 + k] = jm_rest(plan_.get())[d*node + k];
+        }
+    }
+    combine(found, preferEqOp());
+    vectorField wall(found.size());
+    forAll(wall, i)
+    {
+        wall[i] = vector(found[i][1], found[i][2], found[i][3]);
+    }
+    return wall;
 }
 
 
@@ -374,7 +398,7 @@ void Foam::jaxmorphMotionSolver::solve()
     if (moved_.empty() || u != u_)
     {
         moved_.resize(d*jm_count(plan_.get()));
-        if (jm_deform(plan_.get(), u.data(), moved_.data()))
+        if (!affine_->move(u, moved_) && jm_deform(plan_.get(), u.data(), moved_.data()))
         {
             FatalErrorInFunction << "not enough memory" << exit(FatalError);
         }
