@@ -312,6 +312,24 @@ def write_flow(case):
     write_dictionary(case, "constant/turbulenceProperties", "simulationType laminar;\n")
 
 
+def floating(case, library, hull, end):
+    """OpenFOAM's floatingObject, 11,640 cells, three outer correctors a step; `hull` is its wall's entry."""
+    shutil.copytree(foam.EXAMPLES / "multiphase/interFoam/RAS/floatingObject", case)
+    shutil.copytree(case / "0.orig", case / "0")
+    control = case / "system" / "controlDict"
+    text = re.sub(r"(endTime|deltaT|adjustTimeStep) .*", r"// \1", control.read_text())
+    control.write_text(f"{text}\nendTime {end}; deltaT 0.002; adjustTimeStep no;\n")
+    foam.run(case, "blockMesh")
+    foam.run(case, "topoSet")
+    foam.run(case, "subsetMesh", "-overwrite", "c0", "-patch", "floatingObject")
+    foam.run(case, "setFields")
+    libraries = f'"libfvMotionSolvers.so" "libsixDoFRigidBodyMotion.so" "{library}"'
+    text = f"dynamicFvMesh dynamicMotionSolverFvMesh; motionSolver jaxmorph; motionSolverLibs ({libraries});\n"
+    write_dictionary(case, "constant/dynamicMeshDict", text)
+    write_displacement(case, {"stationaryWalls|atmosphere": STILL, "floatingObject": hull})
+    return case
+
+
 def strip(case, library, normal=1):
     """A flat ring in one layer of cells across an axis, its points in any order, its hole pushed aside."""
     foam.write_case(case, *foam.strip(normal))

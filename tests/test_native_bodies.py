@@ -14,6 +14,7 @@ from jaxmorph import io
 
 pytestmark = pytest.mark.nightly
 
+ZERO = "uniform (0 0 0)"
 FREE, DRIVEN = "uncoupledSixDoFRigidBodyDisplacement", "sixDoFRigidBodyDisplacement"
 
 
@@ -92,6 +93,43 @@ def test_a_stream_moves_a_body(tmp_path, library):
     assert np.ptp(ends[0], axis=0).max() < 1e-5
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-5)
     assert (ends[1][:, 2] == 0).all()
+
+
+BODY = "mass 15; momentOfInertia (0.36 0.43 0.16); centreOfMass (0.5 0.45 0.35);"
+FLOATING = {
+    "given": f"type oscillatingDisplacement; amplitude (0.02 0 0.03); omega 6; value {ZERO};",
+    "driven": f"type {DRIVEN}; {BODY} solver {{ type Newmark; }} value {ZERO};",
+}
+
+
+@pytest.mark.parametrize("name", FLOATING)
+def test_three_outer_correctors_take_little_of_a_step(tmp_path, library, name):
+    """Of interFoam's: a rigid body's walls cost no solve after the first one, and standing walls nothing."""
+    case = foam_motion.floating(tmp_path / "case", library, FLOATING[name], end=0.04)
+    foam_motion.write_plan(case, "--moving", "floatingObject")
+    said = foam.run(case, "interFoam")
+    spent = list(map(float, re.findall(r"mesh moved in (\S+) s", said)))
+    assert len(spent) == 60
+    total = np.diff(list(map(float, re.findall(r"ExecutionTime = (\S+) s", said))))
+    assert sum(spent[3:]) < 0.02 * sum(total)
+
+
+def test_a_rigid_motion_is_the_plan_s(tmp_path, library):
+    """Sums of a few fields: the points of `deform`, walls to the last bit; three processes are one."""
+    _, dictionaries, boundaries = foam_motion.page_blocks("A body with six degrees of freedom")
+    case = written(foam_motion.tank(tmp_path / "case"), library, dictionaries[0], boundaries[0])
+    foam.run(case, "decomposePar")
+    foam_motion.moved(case, ())
+    mesh = io.read(case)
+    plan = jm.prepare(mesh, "hull", "tank")
+    moving = np.asarray(plan.moving)
+    found, rest = foam_motion.points_of(case, "1"), foam_motion.points_of(case)
+    u = (found - rest)[moving]
+    points = np.asarray(jm.deform(plan, u))
+    assert np.abs(u).max() > 0.5
+    np.testing.assert_allclose(found, points, rtol=0, atol=1e-12)
+    foam.run(case, *foam.PARALLEL, "3", "moveDynamicMesh", "-parallel")
+    np.testing.assert_array_equal(foam_motion.whole_points(case, "1"), found)
 
 
 def test_a_calculated_wall_is_told_which_types_move_a_body(tmp_path, library):
