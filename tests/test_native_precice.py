@@ -34,6 +34,8 @@ def folder(tmp_path_factory):
 
 def coupled(case, folder, iterations, locations, parallel=()):
     """Runs the example to 0.2 as the page says, in so many iterations a step; what was said."""
+    (typed,), _, _ = foam_motion.page_blocks("preCICE")
+    assert typed.split("\n")[2:-1] == ["blockMesh", "jaxmorph export . --moving flap", "pimpleFoam"]
     shutil.copytree(CASE, case)
     fluid = case / "fluid-openfoam"
     control, settings = fluid / "system" / "controlDict", fluid / "system" / "preciceDict"

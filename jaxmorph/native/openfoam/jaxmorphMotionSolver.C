@@ -17,7 +17,7 @@ namespace Foam
 
     static const char* const HOW =
         "\n    Write the plan of this mesh, after decomposePar if the case is decomposed:"
-        "\n        jaxmorph export CASE --moving PATCH ... --fixed PATCH ...\n";
+        "\n        jaxmorph export CASE [--moving PATCH ...] [--fixed PATCH ...]\n";
 
     //- Keeps the value of higher precedence, of equal ones the smaller: processes agree to the last bit
     struct preferEqOp
