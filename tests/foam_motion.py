@@ -3,6 +3,7 @@
 import functools
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 
@@ -10,6 +11,7 @@ import foam
 import meshes
 import numpy as np
 import pytest
+from documents import ROOT
 
 from jaxmorph import native
 from jaxmorph.cli import main
@@ -29,7 +31,7 @@ def build(folder):
             pytest.fail(message)
         pytest.skip(message)
     shutil.copytree(native.folder, folder / "native")
-    script = '. "$0/etc/bashrc"; FOAM_USER_LIBBIN=$PWD wmake native/openfoam 2>&1'
+    script = '. "$0/etc/bashrc"; FOAM_USER_LIBBIN=$PWD wmake libso native/openfoam 2>&1'
     done = subprocess.run(
         ["bash", "-c", script, source], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -107,8 +109,22 @@ def write_dictionary(case, name, text, kind="dictionary"):
 def write_displacement(case, boundary, time="0"):
     """Writes pointDisplacement: `boundary` names an entry's text for each patch."""
     entries = "".join(f'    "{patch}" {{ {text} }}\n' for patch, text in boundary.items())
+    write_boundary(case, entries, time)
+
+
+def write_boundary(case, entries, time="0"):
+    """Writes pointDisplacement with this text between the braces of boundaryField."""
     text = f"dimensions [0 1 0 0 0 0 0]; internalField uniform (0 0 0);\nboundaryField\n{{\n{entries}}}\n"
     write_dictionary(case, f"{time}/pointDisplacement", text, "pointVectorField")
+
+
+def page_blocks(section):
+    """The commands, dictionaries and other blocks in a section of the page on OpenFOAM."""
+    page = (ROOT / "docs" / "pages" / "openfoam.md").read_text()
+    text = page.partition(f"\n## {section}\n")[2].partition("\n## ")[0]
+    assert text
+    blocks = re.findall(r"^```(\S*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    return [[block for kind, block in blocks if kind == mine] for mine in ("sh", "c++", "")]
 
 
 def write_motion(case, mover, library, walls="walls"):
@@ -197,9 +213,12 @@ def wing(case, mover, library):
 
 
 def bend(case, rise, time="0"):
-    """Bends the wing to a parabola in the step after a time: its tip is up by this part of its span."""
+    """Bends the wing to a parabola in the step after a time: its tip is up by this part of its span.
+
+    In nine digits, which decomposePar keeps: the last bit of a wall moves points of the inside by 1e-12.
+    """
     eta = points_of(case)[met(case, "wing"), 1] / SPAN
-    values = "\n".join(f"(0 0 {value!r})" for value in (SPAN * rise * eta**2).tolist())
+    values = "\n".join(f"(0 0 {value!r})" for value in np.round(SPAN * rise * eta**2, 9).tolist())
     boundary = {name: f"type {kind};" for name, kind in KINDS.items()} | {"farfield": STILL}
     boundary["wing"] = f"type fixedValue; value nonuniform List<vector> {len(eta)}\n(\n{values}\n);"
     write_displacement(case, boundary, time)
@@ -236,6 +255,78 @@ def box(case, library, boundary=FLOORS, **control):
     write_control(case, **control)
     write_motion(case, "jaxmorph", library)
     write_displacement(case, {"sides": STILL, **boundary})
+    return case
+
+
+PLACES = np.array([-3, -2.2, -1.6, -1.1, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1.1, 1.6, 2.2, 3])
+"""Of the lattice in a tank: the hull is a cube of side 1 in the middle."""
+ROTOR = 1.6
+"""Half the side of the zone around the hull."""
+
+
+def tank(case, *, is_cut=False):
+    """A cube, the hull, in the middle of a tank of 2,680 bricks.
+
+    A cut at the rotor's side gives both sides nodes of their own, and the cells inside are the zone rotor.
+    """
+    points, ids = meshes.lattice(PLACES, PLACES, PLACES), np.arange(15**3).reshape(15, 15, 15)
+    cells = np.asarray(meshes.blocks(ids))
+    away = np.abs(points[cells].mean(axis=1)).max(axis=1)
+    cells, away = cells[away > 0.5], away[away > 0.5]
+    order = np.argsort(away > ROTOR, kind="stable")
+    cells, inside = cells[order], int((away < ROTOR).sum())
+    if is_cut:
+        rows = np.arange(len(points))
+        rows[np.abs(np.abs(points).max(axis=1) - ROTOR) < 1e-9] += len(points)
+        points = np.concatenate([points, points])
+        cells[inside:] = rows[cells[inside:]]
+    used, cells = np.unique(cells, return_inverse=True)
+    points, cells = points[used], cells.reshape(-1, 8)
+    shared = set(cells[:inside].flat) if is_cut else set()
+    size = np.abs(points).max(axis=1)
+    tests = [
+        ("hull", "wall", lambda face: bool((size[face] < 0.51).all())),
+        ("rotorSide", "patch", lambda face: shared.issuperset(face)),
+        ("statorSide", "patch", lambda face: bool((size[face] < 2).all())),
+        ("tank", "patch", lambda face: True),
+    ]
+    foam.write_case(case, points, foam.hexahedra(cells), tests if is_cut else [*tests[::3]])
+    labels = "\n".join(map(str, range(inside)))
+    zone = f"rotor {{ type cellZone; cellLabels List<label> {inside}\n(\n{labels}\n); }}"
+    write_dictionary(case, "constant/polyMesh/cellZones", f"1 ( {zone} )\n", "regIOobject")
+    return case
+
+
+def write_flow(case):
+    """Fields for pimpleFoam: a stream along x through the tank."""
+    stream = "tank { type freestreamVelocity; freestreamValue uniform (1 0 0); }"
+    wall = "hull { type movingWallVelocity; value uniform (0 0 0); }"
+    text = f"dimensions [0 1 -1 0 0 0 0]; internalField uniform (1 0 0); boundaryField {{ {wall} {stream} }}\n"
+    write_dictionary(case, "0/U", text, "volVectorField")
+    sides = (
+        "hull { type zeroGradient; } tank { type freestreamPressure; freestreamValue uniform 0; }"
+    )
+    text = f"dimensions [0 2 -2 0 0 0 0]; internalField uniform 0; boundaryField {{ {sides} }}\n"
+    write_dictionary(case, "0/p", text, "volScalarField")
+    write_dictionary(case, "constant/transportProperties", "transportModel Newtonian; nu 0.01;\n")
+    write_dictionary(case, "constant/turbulenceProperties", "simulationType laminar;\n")
+
+
+def floating(case, library, hull, end):
+    """OpenFOAM's floatingObject, 11,640 cells, three outer correctors a step; `hull` is its wall's entry."""
+    shutil.copytree(foam.EXAMPLES / "multiphase/interFoam/RAS/floatingObject", case)
+    shutil.copytree(case / "0.orig", case / "0")
+    control = case / "system" / "controlDict"
+    text = re.sub(r"(endTime|deltaT|adjustTimeStep) .*", r"// \1", control.read_text())
+    control.write_text(f"{text}\nendTime {end}; deltaT 0.002; adjustTimeStep no;\n")
+    foam.run(case, "blockMesh")
+    foam.run(case, "topoSet")
+    foam.run(case, "subsetMesh", "-overwrite", "c0", "-patch", "floatingObject")
+    foam.run(case, "setFields")
+    libraries = f'"libfvMotionSolvers.so" "libsixDoFRigidBodyMotion.so" "{library}"'
+    text = f"dynamicFvMesh dynamicMotionSolverFvMesh; motionSolver jaxmorph; motionSolverLibs ({libraries});\n"
+    write_dictionary(case, "constant/dynamicMeshDict", text)
+    write_displacement(case, {"stationaryWalls|atmosphere": STILL, "floatingObject": hull})
     return case
 
 

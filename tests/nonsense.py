@@ -569,7 +569,7 @@ SENSE = {
     "shapes.scale.factors": "number",
     **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k jm.Proof.worst.k", "beyond"),
     **each(
-        "io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh",
+        "io.periodic.mesh io.symmetry.mesh io.patch_roles.mesh io.read_displacement.mesh io.write.mesh",
         "empty",
     ),
     **each("io.as_written.mesh io.losses.mesh io.boxes.mesh io.with_boxes.mesh", "empty"),

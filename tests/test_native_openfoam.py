@@ -267,14 +267,11 @@ def test_the_mover_takes_little_of_a_step(tmp_path, library):
 
 
 def test_what_the_page_says_works(tmp_path, library):
-    """Its commands and dictionary, on airFoil2D, in a shell with OpenFOAM's environment."""
-    page = (ROOT / "docs" / "pages" / "openfoam.md").read_text()
-    page = f"\n{page}".partition("\n## While the solver runs\n")[2].partition("\n## ")[0]
-    (typed,), (dictionary,) = (
-        re.findall(rf"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("sh", r"c\+\+")
-    )
+    """Its commands and dictionaries, on airFoil2D, in a shell with OpenFOAM's environment."""
+    (typed,), (dictionary,), (boundary,) = foam_motion.page_blocks("From a case to a run")
     case = foam_motion.airfoil(tmp_path / "case", "jaxmorph", library, 30, end=0.01, delta=0.005)
     (case / "constant" / "dynamicMeshDict").write_text(dictionary)
+    foam_motion.write_boundary(case, boundary)
     shell = f'. "$JAXMORPH_OPENFOAM_SOURCE/etc/bashrc"\njaxmorph() {{ "{sys.executable}" -m jaxmorph "$@"; }}\n'
     environment = os.environ | {"HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
     command = ["bash", "-c", f"{shell}set -e\n{typed}"]
@@ -282,5 +279,6 @@ def test_what_the_page_says_works(tmp_path, library):
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+    assert "moving walls" in done.stdout
     assert done.stdout.count("mesh moved in") == 2
     assert done.stdout.split()[-1] == "End"

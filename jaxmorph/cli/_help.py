@@ -190,16 +190,18 @@ jaxmorph sensitivity --help-all""",
         "write a plan that moves the mesh inside a running solver",
         """MESH OUT --moving NAME ... --fixed NAME ...
            [--symmetry NAME ...] [METHOD ...]
-       jaxmorph export CASE --moving NAME ... --fixed NAME ...""",
+       jaxmorph export CASE [--moving NAME ...] [--fixed NAME ...]""",
         """\
 Name the patches and the method as for deform. jmplan.h opens OUT and moves the
 mesh by it, from C, C++ and Fortran; jaxmorph native shows its folder. In an
-OpenFOAM case the plan is constant/jaxmorph.plan, and each processor* gets one.
+OpenFOAM case the plan is constant/jaxmorph.plan, and each processor* gets one;
+a patch that no flag names is what its type in pointDisplacement says.
 The method must be linear in the displacement, and not solved on cells.
 
 examples:
   jaxmorph export wing.su2 wing.plan --moving wing --fixed farfield
-  jaxmorph export case --moving walls --fixed inlet outlet
+  jaxmorph export case
+  jaxmorph export case --moving flap   # which preCICE moves
 
 exit status: 0; 2 for bad input""",
     ),

@@ -1,5 +1,6 @@
 """`jaxmorph modes`, `sensitivity` and `export`: what one plan of a mesh is for."""
 
+import dataclasses
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,9 +27,13 @@ BATCH = 8
 """Motions computed together."""
 
 
-def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
+def _open_mesh(request: PlanRequest, out: Output) -> jm.Mesh:
     with out.progress(f"reading {title(request.file)}"):
-        mesh = load_mesh(request.file, getattr(request, "zone", None), request.tags)
+        return load_mesh(request.file, getattr(request, "zone", None), request.tags)
+
+
+def _look_up_patches(request: PlanRequest, out: Output) -> Patches:
+    mesh = _open_mesh(request, out)
     with out.progress("finding the patches"):
         return patches_of(request, mesh)
 
@@ -253,7 +258,9 @@ def _write_variables(
 
 
 def run_export(request: ExportRequest, out: Output) -> int:
-    patches = _look_up_patches(request, out)
+    mesh = _open_mesh(request, out)
+    request = _add_roles(request, mesh, out)
+    patches = patches_of(request, mesh)
     plan = _prepare_plan(request, patches, out)
     older = _older_plans(request)
     with out.progress("writing the plan"):
@@ -267,6 +274,31 @@ def run_export(request: ExportRequest, out: Output) -> int:
         out.wrote(file, file in older)
     out.say(replaced=not older.isdisjoint(files))
     return 0
+
+
+def _add_roles(request: ExportRequest, mesh: jm.Mesh, out: Output) -> ExportRequest:
+    """Adds what `pointDisplacement` says of the patches of a case that no flag names."""
+    flags = request.boundary
+    roles = io.patch_roles(mesh) if request.output is None else {}
+    known = mesh.patch_names(*request.moving, *itertools.chain(*vars(flags).values()))
+    for name in known:
+        roles.pop(name, None)
+    if not roles:
+        return request
+    added = {role: [name for name in roles if roles[name] == role] for role in set(roles.values())}
+    moving = (*request.moving, *added.get("moving", ()))
+    if not moving:
+        raise ValueError(
+            f"{request.file}: by its pointDisplacement no patch moves; fixedValue zero is fixed. "
+            "--moving names the patches that something else moves, such as preCICE or "
+            f"rigidBodyMotionSolver. There are: {', '.join(mesh.patches)}."
+        )
+    said = "; ".join(f"{role} {' '.join(names)}" for role, names in sorted(added.items()))
+    out.say(f"patches  {said}, by pointDisplacement", roles=roles)
+    added.pop("moving", None)
+    lists = {role: (*getattr(flags, role), *names) for role, names in added.items()}
+    boundary = dataclasses.replace(flags, **lists)
+    return dataclasses.replace(request, moving=moving, boundary=boundary)
 
 
 def _older_plans(request: ExportRequest) -> set[Path]:

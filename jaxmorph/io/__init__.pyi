@@ -23,6 +23,7 @@ from ._sensitivity import write_gradient as write_gradient
 from ._sensitivity import write_sensitivity as write_sensitivity
 from ._su2 import read_zones as read_zones
 from ._su2 import write_zones as write_zones
+from .openfoam.motion import patch_roles as patch_roles
 from .openfoam.parts import Decomposed as Decomposed
 from .openfoam.parts import export_case as export_case
 from .openfoam.parts import global_nodes as global_nodes

@@ -89,7 +89,7 @@ class CaseContent:
     def case(self) -> pathlib.Path | None:
         above = self.topology.resolve().parents
         inner = [folder for folder in above if folder.name == "constant"] or list(
-            filter(_is_time, above)
+            filter(is_time, above)
         )
         return inner[0].parent if inner else None
 
@@ -204,7 +204,7 @@ def _list_groups(own: Boundary) -> dict[str, tuple[str, ...]]:
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
     content = own_source(mesh, NAME).content
     case = content.case
-    if not _is_time(path):
+    if not is_time(path):
         if case is None:
             raise ValueError(
                 f"{path}: {content.file.path.parent} is in no case with a folder constant; "
@@ -239,7 +239,7 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
     case = content.case
     parts = [] if case is None else [part for part in case.glob("processor*") if part.is_dir()]
     if parts:
-        fate = "keep the old points" if _is_time(path) else "are not copied"
+        fate = "keep the old points" if is_time(path) else "are not copied"
         warn(
             f"{path}: the case is decomposed, and its {len(parts)} folders processor* {fate}. "
             "Run decomposePar -force on the written mesh before a parallel run."
@@ -258,7 +258,7 @@ def compute_file_points(mesh: MeshLike) -> ndarray:
 def write_points(path: pathlib.Path, content: CaseContent, points: ndarray) -> None:
     case = content.case
     name = content.file.path.name
-    if not _is_time(path):
+    if not is_time(path):
         assert case is not None
         with complete(path, folder=True) as partial:
             copy_case(case, partial)
@@ -385,7 +385,7 @@ def _find_folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
         return here, here
     # points alone are those of a time: the faces have the same place in the case's constant
     time = next(
-        (folder for folder in here.absolute().parents if _is_time(folder)), here.absolute().parent
+        (folder for folder in here.absolute().parents if is_time(folder)), here.absolute().parent
     )
     return here, time.parent / "constant" / here.absolute().relative_to(time)
 
@@ -414,7 +414,7 @@ def _note_other_times(content: CaseContent, here: pathlib.Path) -> Iterator[str]
         return
     times = [
         folder
-        for folder in filter(_is_time, case.iterdir())
+        for folder in filter(is_time, case.iterdir())
         if any((folder / content.place / name).is_file() for name in ("points", "points.gz"))
     ]
     if times:
@@ -437,7 +437,7 @@ def list_regions(folder: pathlib.Path) -> list[str]:
 
 
 def _hint_at_parts(path: pathlib.Path) -> str:
-    here = path if _is_time(path) else path / "constant"
+    here = path if is_time(path) else path / "constant"
     parts = sorted(path.glob("processor*"))
     if found := list_regions(here):
         return (
@@ -455,5 +455,5 @@ def _hint_at_parts(path: pathlib.Path) -> str:
     )
 
 
-def _is_time(path: pathlib.Path) -> bool:
+def is_time(path: pathlib.Path) -> bool:
     return re.fullmatch(r"\d+(\.\d*)?(e[+-]?\d+)?", path.name) is not None

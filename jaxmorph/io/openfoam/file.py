@@ -179,7 +179,7 @@ def load_file(folder: pathlib.Path, name: str) -> FoamFile:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
     header = {
         key: " ".join(values).strip('"')
-        for key, *values in _split_statements(_parse_nested(match[1]))
+        for key, *values in _split_statements(parse_nested(match[1]))
     }
     return FoamFile(path, raw, data, header, match.end())
 
@@ -219,7 +219,7 @@ Boundary = list[FoamPatch]
 
 def read_patches(file: FoamFile) -> Boundary:
     """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`."""
-    tree = _parse_nested(file.data[file.end :])
+    tree = parse_nested(file.data[file.end :])
     _refuse_directives(file, tree)
     stated = int(tree.pop(0)) if re.fullmatch(r"\d{1,19}", str(*tree[:1])) else None
     if tree[:1] != ["("]:
@@ -251,7 +251,7 @@ def _refuse_directives(file: FoamFile, words: list[Any]) -> None:
             )
 
 
-def _parse_nested(data: bytes) -> list[Any]:
+def parse_nested(data: bytes) -> list[Any]:
     """Lists the words of a text; those between braces are a list of their own."""
     stack: list[list[Any]] = [[]]
     for word in _WORD.findall(_COMMENT.sub(" ", decoded(data))):

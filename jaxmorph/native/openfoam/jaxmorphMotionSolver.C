@@ -1,22 +1,23 @@
 #include "jaxmorphMotionSolver.H"
-#include "addToRunTimeSelectionTable.H"
-#include "polyMesh.H"
+#include "fixedValueFvPatchFields.H"
+#include "processorPolyPatch.H"
+#include "syncTools.H"
 #include "valuePointPatchField.H"
+#include "volFields.H"
 
 #include "jmplan.h"
 
 #include <algorithm>
 #include <ctime>
-#include <vector>
 
 namespace Foam
 {
     defineTypeNameAndDebug(jaxmorphMotionSolver, 0);
-    addToRunTimeSelectionTable(motionSolver, jaxmorphMotionSolver, dictionary);
+    JM_SELECTABLE(jaxmorphMotionSolver);
 
     static const char* const HOW =
         "\n    Write the plan of this mesh, after decomposePar if the case is decomposed:"
-        "\n        jaxmorph export CASE --moving PATCH ... --fixed PATCH ...\n";
+        "\n        jaxmorph export CASE [--moving PATCH ...] [--fixed PATCH ...]\n";
 
     //- Keeps the value of higher precedence, of equal ones the smaller: processes agree to the last bit
     struct preferEqOp
@@ -36,26 +37,48 @@ namespace Foam
         return dynamic_cast<const valuePointPatchField<vector>*>(&field);
     }
 
-    //- Combines a list over all processes, each of which then has the result
-    template<class T, class CombineOp>
-    static void combine(List<T>& list, const CombineOp& op)
+    struct addToOp
     {
-        #if OPENFOAM >= 2406
-        Pstream::listCombineReduce(list, op);
-        #else
-        Pstream::listCombineGather(list, op);
-        Pstream::listCombineScatter(list);
-        #endif
+        void operator()(label& x, const label& y) const { x += y; }
+    };
+
+    struct eitherOp
+    {
+        void operator()(bool& x, const bool& y) const { x = x || y; }
+    };
+
+    //- The entries of jaxmorphCoeffs, or of the dictionary itself
+    static const dictionary& coeffsOf(const dictionary& dict)
+    {
+        return dict.isDict("jaxmorphCoeffs") ? dict.subDict("jaxmorphCoeffs") : dict;
+    }
+
+    static fileName planOf(const dictionary& dict)
+    {
+        fileName plan("constant/jaxmorph.plan");
+        coeffsOf(dict).readIfPresent("plan", plan);
+        return plan;
+    }
+
+    //- The number of patches that all processes have
+    static label nGlobalPatches(const polyMesh& mesh)
+    {
+        label n = 0;
+        forAll(boundaryOf(mesh), patchi)
+        {
+            n += !isA<processorPolyPatch>(boundaryOf(mesh)[patchi]);
+        }
+        return n;
     }
 }
 
 
 // * * * * * * * * * * * * * * * * The plan and the mesh * * * * * * * * * * * * * * * * //
 
-Foam::jaxmorphMotionSolver::jaxmorphMotionSolver(const polyMesh& mesh, const IOdictionary& dict)
+Foam::jaxmorphMotionSolver::jaxmorphMotionSolver(JM_PARAMETERS)
 :
-    displacementMotionSolver(mesh, dict, typeName),
-    file_(mesh.time().path()/coeffDict().getOrDefault<fileName>("plan", "constant/jaxmorph.plan")),
+    displacementBase(JM_ARGUMENTS, typeName),
+    file_(mesh.time().path()/planOf(dict)),
     plan_(jm_open(file_.c_str()), jm_close),
     points_(mesh.points())
 {
@@ -66,9 +89,16 @@ Foam::jaxmorphMotionSolver::jaxmorphMotionSolver(const polyMesh& mesh, const IOd
     readRows();
     checkPoints();
     findMoving();
+    affine_.reset(new affineFields(plan_.get(), wallAtRest()));
+    readFrame(coeffsOf(dict));
+    registerCellDisplacement();
     checkWall(wall());
     Info<< "jaxmorph: " << file_.name() << " moves the mesh by " << label(jm_moving(plan_.get())) << " points" << endl;
 }
+
+
+Foam::jaxmorphMotionSolver::~jaxmorphMotionSolver()
+{}
 
 
 void Foam::jaxmorphMotionSolver::readRows()
@@ -140,18 +170,102 @@ void Foam::jaxmorphMotionSolver::findMoving()
     {
         moving_[i] = number[row_[i]];
     }
-    patchMoving_.setSize(mesh().boundaryMesh().nNonProcessor(), 0);
+    patchMoving_.setSize(nGlobalPatches(mesh()), 0);
     patchPoints_.setSize(patchMoving_.size(), 0);
     forAll(patchMoving_, patchi)
     {
-        for (const label i : mesh().boundaryMesh()[patchi].meshPoints())
+        for (const label i : boundaryOf(mesh())[patchi].meshPoints())
         {
             patchMoving_[patchi] += moving_[i] >= 0;
             patchPoints_[patchi]++;
         }
     }
-    combine(patchMoving_, plusEqOp<label>());
-    combine(patchPoints_, plusEqOp<label>());
+    combine(patchMoving_, addToOp());
+    combine(patchPoints_, addToOp());
+}
+
+
+Foam::vectorField Foam::jaxmorphMotionSolver::wallAtRest() const
+{
+    const label d = jm_dimension(plan_.get());
+    List<wallValue> found(jm_moving(plan_.get()), wallValue(scalar(0)));
+    forAll(found, i)
+    {
+        const label node = jm_nodes(plan_.get())[i];
+        for (label k = 0; node >= 0 && k < d; k++)
+        {
+            found[i][0] = 1;
+            found[i][1 + k] = jm_rest(plan_.get())[d*node + k];
+        }
+    }
+    combine(found, preferEqOp());
+    vectorField wall(found.size());
+    forAll(wall, i)
+    {
+        wall[i] = vector(found[i][1], found[i][2], found[i][3]);
+    }
+    return wall;
+}
+
+
+void Foam::jaxmorphMotionSolver::readFrame(const dictionary& coeffs)
+{
+    if (!coeffs.isDict("frame"))
+    {
+        return;
+    }
+    const dictionary& dict = coeffs.subDict("frame");
+    frame_ = solidBodyMotionFunction::New(dict, mesh().time());
+    word name;
+    framed_.setSize(row_.size(), !dict.readIfPresent("cellZone", name));
+    bool found = name.empty();
+    forAll(mesh().cellZones(), zonei)
+    {
+        const labelList& cells = mesh().cellZones()[zonei];
+        const bool isMeant = mesh().cellZones()[zonei].name() == name;
+        found = found || isMeant;
+        for (label i = 0; isMeant && i < cells.size(); i++)
+        {
+            for (const label facei : mesh().cells()[cells[i]])
+            {
+                for (const label pointi : mesh().faces()[facei])
+                {
+                    framed_[pointi] = true;
+                }
+            }
+        }
+    }
+    if (!found)
+    {
+        FatalErrorInFunction << "the frame's cellZone " << name << " is not a zone of the mesh." << exit(FatalError);
+    }
+    syncTools::syncPointList(mesh(), framed_, eitherOp(), false);
+}
+
+
+void Foam::jaxmorphMotionSolver::registerCellDisplacement()
+{
+    const fvMesh* fv = dynamic_cast<const fvMesh*>(&mesh());
+    if (!fv)
+    {
+        return;
+    }
+    wordList types(boundaryOf(mesh()).size(), calculatedFvPatchVectorField::typeName);
+    forAll(patchMoving_, patchi)
+    {
+        if (patchMoving_[patchi] && valuesOf(pointDisplacement_.boundaryField()[patchi]))
+        {
+            types[patchi] = fixedValueFvPatchVectorField::typeName;
+        }
+    }
+    IOobject object
+    (
+        "cellDisplacement", pointDisplacement_.instance(), mesh(), IOobject::READ_IF_PRESENT, IOobject::NO_WRITE
+    );
+    cellDisplacement_.reset
+    (
+        new volVectorField(object, *fv, dimensionedVector(pointDisplacement_.dimensions(), Zero), types)
+    );
 }
 
 
@@ -160,6 +274,7 @@ void Foam::jaxmorphMotionSolver::findMoving()
 Foam::List<Foam::jaxmorphMotionSolver::wallValue> Foam::jaxmorphMotionSolver::wall() const
 {
     List<wallValue> given(jm_moving(plan_.get()), wallValue(scalar(0)));
+    const quaternion turn = frame_.valid() ? frame_->transformation().r() : quaternion::I;
     forAll(patchMoving_, patchi)
     {
         const valuePointPatchField<vector>* field = valuesOf(pointDisplacement_.boundaryField()[patchi]);
@@ -175,10 +290,12 @@ Foam::List<Foam::jaxmorphMotionSolver::wallValue> Foam::jaxmorphMotionSolver::wa
         {
             if (moving_[nodes[i]] >= 0)
             {
+                const bool isFramed = frame_.valid() && framed_[nodes[i]];
+                const vector value = isFramed ? turn.invTransform((*field)[i]) : (*field)[i];
                 wallValue u(precedence);
                 forAll(axes_, k)
                 {
-                    u[1 + k] = (*field)[i][k];
+                    u[1 + k] = value[k];
                 }
                 preferEqOp()(given[moving_[nodes[i]]], u);
             }
@@ -205,14 +322,18 @@ void Foam::jaxmorphMotionSolver::checkWall(const List<wallValue>& given) const
     {
         if (patchMoving_[patchi] && !valuesOf(pointDisplacement_.boundaryField()[patchi]))
         {
-            const polyPatch& patch = mesh().boundaryMesh()[patchi];
+            const polyPatch& patch = boundaryOf(mesh())[patchi];
             patches << "\n        " << patch.name() << ", of type "
                 << pointDisplacement_.boundaryField()[patchi].type();
         }
     }
     FatalErrorInFunction << missing << " of the " << given.size() << " points that the plan moves have no displacement."
         << " Of the patches that hold some of them these have no values in pointDisplacement:" << patches.str().c_str()
-        << "\n    Give the walls a type with values, such as fixedValue, or write the plan without them." << HOW
+        << "\n    Give the walls a type with values, or write the plan without them. Types with values are"
+        << "\n        fixedValue, for walls that preCICE or rigidBodyMotionSolver moves;"
+        << "\n        sixDoFRigidBodyDisplacement and uncoupledSixDoFRigidBodyDisplacement, for a body with six degrees of"
+        << "\n        freedom: in place of the motionSolver sixDoFRigidBodyMotion, whose walls are calculated;"
+        << "\n        angularOscillatingDisplacement, uniformFixedValue and others, for a given motion." << HOW
         << exit(FatalError);
 }
 
@@ -237,7 +358,7 @@ void Foam::jaxmorphMotionSolver::checkBoundary() const
         if (worst > 1e-9*size)
         {
             FatalErrorInFunction << "pointDisplacement and the plan differ by up to " << worst
-                << " on patch " << mesh().boundaryMesh()[patchi].name() << ", which the plan does not move."
+                << " on patch " << boundaryOf(mesh())[patchi].name() << ", which the plan does not move."
                 << "\n    Give the patch a fixedValue of zero if the plan holds it fixed, a type without values,"
                 << " such as slip, if its points may slide, or write a plan that moves it." << HOW << exit(FatalError);
         }
@@ -266,7 +387,7 @@ void Foam::jaxmorphMotionSolver::solve()
     checkWall(given);
 
     const std::clock_t start = std::clock();
-    std::vector<double> u(d*given.size()), out(d*jm_count(plan_.get()));
+    std::vector<double> u(d*given.size());
     forAll(given, i)
     {
         for (label k = 0; k < d; k++)
@@ -274,10 +395,24 @@ void Foam::jaxmorphMotionSolver::solve()
             u[d*i + k] = given[i][1 + axes_[k]];
         }
     }
-    if (jm_deform(plan_.get(), u.data(), out.data()))
+    if (moved_.empty() || u != u_)
     {
-        FatalErrorInFunction << "not enough memory" << exit(FatalError);
+        moved_.resize(d*jm_count(plan_.get()));
+        if (!affine_->move(u, moved_) && jm_deform(plan_.get(), u.data(), moved_.data()))
+        {
+            FatalErrorInFunction << "not enough memory" << exit(FatalError);
+        }
+        u_.swap(u);
     }
+    placePoints();
+    checkBoundary();
+    Info<< "jaxmorph: mesh moved in " << scalar(std::clock() - start)/CLOCKS_PER_SEC << " s" << endl;
+}
+
+
+void Foam::jaxmorphMotionSolver::placePoints()
+{
+    const label d = jm_dimension(plan_.get());
     const double* rest = jm_rest(plan_.get());
     forAll(points_, i)
     {
@@ -287,10 +422,22 @@ void Foam::jaxmorphMotionSolver::solve()
             // where points0 has fewer digits than the plan, it moves as far as the plan's point
             const label j = d*row_[i] + k;
             scalar& x = points_[i][axes_[k]];
-            x = x == rest[j] ? out[j] : x + (out[j] - rest[j]);
+            x = x == rest[j] ? moved_[j] : x + (moved_[j] - rest[j]);
         }
     }
     pointDisplacement_.primitiveFieldRef() = points_ - points0();
-    checkBoundary();
-    Info<< "jaxmorph: mesh moved in " << scalar(std::clock() - start)/CLOCKS_PER_SEC << " s" << endl;
+    if (!frame_.valid())
+    {
+        return;
+    }
+    const septernion motion = frame_->transformation();
+    vectorField& displacement = pointDisplacement_.primitiveFieldRef();
+    forAll(points_, i)
+    {
+        if (framed_[i])
+        {
+            points_[i] = motion.r().transform(points_[i] - motion.t());
+            displacement[i] = motion.r().transform(displacement[i]);
+        }
+    }
 }
