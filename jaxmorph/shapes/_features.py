@@ -76,6 +76,17 @@ def borders_of(wall: Facets, symmetry: Planes) -> Borders:
     return tuple((plane, rim[np.abs(plane.height(x[rim])) <= slack]) for plane in planes)
 
 
+def normals_beside(borders: Borders, wall: Facets) -> Positions:
+    """Computes unit normals (m, d) at a wall's nodes, within the planes where its border stays."""
+    normals = wall.normals()
+    for plane, rows in borders:
+        normal = jnp.asarray(plane.normal, normals.dtype)
+        own = normals[rows]
+        own = own - jnp.matmul(own, normal, precision="highest")[:, None] * normal[None]
+        normals = normals.at[rows].set(own / jnp.linalg.norm(own, axis=1)[:, None])
+    return normals
+
+
 def height_of(x: Positions, plane: Plane) -> Column:
     normal, origin = (jnp.asarray(vector, x.dtype) for vector in (plane.normal, plane.origin))
     return jnp.matmul(x - origin[None], normal, precision="highest")
