@@ -28,8 +28,14 @@ HALF = ELLIPSE[: COUNT // 2 + 1]  # ends on the axis
 ARC = SEGMENTS[: COUNT // 2]
 
 MEASURES = {
-    "area of revolution": (lambda x: shapes.area_of_revolution(x, ARC, AXIS), HALF + [0, 1]),
-    "volume of revolution": (lambda x: shapes.volume_of_revolution(x, ARC, AXIS), HALF + [0, 1]),
+    "area of revolution": (
+        lambda x: shapes.area_of_revolution(x, ARC, AXIS),
+        HALF + np.array([0, 1]),
+    ),
+    "volume of revolution": (
+        lambda x: shapes.volume_of_revolution(x, ARC, AXIS),
+        HALF + np.array([0, 1]),
+    ),
     "area": (lambda x: shapes.area(x, LOOP), ELLIPSE),
     "centroid": (lambda x: shapes.centroid(x, LOOP), ELLIPSE),
     "chord": (lambda x: shapes.chord(x, 200, [0, 399]), ELLIPSE),
@@ -99,7 +105,7 @@ def test_a_wall_that_turns_around_an_axis():
     np.testing.assert_allclose(area(ball, ARC, AXIS), 16 * np.pi, rtol=1e-4)
     inner = shapes.area(ELLIPSE, LOOP)
     np.testing.assert_allclose(  # Pappus
-        volume(ELLIPSE + [0, 3], SEGMENTS, AXIS), 2 * np.pi * 3 * inner, rtol=1e-12
+        volume(ELLIPSE + np.array([0, 3]), SEGMENTS, AXIS), 2 * np.pi * 3 * inner, rtol=1e-12
     )
 
 

@@ -44,8 +44,8 @@ class Plane(Module):
         length = np.linalg.norm(normal)
         if normal.shape != origin.shape or not length > 0:
             raise ValueError(
-                "`Plane(normal, origin)`: the normal comes first, and is not zero; the origin has as "
-                f"many components, got {normal}, {origin}."
+                "`Plane(normal, origin)`: the normal comes first, and is not zero; the origin has "
+                f"as many components, got {normal}, {origin}."
             )
         self.normal = freeze(normal / length)
         self.origin = freeze(origin)

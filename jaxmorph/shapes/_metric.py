@@ -10,7 +10,7 @@ from scipy import sparse
 from jaxmorph import Facets
 from jaxmorph.extend import checked
 
-from ._arguments import Column, Numbers, Positions
+from ._arguments import Column, Numbers
 from ._features import Borders, Planes, borders_of, normals_beside
 from ._shape import AbstractLinearShape, Move
 from ._smooth import Smoother, factored
