@@ -177,6 +177,10 @@ def test_warnings_are_said_once(shims, programs):
     assert call(shims, "SU2_DOT_AD").stderr == "three\n"
     assert call(shims, "SU2_DEF").stderr == ""
     su2.write_shims(shims, programs=programs)
+    stand_in(shims, 'echo "jaxmorph su2: warning: $6: four" >&2')
+    assert call(shims, "SU2_DEF", "a.cfg").stderr == "jaxmorph su2: warning: four\n"
+    assert call(shims, "SU2_DOT", "b.cfg").stderr == ""
+    su2.write_shims(shims, programs=programs)
     stand_in(shims, "echo one >&2; exit 1")
     assert call(shims, "SU2_DEF").stderr == "one\n"
     assert call(shims, "SU2_DEF").stderr == "one\n"  # what failed is always told
@@ -226,7 +230,7 @@ class Loop:
 def test_a_loop_of_shape_optimization(shims, tmp_path):
     """The gradient that SU2's scripts read is the difference of the values that they read; warnings come once."""
     loop = Loop(tmp_path, shims)
-    values = [0.01, -0.005]
+    values = [1e-4, -2e-4]  # the projection is that of the deformed mesh, as SU2's is
     loop.value(values)
     assert loop.errors == ""  # of the solver, the last that ran
     said = (shims / "warnings.txt").read_text()

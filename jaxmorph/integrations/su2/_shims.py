@@ -21,14 +21,14 @@ SCRIPT = """\
 # Of several processes the first does the work.
 rank=${{OMPI_COMM_WORLD_RANK:-${{PMI_RANK:-${{PMIX_RANK:-${{SLURM_PROCID:-0}}}}}}}}
 [ "$rank" = 0 ] || exit 0
-# Warnings are said once: those in this file were.
+# Warnings are said once, whatever the config file is called: those in this file were.
 said=$(dirname "$0")/warnings.txt
 touch "$said" 2>/dev/null || said=/dev/null
 errors=$(mktemp) || exit 3
 {python} -P -m jaxmorph su2 {action} "$@" 2>"$errors"
 status=$?
 if [ $status = 0 ]; then
-    grep -vxFf "$said" "$errors" | tee -a "$said" >&2
+    sed "s|warning: $1: |warning: |" "$errors" | grep -vxFf "$said" | tee -a "$said" >&2
 else
     cat "$errors" >&2
 fi
