@@ -142,7 +142,7 @@ def test_a_finer_wall_takes_no_more_steps():
 test_bad_input_is_refused = refusals(
     (lambda wall: shapes.SobolevMetric(wall, -1.0), "length"),
     (lambda wall: shapes.SobolevMetric(wall, 0.1, held=[40]), "held"),
-    (lambda wall: shapes.SobolevMetric(wall, 0.1).heights(np.zeros(3)), r"needs \(40,\)"),
+    (lambda wall: shapes.SobolevMetric(wall, 0.1).heights(np.zeros(3)), "q"),
     (
         lambda wall: shapes.SobolevMetric(wall, 0.1, symmetry=jm.Plane([0, 1, 0], [0, 0, 0])),
         "the wall is in 2-D, a plane in 3-D",

@@ -29,7 +29,7 @@ from ._way import (
 
 def run_su2(request: SU2, out: Output) -> int:
     if request.action == "shims":
-        return _write_shims(request, out)
+        return _make_shims(request, out)
     if request.action == "def":
         options = su2.read_options(request.file)
         io.check_output(request.output or options.output, options.mesh_file)
@@ -54,7 +54,7 @@ def run_su2(request: SU2, out: Output) -> int:
         )
 
 
-def _write_shims(request: SU2, out: Output) -> int:
+def _make_shims(request: SU2, out: Output) -> int:
     links = su2.write_shims(request.file)
     out.say(f"{request.file}: SU2_DEF, SU2_DOT and SU2_DOT_AD by jaxmorph", links=list(links))
     others = ", ".join(links) or "none was found, for neither SU2_RUN nor the path has SU2_CFD"

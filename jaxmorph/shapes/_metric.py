@@ -10,10 +10,10 @@ from scipy import sparse
 from jaxmorph import Facets
 from jaxmorph.extend import checked
 
-from ._arguments import Column, Numbers
+from ._arguments import Column, Numbers, vector
 from ._features import Borders, Planes, borders_of, normals_beside
 from ._shape import AbstractLinearShape, Move
-from ._smooth import Smoother, factored
+from ._smooth import Smoother, matrix_of, solve_along, symmetric_factors
 
 
 class SobolevMetric(AbstractLinearShape):
@@ -21,8 +21,7 @@ class SobolevMetric(AbstractLinearShape):
 
     The Euclidean length of the variables (m,) is the Sobolev norm of the heights h: |q|^2 is the
     wall's mean of h^2 + length^2 |grad h|^2. A gradient by the variables is thus a Sobolev
-    gradient, and an optimiser that starts from an identity takes as many steps on a fine wall as on
-    a coarse one.
+    gradient, and an optimiser takes about as many steps on a fine wall as on a coarse one.
 
         metric = shapes.SobolevMetric(jm.Facets.of(mesh, "body"), 0.3, symmetry=axis)
         u = shapes.displacement(metric, plan, q)
@@ -55,7 +54,7 @@ class SobolevMetric(AbstractLinearShape):
         points = np.asarray(wall.points, float)
         smoother = Smoother(points, np.asarray(wall.faces), length, held=held)
         # h = A^-1 C q with A = C C^T: then |q|^2 = h^T A h, and a solve with A is all it needs
-        root = _root_of(smoother.matrix()).tocoo()
+        root = _root_of(matrix_of(smoother)).tocoo()
         self.rows = jnp.asarray(root.row)
         self.columns = jnp.asarray(root.col)
         self.values = jnp.asarray(root.data * np.sqrt(np.sum(smoother.masses)))
@@ -70,14 +69,14 @@ class SobolevMetric(AbstractLinearShape):
 
     def heights(self, q: Numbers) -> Column:
         """Computes the heights (m,) of variables (m,)."""
-        q = self._numbers(q, self.wall.points)
+        q = vector("q", q, jnp.asarray(self.wall.points), self.neutral().shape)
         spread = jnp.zeros_like(q).at[self.rows].add(self.values.astype(q.dtype) * q[self.columns])
         free = self.smoother.free.astype(q.dtype)
-        return free * self.smoother.solved(free[:, None] * spread[:, None])[:, 0]
+        return free * solve_along(self.smoother, free[:, None] * spread[:, None])[:, 0]
 
 
 def _root_of(matrix: Any) -> Any:
     """Computes C of a positive definite matrix C C^T; C is sparse, and triangular up to rows."""
-    factors = factored(matrix)
+    factors = symmetric_factors(matrix)
     diagonal = sparse.diags(np.sqrt(factors.U.diagonal()))
     return (factors.L @ diagonal).tocsr()[factors.perm_r]

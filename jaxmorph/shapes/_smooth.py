@@ -72,7 +72,7 @@ class Smoother(AbstractLinearShape):
         free[held] = 0
         mask = sparse.diags(free)
         matrix = (mask @ (length**2 * stiffness) @ mask + sparse.diags(masses)).tocoo()
-        self.solve = factored(matrix).solve
+        self.solve = symmetric_factors(matrix).solve
         self.dimension = known.shape[1]
         self.masses = jnp.asarray(masses)
         self.free = jnp.asarray(free)
@@ -102,36 +102,39 @@ class Smoother(AbstractLinearShape):
         """Filters displacements (m, d)."""
         u = positions(u, "u")
         free = self.free.astype(u.dtype)[:, None]
-        return free * self.solved(self.masses.astype(u.dtype)[:, None] * free * u)
+        return free * solve_along(self, self.masses.astype(u.dtype)[:, None] * free * u)
 
     def sensitivities(self, gradient: Numbers) -> Positions:
         """Filters sensitivities dJ/d(position) of the nodes: the transpose."""
         gradient = positions(gradient, "gradient")
         free = self.free.astype(gradient.dtype)[:, None]
-        return free * self.masses.astype(gradient.dtype)[:, None] * self.solved(free * gradient)
-
-    def matrix(self) -> Any:
-        """Returns M + length^2 K (m, m), without the held rows' stiffness."""
-        return sparse.coo_matrix((self.values, (self.rows, self.columns)))
-
-    def solved(self, right: Float[Array, "m k"]) -> Float[Array, "m k"]:
-        """Solves (M + length^2 K) v = right."""
-
-        def product(v):
-            return (
-                jnp.zeros_like(v)
-                .at[self.rows]
-                .add(self.values.astype(v.dtype)[:, None] * v[self.columns])
-            )
-
-        def solve(_, b):
-            in_double = lambda right: self.solve(np.asarray(right, float))  # noqa: E731
-            return host_call(in_double, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
-
-        return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+        masses = self.masses.astype(gradient.dtype)[:, None]
+        return free * masses * solve_along(self, free * gradient)
 
 
-def factored(matrix: Any) -> Any:
+def matrix_of(smoother: Smoother) -> Any:
+    """Returns M + length^2 K (m, m), without the held rows' stiffness."""
+    return sparse.coo_matrix((smoother.values, (smoother.rows, smoother.columns)))
+
+
+def solve_along(smoother: Smoother, right: Float[Array, "m k"]) -> Float[Array, "m k"]:
+    """Solves (M + length^2 K) v = right."""
+
+    def product(v):
+        return (
+            jnp.zeros_like(v)
+            .at[smoother.rows]
+            .add(smoother.values.astype(v.dtype)[:, None] * v[smoother.columns])
+        )
+
+    def solve(_, b):
+        in_double = lambda right: smoother.solve(np.asarray(right, float))  # noqa: E731
+        return host_call(in_double, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
+
+    return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+
+
+def symmetric_factors(matrix: Any) -> Any:
     """Factors a symmetric matrix that is positive definite, its rows permuted as its columns."""
     options = {"SymmetricMode": True}
     return splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)

@@ -11,7 +11,7 @@ from jaxmorph.extend import checked, complete
 ACTIONS = {"SU2_DEF": "def", "SU2_DOT": "dot", "SU2_DOT_AD": "dot"}
 """The programs that jaxmorph stands in for, and its own commands."""
 
-MARK = "by jaxmorph"
+SHIM_MARK = "by jaxmorph"
 
 # SU2's scripts run `mpirun -n N FOLDER/SU2_DEF config_DEF.cfg`, read the errors when all is done,
 # and take status 1 for a failed evaluation, 2 for a flow that diverged.
@@ -59,13 +59,13 @@ def write_shims(
     source = _find_programs(folder, programs)
     for name in ACTIONS:
         file = folder / name
-        if os.path.lexists(file) and MARK.encode() not in file.read_bytes()[:200]:
+        if os.path.lexists(file) and SHIM_MARK.encode() not in file.read_bytes()[:200]:
             raise ValueError(f"{file} is a program of SU2: give a folder of its own.")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "warnings.txt").unlink(missing_ok=True)
     for name, action in ACTIONS.items():
         text = SCRIPT.format(
-            name=name, mark=MARK, action=action, python=shlex.quote(sys.executable)
+            name=name, mark=SHIM_MARK, action=action, python=shlex.quote(sys.executable)
         )
         with complete(folder / name) as partial:
             partial.write_text(text, encoding="utf-8")
