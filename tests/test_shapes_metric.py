@@ -102,6 +102,21 @@ def test_the_border_stays_on_its_plane():
     np.testing.assert_allclose(kept[1:-1], free[1:-1], atol=1e-14)
 
 
+def test_nodes_at_one_place_stay_together():
+    """A ring that is cut at a node, as a wall at a sharp trailing edge may be, moves as the whole one."""
+    whole = ring()
+    points = np.concatenate([np.asarray(whole.points), np.asarray(whole.points)[:1]])
+    ids = np.arange(40)
+    cut = jm.Facets(points, np.column_stack([ids, ids + 1]))
+    metric = shapes.SobolevMetric(cut, 0.5)
+    q = np.random.default_rng(0).normal(size=40)
+    assert metric.neutral().shape == (40,)
+    h = np.asarray(metric.heights(q))
+    assert h.shape == (41,)
+    assert h[40] == h[0]
+    np.testing.assert_allclose(norm_of(whole, h[:40], 0.5), q @ q, rtol=1e-11)
+
+
 def test_heights_do_not_depend_on_the_numbering():
     wall, length = WALLS["ball"], 0.4
     g = np.random.default_rng(0).normal(size=len(wall.points))

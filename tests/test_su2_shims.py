@@ -130,6 +130,11 @@ def test_the_command_finds_the_programs(programs, tmp_path, capsys, monkeypatch)
     monkeypatch.setenv("PATH", str(programs))
     assert "SU2_CFD, SU2_CFD_AD" in printed(capsys, ["su2", "shims", str(tmp_path / "b")])
     assert (tmp_path / "b" / "SU2_CFD").resolve() == programs / "SU2_CFD"
+    monkeypatch.setenv("PATH", str(tmp_path / "b"))
+    assert "SU2_CFD, SU2_CFD_AD" in printed(capsys, ["su2", "shims", str(tmp_path / "b")])
+    (tmp_path / "b" / "warnings.txt").touch()
+    assert su2.write_shims(tmp_path / "d", programs=tmp_path / "b") == ("SU2_CFD", "SU2_CFD_AD")
+    assert not (tmp_path / "d" / "warnings.txt").exists()
     refused(capsys, ["su2", "shims", str(programs)], "is a program of SU2")
     words = ["su2", "shims", str(tmp_path / "c"), "--method", "rbf"]
     refused(capsys, words, "su2 shims takes a folder alone")

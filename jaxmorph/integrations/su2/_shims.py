@@ -13,6 +13,8 @@ ACTIONS = {"SU2_DEF": "def", "SU2_DOT": "dot", "SU2_DOT_AD": "dot"}
 
 SHIM_MARK = "by jaxmorph"
 
+WARNINGS = "warnings.txt"
+
 # SU2's scripts run `mpirun -n N FOLDER/SU2_DEF config_DEF.cfg`, read the errors when all is done,
 # and take status 1 for a failed evaluation, 2 for a flow that diverged.
 SCRIPT = """\
@@ -22,7 +24,7 @@ SCRIPT = """\
 rank=${{OMPI_COMM_WORLD_RANK:-${{PMI_RANK:-${{PMIX_RANK:-${{SLURM_PROCID:-0}}}}}}}}
 [ "$rank" = 0 ] || exit 0
 # Warnings are said once, whatever the config file is called: those in this file were.
-said=$(dirname "$0")/warnings.txt
+said=$(dirname "$0")/{warnings}
 touch "$said" 2>/dev/null || said=/dev/null
 errors=$(mktemp) || exit 3
 {python} -P -m jaxmorph su2 {action} "$@" 2>"$errors"
@@ -62,16 +64,20 @@ def write_shims(
         if os.path.lexists(file) and SHIM_MARK.encode() not in file.read_bytes()[:200]:
             raise ValueError(f"{file} is a program of SU2: give a folder of its own.")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "warnings.txt").unlink(missing_ok=True)
+    (folder / WARNINGS).unlink(missing_ok=True)
     for name, action in ACTIONS.items():
         text = SCRIPT.format(
-            name=name, mark=SHIM_MARK, action=action, python=shlex.quote(sys.executable)
+            name=name,
+            mark=SHIM_MARK,
+            warnings=WARNINGS,
+            action=action,
+            python=shlex.quote(sys.executable),
         )
         with complete(folder / name) as partial:
             partial.write_text(text, encoding="utf-8")
             partial.chmod(0o755)
-    others = sorted(set(source.iterdir() if source else ()), key=lambda file: file.name)
-    links = [file for file in others if file.name not in ACTIONS]
+    own = {*ACTIONS, WARNINGS}
+    links = sorted(file for file in (source.iterdir() if source else ()) if file.name not in own)
     for file in links:
         link = folder / file.name
         if link.is_symlink():
@@ -89,8 +95,10 @@ def _find_programs(
         if not source.is_dir():
             raise ValueError(f"{source}: `programs` is no folder.")
         return source
-    found = shutil.which("SU2_CFD")
-    places = [os.environ.get("SU2_RUN"), found and os.path.dirname(found)]
+    places = [os.environ.get("SU2_RUN")]
+    for solver in (shutil.which("SU2_CFD"), folder / "SU2_CFD"):  # the latter of an earlier call
+        if solver is not None and os.path.exists(solver):
+            places += [os.path.dirname(solver), os.path.dirname(os.path.realpath(solver))]
     for place in filter(None, places):
         source = pathlib.Path(place).absolute()
         if source.is_dir() and source != folder:
