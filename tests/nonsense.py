@@ -36,7 +36,7 @@ jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 CONTRACT = words("""
 __call__ altered among apply at beside boxes carry carry_place check check_mesh check_surface chosen closest connect control correct
 coordinates dense_count DesignedMesh.points DesignedMesh.ratios
-entries equals evaluate field fit fixed_reduction given guarded has_free_sides height holds init iterative
+entries equals evaluate field fit fixed_reduction given guarded has_free_sides height heights holds init iterative
 lattice local masses matched neutral of_surface offset once pairs place places_of raise_if_inverted raise_if_singular raise_if_unproven
 judged reach reduced reduction renumbered rows RBF.through sensitivities slope sources step type_of value walls weights with_faces
 """)
@@ -279,6 +279,11 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.Part": {"mask": np.ones(4, bool)},
     "shapes.ReferenceAxis": {"points": np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])},
     **each("shapes.Smoother shapes.Smoother.on", {"held": np.array([0])}),
+    "shapes.SobolevMetric": {"wall": FACETS, "held": np.array([0])},
+    **each(
+        "shapes.area_of_revolution shapes.volume_of_revolution",
+        {"x": SQUARE, "axis": jm.Plane([0.0, 1.0], [0.0, 0.0])},
+    ),
     "shapes.Stations.on": {"points": np.array([[0.5, 0.0]]), "direction": np.array([0.0, 1.0])},
     "shapes.Together": {"*": BOX},
     "shapes.bend": {"along": np.array([1.0, 0.0])},
@@ -349,7 +354,7 @@ EXTRA: dict[str, dict[str, Any]] = {
     **each("mesh moved before", {"plan": plan, "empty": Lazy(lambda: jm.Mesh(np.zeros((0, 2))))}),
     **each("jm.prepare.mesh jm.Boundary.mesh", {"far": POINTS + 1e300}),
     **each(
-        "ridge inner shapes.Smoother.length shapes.Smoother.on.length",
+        "ridge inner shapes.Smoother.length shapes.Smoother.on.length shapes.SobolevMetric.length",
         {"negative": -1.0, "infinite": np.inf},
     ),
     **each("jm.Multiscale.whole.fraction jm.Iterative.tolerance", POSITIVE | {"beyond": 1.5}),

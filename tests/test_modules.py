@@ -17,6 +17,7 @@ BOX = shapes.FreeForm([0.0, 0.0], np.eye(2), (3, 3))
 CONTROL = 0.1 * np.ones((3, 3, 2))
 RING = np.stack([np.arange(12), np.roll(np.arange(12), -1)], axis=1)
 SMOOTHER = shapes.Smoother(X, RING, 0.1)
+METRIC = shapes.SobolevMetric(jm.Facets(X, RING), 0.1)
 AIRFOIL = shapes.NACA4(0.02, 0.4, 0.12)
 AXIS = shapes.ReferenceAxis([[0, 0, 0], [0, 1, 0]])
 CALLS = {
@@ -27,6 +28,8 @@ CALLS = {
     "smoother": lambda: (SMOOTHER, X, X),
     "apply": lambda: (SMOOTHER.apply, X),
     "sensitivities": lambda: (SMOOTHER.sensitivities, X),
+    "metric": lambda: (METRIC, X, X[:, 0]),
+    "heights": lambda: (METRIC.heights, X[:, 0]),
     "naca": lambda: (AIRFOIL, X, np.array([0.03, 0.4, 0.1])),
     "axis": lambda: (AXIS, np.c_[X, X[:, 0]], {"twist": np.array([0.0, 0.1])}),
     "part": lambda: (shapes.Part(shapes.HicksHenne([0.3]), X[:, 1] > 0.5), X, np.ones(1)),

@@ -9,7 +9,7 @@ from runs import over, refusals
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
-from jaxmorph import shapes
+from jaxmorph import cases, shapes
 
 COUNT = 400
 ANGLE = 2 * np.pi * np.arange(COUNT) / COUNT
@@ -23,7 +23,19 @@ on = shapes.Stations.on
 LINES = shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.25, 0.0], [0.5, 0.0]], [0.0, 1.0])
 LINES3 = shapes.Stations.on(BALL, FACES, [[0.1, 0.2, 0.0]], [0.0, 0.1, 1.0])
 
+AXIS = jm.Plane([0, 1], [0, 0])
+HALF = ELLIPSE[: COUNT // 2 + 1]  # ends on the axis
+ARC = SEGMENTS[: COUNT // 2]
+
 MEASURES = {
+    "area of revolution": (
+        lambda x: shapes.area_of_revolution(x, ARC, AXIS),
+        HALF + np.array([0, 1]),
+    ),
+    "volume of revolution": (
+        lambda x: shapes.volume_of_revolution(x, ARC, AXIS),
+        HALF + np.array([0, 1]),
+    ),
     "area": (lambda x: shapes.area(x, LOOP), ELLIPSE),
     "centroid": (lambda x: shapes.centroid(x, LOOP), ELLIPSE),
     "chord": (lambda x: shapes.chord(x, 200, [0, 399]), ELLIPSE),
@@ -75,6 +87,37 @@ def test_volumes_of_boxes_and_balls():
     np.testing.assert_allclose(shapes.volume(corners, open_below, [0, 0, 0]), 6, rtol=1e-13)
 
 
+def test_a_wall_that_turns_around_an_axis():
+    """Cones, cylinders, a sphere and a torus; whichever way the normal looks, and wherever the axis is."""
+    volume, area = shapes.volume_of_revolution, shapes.area_of_revolution
+    cone = np.array([[3.0, 0.0], [3.0, 2.0], [0.0, 0.0]])
+    sides = np.array([[0, 1], [1, 2]])
+    turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    for normal in ([0.0, 1.0], [0.0, -5.0]):
+        axis = jm.Plane(np.array(normal) @ turn, np.array([7.0, 0.0]) @ turn + 1)
+        x = cone @ turn + 1
+        np.testing.assert_allclose(volume(x, sides, axis), 4 * np.pi, rtol=1e-13)
+        np.testing.assert_allclose(volume(x, sides[:, ::-1], axis), -4 * np.pi, rtol=1e-13)
+        slant = np.pi * 2 * np.sqrt(13)
+        np.testing.assert_allclose(area(x, sides, axis), 4 * np.pi + slant, rtol=1e-13)
+    ball = 2 * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])[: COUNT // 2 + 1]
+    np.testing.assert_allclose(volume(ball, ARC, AXIS), 32 / 3 * np.pi, rtol=1e-4)
+    np.testing.assert_allclose(area(ball, ARC, AXIS), 16 * np.pi, rtol=1e-4)
+    inner = shapes.area(ELLIPSE, LOOP)
+    np.testing.assert_allclose(  # Pappus
+        volume(ELLIPSE + np.array([0, 3]), SEGMENTS, AXIS), 2 * np.pi * 3 * inner, rtol=1e-12
+    )
+
+
+def test_a_body_in_a_mesh_has_a_positive_volume_of_revolution():
+    mesh = cases.naca0015(points=300)
+    upper = mesh.points + np.array([0, 2.0])
+    wall = jm.Facets.of(mesh.moved(upper), "airfoil")
+    volume = shapes.volume_of_revolution(wall.points, wall.faces, AXIS)
+    area = shapes.area(upper, shapes.wall_loop(mesh, "airfoil"))
+    np.testing.assert_allclose(volume, 4 * np.pi * area, rtol=1e-6)
+
+
 def test_the_loop_of_a_patch(tmp_path):
     mesh = write_ring(tmp_path / "ring.su2")
     loop = shapes.wall_loop(mesh, "wall")
@@ -93,6 +136,9 @@ def test_thickness_follows_a_moved_wall():
 
 
 test_bad_input_is_refused = refusals(
+    (lambda: shapes.volume_of_revolution(BALL, FACES, AXIS), "a wall in 3-D has a `volume`"),
+    (lambda: shapes.area_of_revolution(ELLIPSE, SEGMENTS, AXIS), "both sides of the axis"),
+    (lambda: shapes.area_of_revolution(ELLIPSE, FACES, AXIS), r"walls in 2-D have \(k, 2\)"),
     (lambda: shapes.area(BALL, LOOP), "expected"),
     (lambda: shapes.volume(ELLIPSE, FACES), "expected"),
     (

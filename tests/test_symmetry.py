@@ -331,8 +331,8 @@ def upper(normal, shift):
 
 
 test_what_is_not_a_symmetry_plane = refusals(
-    (lambda: jm.Plane([0, 0], [0, 0]), "a plane needs a normal that is not zero"),
-    (lambda: jm.Plane([1, 0], [0, 0, 0]), "a plane needs a normal that is not zero"),
+    (lambda: jm.Plane([0, 0], [0, 0]), "the normal comes first, and is not zero"),
+    (lambda: jm.Plane([1, 0], [0, 0, 0]), "the normal comes first, and is not zero"),
     (whole(([0, 0, 1], [0, 0, 0])), "normal has 3 components; the mesh has 2 dimensions"),
     (whole(([1, 0], [0, 0]), ([1, 1], [0, 0])), "parallel or at right angles"),
     (

@@ -44,8 +44,8 @@ class Plane(Module):
         length = np.linalg.norm(normal)
         if normal.shape != origin.shape or not length > 0:
             raise ValueError(
-                "a plane needs a normal that is not zero and an origin of as many components, "
-                f"got {normal}, {origin}."
+                "`Plane(normal, origin)`: the normal comes first, and is not zero; the origin has "
+                f"as many components, got {normal}, {origin}."
             )
         self.normal = freeze(normal / length)
         self.origin = freeze(origin)

@@ -13,6 +13,7 @@ from jaxmorph.io.kinds import is_folder
 
 from ._job import job_of
 from ._parser import (
+    ConfigFile,
     Folder,
     MeshFile,
     NewMesh,
@@ -109,9 +110,10 @@ CHECKS: dict[Any, Callable[[Path], Any]] = {
     Written: output_path,
     Picture: lambda path: output_path(path, ".png"),
     Folder: _check_folder,
+    ConfigFile: lambda path: None,
 }
 
-INPUTS = (Path, MeshFile)
+INPUTS = (Path, MeshFile, ConfigFile)
 OUTPUTS = (NewMesh, Written, Picture, Folder)
 
 
@@ -199,6 +201,11 @@ def _check_export(request: ExportRequest, *_: Files) -> None:
 
 
 def _check_su2(request: SU2, *_: Files) -> None:
+    if request.action == "shims":
+        if request != SU2(speech=request.speech, action="shims", file=request.file):
+            raise ValueError("su2 shims takes a folder alone.")
+        return
+    input_path(request.file).stat()
     if request.action == "def" and request.sensitivity is not None:
         raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
     if request.action == "dot" and request.picture is not None:

@@ -215,7 +215,8 @@ example:
     "su2": Page(
         "do what SU2_DEF and SU2_DOT do, from SU2's config file",
         """def CONFIG [METHOD ...]
-       jaxmorph su2 dot CONFIG [--sensitivity SENS]""",
+       jaxmorph su2 dot CONFIG [--sensitivity SENS]
+       jaxmorph su2 shims FOLDER""",
         """\
 The config file gives design variables, markers, steps and file names:
 DV_KIND, DV_PARAM, DV_VALUE, DV_MARKER, MARKER_SYM, DEFORM_NONLINEAR_ITER,
@@ -226,13 +227,18 @@ jaxmorph does not know is an error.
 def writes the mesh, and with it the boxes of the file with their control points
 moved; DV_KIND= FFD_SETTING writes the boxes of FFD_DEFINITION into it. dot
 writes GRAD_OBJFUNC_FILENAME: the derivatives at the mesh as it is, from the
-first file that is there of SOLUTION_ADJ_FILENAME, VOLUME_SENS_FILENAME and
-SURFACE_SENS_FILENAME.
+first file that is there of SOLUTION_ADJ_FILENAME, VOLUME_SENS_FILENAME,
+SURFACE_SENS_FILENAME and RESTART_ADJ_FILENAME.
+
+shims writes a folder for SU2_RUN: shape_optimization.py and other scripts then
+run jaxmorph where they call SU2_DEF, SU2_DOT and SU2_DOT_AD. All else in
+SU2_RUN, or beside SU2_CFD, is linked.
 
 examples:
   jaxmorph su2 def config.cfg --picture moved.png
   jaxmorph su2 dot config.cfg
   jaxmorph su2 dot --definition config.cfg --sensitivity restart_adj_cd.csv
+  jaxmorph su2 shims su2_run && export SU2_RUN=$PWD/su2_run
 
 exit status: 0; 1 when the motion inverts cells (the mesh is then not written
 unless --allow-inverted is given); 2 for bad input""",

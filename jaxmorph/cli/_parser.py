@@ -18,9 +18,12 @@ NewMesh = NewType("NewMesh", Path)
 Written = NewType("Written", Path)
 Picture = NewType("Picture", Path)
 Folder = NewType("Folder", Path)
-"""Kinds of values: a `Path` or a `MeshFile` is read, the other files and folders are written."""
+ConfigFile = NewType("ConfigFile", Path)
+"""Kinds of values: a `Path` or a `MeshFile` is read, the other files and folders are written, and a
+`ConfigFile` is one or the other, by its command's action.
+"""
 
-FILES = (Path, MeshFile, NewMesh, Written, Picture, Folder)
+FILES = (Path, MeshFile, NewMesh, Written, Picture, Folder, ConfigFile)
 
 Fields = type[Any]
 """A dataclass whose fields are made by `flag`, `positional`, `switch` and `nest`."""

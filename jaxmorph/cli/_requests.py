@@ -16,6 +16,7 @@ from ._parser import (
     BAD,
     MOTION,
     Angle,
+    ConfigFile,
     Fields,
     Folder,
     MeshFile,
@@ -411,10 +412,12 @@ class NativeRequest:
 @dataclasses.dataclass(frozen=True)
 class SU2(Spoken):
     action: str = positional(
-        "def moves the mesh, dot projects sensitivities", "ACTION", choices=("def", "dot")
+        "def moves the mesh, dot projects sensitivities, shims is for SU2's own scripts",
+        "ACTION",
+        choices=("def", "dot", "shims"),
     )
-    file: Path = positional(
-        "SU2's config file; the files it names are relative to its folder", "CONFIG"
+    file: ConfigFile = positional(
+        "SU2's config file, with files relative to its folder; shims: the new folder", "CONFIG"
     )
     sensitivity: Path | None = flag(
         "dot: dJ/d(nodes) of the volume or wall (default as the config file says)", metavar="SENS"

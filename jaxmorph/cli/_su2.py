@@ -1,5 +1,6 @@
-"""`jaxmorph su2 def` and `su2 dot`: SU2_DEF and SU2_DOT, from SU2's own config file."""
+"""`jaxmorph su2 def`, `su2 dot`: SU2_DEF and SU2_DOT, from SU2's own config file; `su2 shims`."""
 
+import shlex
 from collections.abc import Iterator
 
 import jax
@@ -27,6 +28,8 @@ from ._way import (
 
 
 def run_su2(request: SU2, out: Output) -> int:
+    if request.action == "shims":
+        return _make_shims(request, out)
     if request.action == "def":
         options = su2.read_options(request.file)
         io.check_output(request.output or options.output, options.mesh_file)
@@ -49,6 +52,15 @@ def run_su2(request: SU2, out: Output) -> int:
             if request.action == "def"
             else _write_derivatives(request, config, out)
         )
+
+
+def _make_shims(request: SU2, out: Output) -> int:
+    links = su2.write_shims(request.file)
+    out.say(f"{request.file}: SU2_DEF, SU2_DOT and SU2_DOT_AD by jaxmorph", links=list(links))
+    others = ", ".join(links) or "none was found, for neither SU2_RUN nor the path has SU2_CFD"
+    out.say(f"links    {others}")
+    out.say(f"\nexport SU2_RUN={shlex.quote(str(request.file.absolute()))}")
+    return 0
 
 
 def _list_values(config: su2.Config, factors: np.ndarray) -> Iterator[str]:
@@ -125,7 +137,7 @@ def _write_derivatives(request: SU2, config: su2.Config, out: Output) -> int:
             f"{request.file}: {fault} has no derivative: the wall does not depend on DV_VALUE."
         )
     own = config.options.beside(config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat"))
-    output = request.output or (own if own.suffix else own.with_suffix(".dat"))
+    output = request.output or own
     with out.progress("reading the sensitivities"):
         sensitivities = su2.read_sensitivity(config, request.sensitivity)
     files = {

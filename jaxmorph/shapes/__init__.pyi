@@ -16,6 +16,7 @@ from ._displacement import (
 )
 from ._displacement import path as path, project as project, pullback as pullback, varied as varied
 from ._freeform import FreeForm as FreeForm, Hexahedron as Hexahedron
+from ._metric import SobolevMetric as SobolevMetric
 from ._motions import ReferenceAxis as ReferenceAxis, bend as bend, rotate as rotate, scale as scale
 from ._motions import translate as translate, twist as twist
 from ._onto import Onto as Onto, onto as onto
@@ -37,12 +38,14 @@ from ._smooth import Offset as Offset, Smoother as Smoother
 from ._walls import (
     Stations as Stations,
     area as area,
+    area_of_revolution as area_of_revolution,
     centroid as centroid,
     chord as chord,
 )
 from ._walls import (
     thickness as thickness,
     volume as volume,
+    volume_of_revolution as volume_of_revolution,
     wall_loop as wall_loop,
     wall_normals as wall_normals,
 )

@@ -109,6 +109,17 @@ def check_pairs(features: Sequence[Any]) -> None:
         )
 
 
+def normals_beside(borders: Borders, wall: Facets) -> Positions:
+    """Computes unit normals (m, d) at a wall's nodes, within the planes where its border stays."""
+    normals = wall.normals()
+    for plane, rows in borders:
+        normal = jnp.asarray(plane.normal, normals.dtype)
+        own = normals[rows]
+        own = own - jnp.matmul(own, normal, precision="highest")[:, None] * normal[None]
+        normals = normals.at[rows].set(own / jnp.linalg.norm(own, axis=1)[:, None])
+    return normals
+
+
 def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Clip, Facets]:
     """Cuts a target off at a plane, and keeps one side (1 or -1)."""
     points = np.asarray(target.points, float)

@@ -18,7 +18,7 @@ from jaxmorph import Facets, Mesh
 from jaxmorph.extend import Tree, between, checked, finite_array, host_call, norm, rows_of
 
 from ._arguments import Column, Numbers, Positions, known_positions, positions
-from ._features import Borders, Planes, borders_of
+from ._features import Borders, Planes, borders_of, normals_beside
 from ._shape import AbstractLinearShape, AbstractShape, Move
 from ._tolerances import SAME_LENGTH
 from ._walls import FANS, faces_of, wall_faces
@@ -72,10 +72,7 @@ class Smoother(AbstractLinearShape):
         free[held] = 0
         mask = sparse.diags(free)
         matrix = (mask @ (length**2 * stiffness) @ mask + sparse.diags(masses)).tocoo()
-        factors = splu(
-            matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-        self.solve = factors.solve
+        self.solve = symmetric_factors(matrix).solve
         self.dimension = known.shape[1]
         self.masses = jnp.asarray(masses)
         self.free = jnp.asarray(free)
@@ -105,27 +102,42 @@ class Smoother(AbstractLinearShape):
         """Filters displacements (m, d)."""
         u = positions(u, "u")
         free = self.free.astype(u.dtype)[:, None]
-        return free * self._solved(self.masses.astype(u.dtype)[:, None] * free * u)
+        return free * solve_along(self, self.masses.astype(u.dtype)[:, None] * free * u)
 
     def sensitivities(self, gradient: Numbers) -> Positions:
         """Filters sensitivities dJ/d(position) of the nodes: the transpose."""
         gradient = positions(gradient, "gradient")
         free = self.free.astype(gradient.dtype)[:, None]
-        return free * self.masses.astype(gradient.dtype)[:, None] * self._solved(free * gradient)
+        masses = self.masses.astype(gradient.dtype)[:, None]
+        return free * masses * solve_along(self, free * gradient)
 
-    def _solved(self, right: Positions) -> Positions:
-        def product(v):
-            return (
-                jnp.zeros_like(v)
-                .at[self.rows]
-                .add(self.values.astype(v.dtype)[:, None] * v[self.columns])
-            )
 
-        def solve(_, b):
-            in_double = lambda right: self.solve(np.asarray(right, float))  # noqa: E731
-            return host_call(in_double, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
+def matrix_of(smoother: Smoother) -> Any:
+    """Returns M + length^2 K (m, m), without the held rows' stiffness."""
+    return sparse.coo_matrix((smoother.values, (smoother.rows, smoother.columns)))
 
-        return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+
+def solve_along(smoother: Smoother, right: Float[Array, "m k"]) -> Float[Array, "m k"]:
+    """Solves (M + length^2 K) v = right."""
+
+    def product(v):
+        return (
+            jnp.zeros_like(v)
+            .at[smoother.rows]
+            .add(smoother.values.astype(v.dtype)[:, None] * v[smoother.columns])
+        )
+
+    def solve(_, b):
+        in_double = lambda right: smoother.solve(np.asarray(right, float))  # noqa: E731
+        return host_call(in_double, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
+
+    return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+
+
+def symmetric_factors(matrix: Any) -> Any:
+    """Factors a symmetric matrix that is positive definite, its rows permuted as its columns."""
+    options = {"SymmetricMode": True}
+    return splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 def _linear_elements(points: ndarray, kinds: list[ndarray]) -> tuple[ndarray, Any]:
@@ -212,7 +224,7 @@ class Offset(AbstractShape):
             heights = finite_array("field", field, (len(x),))
             self.field = jnp.asarray(heights, wall.points.dtype)
         self.smoother = Smoother(x, np.asarray(wall.faces), length) if length else None
-        normals = np.asarray(self._normals(jnp.asarray(x)), float)
+        normals = np.asarray(normals_beside(self.borders, wall.at(x)), float)
         self.touching = np.stack([_touching(x, sign * normals) for sign in (1, -1)])
 
     def neutral(self) -> Float[Array, "..."]:
@@ -229,7 +241,7 @@ class Offset(AbstractShape):
         heights = heights if self.field is None else heights * self.field.astype(x.dtype)
         if self.smoother is not None:
             heights = self.smoother.apply(jnp.stack([heights, heights], axis=1))[:, 0]
-        normals = self._normals(x)
+        normals = normals_beside(self.borders, self.wall.at(x))
         ahead, back = (self._radius(x, sign * normals, k) for k, sign in enumerate((1, -1)))
         room = self.share * jnp.where(heights > 0, ahead, back)
         ratio = jnp.abs(heights) / room
@@ -238,15 +250,6 @@ class Offset(AbstractShape):
             ratio > 0.5, room * (0.5 + 0.5 * jnp.tanh(2 * ratio - 1)), jnp.abs(heights)
         )
         return x + (jnp.where(heights < 0, -1, 1) * limited)[:, None] * normals
-
-    def _normals(self, x: Positions) -> Positions:
-        normals = self.wall.at(x).normals()
-        for plane, rows in self.borders:
-            normal = jnp.asarray(plane.normal, x.dtype)
-            own = normals[rows]
-            own = own - jnp.matmul(own, normal, precision="highest")[:, None] * normal[None]
-            normals = normals.at[rows].set(own / jnp.linalg.norm(own, axis=1)[:, None])
-        return normals
 
     def _radius(self, x: Positions, ahead: Positions, side: int) -> Column:
         arm = x[self.touching[side]] - x

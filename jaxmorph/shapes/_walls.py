@@ -13,8 +13,8 @@ from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import depth_first_order
 
-from jaxmorph import Mesh, boundary_faces
-from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known
+from jaxmorph import Mesh, Plane, boundary_faces
+from jaxmorph.extend import Module, area_vectors, checked, finite_array, is_known, norm
 
 from ._arguments import (
     Numbers,
@@ -27,6 +27,7 @@ from ._arguments import (
     rows_like,
     vector,
 )
+from ._features import height_of
 from ._tolerances import ALONG_FACE, IN_PLANE, SAME_LENGTH
 
 
@@ -149,6 +150,38 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Scalar:
 
 
 @checked
+def volume_of_revolution(x: Numbers, faces: Any, axis: Plane) -> Scalar:
+    """Computes the volume that a wall in 2-D encloses as it turns around an axis.
+
+    The wall may be open where it ends on the axis. The volume is that of frustums, positive where
+    the segments run counter-clockwise, as those of `jm.Facets.of(mesh, "body")` do around a body.
+
+    **Arguments:**
+
+    - `x`: positions (n, 2).
+    - `faces`: ids (k, 2) of segments, all in one sense.
+    - `axis`: the line as `jm.Plane(normal, origin)`; its normal is the direction of radii.
+
+    **Raises:** `ValueError` for other shapes, and a wall that crosses the axis.
+    """
+    places, radii = _frustums(x, faces, axis)
+    between = places[:, 0] - places[:, 1]
+    mean = jnp.sum(radii**2, axis=1) + radii[:, 0] * radii[:, 1]  # three times that of r^2
+    return jnp.pi / 3 * jnp.sign(jnp.sum(radii)) * jnp.sum(between * mean)
+
+
+@checked
+def area_of_revolution(x: Numbers, faces: Any, axis: Plane) -> Scalar:
+    """Computes the area of the surface that a wall in 2-D sweeps as it turns around an axis.
+
+    Arguments and errors as `volume_of_revolution`; the segments may have any sense.
+    """
+    places, radii = _frustums(x, faces, axis)
+    ends = jnp.stack([places, radii], axis=2)
+    return jnp.pi * jnp.sum(jnp.abs(jnp.sum(radii, axis=1)) * norm(ends[:, 1] - ends[:, 0]))
+
+
+@checked
 def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
     """Computes the distance from nose to tail of an airfoil, nodes of positions `x` (n, d).
 
@@ -162,6 +195,27 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Scalar:
         for name, ids in (("nose", nose), ("tail", tail))
     )
     return jnp.linalg.norm(jnp.mean(x[tail], axis=0) - jnp.mean(x[nose], axis=0))
+
+
+def _frustums(x: Numbers, faces: Any, axis: Plane) -> tuple[Float[Array, "k 2"], ...]:
+    """Computes places along the axis and signed radii of the segments' ends, (k, 2) each."""
+    x = positions(x)
+    if x.shape[1] != 2 or len(axis.normal) != 2:
+        raise ValueError(
+            f"`x` has shape {x.shape}, the axis a normal of {len(axis.normal)} components; "
+            "expected (n, 2) and 2: a wall in 3-D has a `volume`."
+        )
+    ends = x[simplices_of(faces, x.shape)]
+    height = height_of(ends.reshape(-1, 2), axis).reshape(ends.shape[:2])
+    if is_known(height):
+        slack = IN_PLANE * np.ptp(np.asarray(ends), axis=(0, 1)).max()
+        below, above = float(jnp.min(height)), float(jnp.max(height))
+        if min(-below, above) > slack:
+            raise ValueError(
+                f"the wall lies on both sides of the axis, from {below:.3g} to {above:.3g} of it."
+            )
+    along = jnp.asarray([axis.normal[1], -axis.normal[0]], x.dtype)
+    return jnp.matmul(ends, along, precision="highest"), height
 
 
 def _cross_2d(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:

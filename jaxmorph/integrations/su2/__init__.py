@@ -9,5 +9,6 @@ from ._config import read_sensitivity as read_sensitivity
 from ._config import write_gradient as write_gradient
 from ._motion import DesignVariables as DesignVariables
 from ._options import read_options as read_options
+from ._shims import write_shims as write_shims
 
 __dir__ = _listing(globals())

@@ -38,6 +38,7 @@ FILE_OPTIONS = {
     "SOLUTION_ADJ_FILENAME": "solution_adj",
     "VOLUME_SENS_FILENAME": "volume_sens",
     "SURFACE_SENS_FILENAME": "surface_sens",
+    "RESTART_ADJ_FILENAME": "restart_adj",
 }
 """Options that name a file of sensitivities, and SU2's default names."""
 
@@ -53,6 +54,21 @@ EXTENSIONS = {
     "EQUIVALENT_AREA": "ea",
     "NEARFIELD_PRESSURE": "nfp",
     "FIGURE_OF_MERIT": "merit",
+    "INVERSE_DESIGN_PRESSURE": "invpress",
+    "INVERSE_DESIGN_HEAT": "invheat",
+    "MAXIMUM_HEATFLUX": "maxheat",
+    "TOTAL_HEATFLUX": "totheat",
+    "BUFFET": "buffet",
+    "SURFACE_TOTAL_PRESSURE": "pt",
+    "SURFACE_STATIC_PRESSURE": "pe",
+    "SURFACE_MASSFLOW": "mfr",
+    "SURFACE_MACH": "mach",
+    "SURFACE_UNIFORMITY": "uniform",
+    "SURFACE_SECONDARY": "second",
+    "SURFACE_MOM_DISTORTION": "distort",
+    "SURFACE_SECOND_OVER_UNIFORM": "sou",
+    "SURFACE_PRESSURE_DROP": "dp",
+    "CUSTOM_OBJFUNC": "custom",
 }
 """SU2's suffixes of an adjoint file's name, by the objective."""
 
@@ -346,8 +362,9 @@ def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None)
 
     - `config`: what `read_config` returned.
     - `path`: the file. Default: the first existing one of `SOLUTION_ADJ_FILENAME`,
-      `VOLUME_SENS_FILENAME` and `SURFACE_SENS_FILENAME`, or `SURFACE_ADJ_FILENAME` of a continuous
-      adjoint. Endings, and SU2's suffix of the objective (`_cd`), may be missing in the name.
+      `VOLUME_SENS_FILENAME`, `SURFACE_SENS_FILENAME` and `RESTART_ADJ_FILENAME`, or
+      `SURFACE_ADJ_FILENAME` of a continuous adjoint.
+      Endings, and SU2's suffix of the objective (`_cd`), may be missing in the name.
 
     **Raises:** `ValueError` for no file, and as `io.read_sensitivity` does.
     """
