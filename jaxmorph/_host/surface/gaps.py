@@ -70,6 +70,16 @@ def closest(corners: ndarray, x: ndarray) -> Closest:
 
     Of equally near ones it is that whose middle comes first by place.
     """
+    row, near = nearby(corners, x, 0.0)
+    first = np.unique(row, return_index=True)[1]
+    return Closest(*(column[first] for column in near))
+
+
+def nearby(corners: ndarray, x: ndarray, slack: float) -> tuple[ndarray, Closest]:
+    """Finds the simplices that are farther than the closest one by `slack` at most, that one first.
+
+    Rows of `x` ascend, and come with each of their simplices.
+    """
     # Sorted by place, the first of equally near simplices is the one wanted. Those of one size are
     # searched together: one ball around a point holds all that can be closest, and a few long ones
     # do not make candidates of all.
@@ -81,14 +91,17 @@ def closest(corners: ndarray, x: ndarray) -> Closest:
     groups = [np.flatnonzero(size == exponent) for exponent in np.unique(size)]
     trees = [(group, Tree(centre[group]), radius[group].max()) for group in groups]
     blocks = [
-        _closest_of_block(trees, corners, x[at : at + POINTS_TOGETHER])
+        _near_of_block(trees, corners, x[at : at + POINTS_TOGETHER], slack)
         for at in range(0, max(len(x), 1), POINTS_TOGETHER)
     ]
-    simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
-    return Closest(order[simplex], weights, distance)
+    row, simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
+    block = np.repeat(np.arange(len(blocks)), [len(block[0]) for block in blocks])
+    return row + POINTS_TOGETHER * block, Closest(order[simplex], weights, distance)
 
 
-def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
+def _near_of_block(
+    trees: list, corners: ndarray, x: ndarray, slack: float
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
@@ -99,7 +112,7 @@ def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
         ]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
     for group, tree, radius in trees:
-        row, member = tree.within(x, (bound + radius) * (1 + SAME))
+        row, member = tree.within(x, (bound + radius + slack) * (1 + SAME))
         rows.append(row)
         simplices.append(group[member])
     row = np.concatenate(rows)
@@ -107,10 +120,10 @@ def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
     weights, distance = _find_nearest_places(corners[simplex], x[row])
     least = np.full(len(x), np.inf)
     np.minimum.at(least, row, distance)
-    is_least = distance <= least[row] + max(roundoff(corners), roundoff(x))
-    order = np.lexsort((simplex, ~is_least, row))
-    best = order[np.unique(row[order], return_index=True)[1]]
-    return Closest(simplex[best], weights[best], distance[best])
+    beyond = distance - least[row] - max(roundoff(corners), roundoff(x))
+    order = np.lexsort((simplex, beyond > 0, row))
+    order = order[beyond[order] <= slack]
+    return row[order], simplex[order], weights[order], distance[order]
 
 
 def _find_nearest_places(corners: ndarray, x: ndarray) -> Pair:
