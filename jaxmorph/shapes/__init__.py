@@ -1,6 +1,7 @@
 """Shapes: traced functions from positions to positions, from design variables to a new wall."""
 
 # isort: off
+from ._cad import CAD as CAD
 from ._curves import (
     BSplineCurve as BSplineCurve,
     CST as CST,

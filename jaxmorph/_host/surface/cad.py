@@ -122,6 +122,17 @@ class Found(NamedTuple):
     distance: ndarray
 
 
+class Located(NamedTuple):
+    """Where points (m,) are: on vertices, edges or faces, by `dimension` (0, 1, 2) and `number`.
+    `at` (m, 2) are parameters of a face, or a share of an edge; `distance` is that from the model.
+    """
+
+    dimension: ndarray
+    number: ndarray
+    at: ndarray
+    distance: ndarray
+
+
 class Facets(NamedTuple):
     """Facets of a model: `triangles` (t, 3) of `points` (n, 3), their `face` (t,), and parameters
     `at` (t, 3, 2) on it; `segments` (s, 2, 3), their `edge` (s,), and parameters `along` (s, 2).
@@ -356,6 +367,28 @@ class Model:
         order = np.lexsort((near.distance, *keys.T[::-1]))
         first = order[np.unique(keys[order], axis=0, return_index=True)[1]]
         return (row[first], face[first], at[first]), distance
+
+    def locate(self, x: ndarray, tolerance: ndarray) -> Located:
+        """Finds each point on a vertex or edge within its tolerance (m,), else on a face."""
+        found = self.closest(x)
+        dimension = np.full(len(x), 2)
+        number = found.face.copy()
+        at = found.at.copy()
+        edge, along, off = self.nearest_edges(x)
+        rows = np.flatnonzero((off <= tolerance + DEFLECTION * self.size) | (number < 0))
+        edge = edge[rows]
+        along, places, _ = self.onto_edges(edge, along[rows], x[rows])
+        is_on = (row_lengths(places - x[rows]) <= tolerance[rows]) | (number[rows] < 0)
+        low, high = self.ranges[edge].T
+        dimension[rows[is_on]] = 1
+        number[rows[is_on]] = edge[is_on]
+        at[rows[is_on], 0] = ((along - low) / (high - low))[is_on]
+        if len(self.vertices):
+            off, vertex = Tree(self.vertices).query(x)
+            is_on = off <= tolerance
+            dimension[is_on] = 0
+            number[is_on] = vertex[is_on]
+        return Located(dimension, number, at, found.distance)
 
     def nearest_edges(self, x: ndarray) -> tuple[ndarray, ndarray, ndarray]:
         """Finds the nearest edge to each point, a parameter on it, and about its distance."""
