@@ -1,6 +1,6 @@
 """Triangulated surfaces, polylines in 2-D: their closest places, traced, and their edges."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -52,6 +52,9 @@ class Facets(Module):
       the sharp edges kept, as Phong tessellation has it. Default False.
     - `angle`: radians. Default pi / 3.
     - `sides`: normals (k, d) of segments in 3-D, if they are known.
+    - `model`: the CAD model of which these are facets, as `io.read_facets` gives it. Closest places
+      are on its own surfaces, those to segments on its sharp edges. Faces meet at a sharp edge
+      where the model has one: its faces turn there, by more than a degree.
 
     **Raises:** `ValueError` for faces of another shape, ids that are no rows, and no faces.
 
@@ -70,6 +73,7 @@ class Facets(Module):
     sides: Float[Either, "k d"] | None
     smooth: bool = eqx.field(static=True)
     angle: float = eqx.field(static=True)
+    model: Any = eqx.field(static=True)
 
     @checked
     def __init__(
@@ -80,7 +84,9 @@ class Facets(Module):
         smooth: bool = False,
         angle: float = SHARP,
         sides: Any = None,
+        model: Any = None,
     ):
+        self.model = model
         known = finite_array("points", points, (None, 2), (None, 3))
         self.points = points if isinstance(points, jax.Array) else array(known)
         self.smooth = smooth
@@ -91,7 +97,10 @@ class Facets(Module):
         faces = cut_faces(faces, exact)
         if sides is None:
             self.sides = None
-            found = Creased.of(with_extent(faces, self.welded), exact, self.welded, angle)
+            is_feature = None if model is None else model.is_feature
+            found = Creased.of(
+                with_extent(faces, self.welded), exact, self.welded, angle, is_feature
+            )
         else:
             self.sides = finite_array("sides", sides, faces.shape[:1] + exact.shape[1:])
             found = Creased.none(faces)
@@ -122,10 +131,15 @@ class Facets(Module):
 
     @checked
     def at(self, points: Numbers) -> "Facets":
-        """Moves the points to other places (n, d). Traced; the edges stay as they were found."""
-        return eqx.tree_at(
+        """Moves the points to other places (n, d). Traced; the edges stay as they were found.
+
+        Facets of a CAD model become facets alone.
+        """
+        moved = eqx.tree_at(
             lambda facets: facets.points, self, self._like("points", points, len(self.points))
         )
+        object.__setattr__(moved, "model", None)  # of the new one
+        return moved
 
     @checked
     def closest(self, x: Numbers, facing: Numbers | None = None, *, along: bool = False) -> Places:
@@ -138,7 +152,12 @@ class Facets(Module):
         """
         x = self._like("x", x)
         facing = None if facing is None else self._like("facing", facing, len(x))
-        return _place(self, x, facing, along and self.sides is None)
+        if self.model is None:
+            return _place(self, x, facing, along and self.sides is None)
+        is_curve = self.sides is not None
+        if facing is not None or along or is_curve:
+            x = _place(self, x, facing, along and not is_curve)
+        return _onto_model(self.model.edge_rows if is_curve else self.model.rows, x)
 
     @checked
     def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
@@ -193,6 +212,14 @@ def _unit_normals(facets: Facets) -> Float[Array, "n d"]:
 
 def _normals_of(facets: Facets, points: Float[Array, "n d"]) -> Float[Array, "v d"]:
     return smooth_normals(points[jnp.asarray(facets.origins)], jnp.asarray(facets.corners))
+
+
+def _onto_model(rows: Callable[..., Any], x: Places) -> Places:
+    """The closest places on a model; its host finds them, and their derivatives."""
+    shape = jax.ShapeDtypeStruct((len(x), 4, 3), x.dtype)
+    still = jax.lax.stop_gradient(x)
+    found = host_call(rows, shape, still)
+    return found[:, 0] + jnp.einsum("mkd,mk->md", found[:, 1:], x - still, precision="highest")
 
 
 @eqx.filter_jit

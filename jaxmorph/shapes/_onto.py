@@ -38,6 +38,8 @@ Motion = tuple[ndarray, ndarray]
 FIRST = 0.5
 LAST = 0.01  # first and last length over the wall's extent
 PROJECTION_STEPS = 8
+SECTION_STEPS = 4  # onto the section of a CAD model with a plane
+STEEPEST = 10.0  # square of the longest of them, over the distance from the model
 SETTLED = 4  # steps from one to the other, and at the last
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
 # weight of edges, corners and planes over the stiffness; of staying, against sliding away
@@ -149,8 +151,20 @@ class Onto(Module):
             return self._in_planes(places)
         places = target.closest(y, facing, along=True)
         for guide in self.guides:
-            places = places.at[guide.rows].set(guide.places(y, facing, jnp.asarray(target.points)))
-        return self._in_planes(places)
+            places = places.at[guide.rows].set(guide.places(y, facing, target))
+        places = self._in_planes(places)
+        return places if target.model is None else self._on_sections(places, target)
+
+    def _on_sections(self, y: Positions, target: Facets) -> Positions:
+        """Takes nodes in planes onto the model in these: its facets were cut there, not itself."""
+        for rows in [rows for _, rows in self.borders for _ in range(SECTION_STEPS)]:
+            # the foot lies along the normal: as far again in the plane as its share there is less
+            off = target.closest(y)[rows] - y[rows]
+            across = self._in_planes(y.at[rows].add(off))[rows] - y[rows]
+            squared = jnp.sum(across**2, axis=1)
+            share = jnp.sum(off**2, axis=1) / jnp.where(squared > 0, squared, jnp.inf)
+            y = y.at[rows].add(jnp.minimum(share, STEEPEST)[:, None] * across)
+        return y
 
     def _in_planes(self, y: Positions) -> Positions:
         for plane, rows in self.borders:
@@ -215,7 +229,9 @@ def _move_walls(onto: Onto, x: Positions, target: Facets | None) -> Positions:
     turn, shift = (jnp.asarray(part, x.dtype) for part in (onto.turn, onto.shift))
     start = jnp.matmul(x, turn.T, precision="highest") + shift[None]
     is_last = np.arange(len(onto.lengths)) >= PROJECTION_STEPS
-    nearer = lambda y, step: (onto._nearer(y, step, start, target), None)  # noqa: E731
+    # a CAD model is searched at the last step alone, its facets before
+    facets = target if target is None else target.at(target.points)
+    nearer = lambda y, step: (onto._nearer(y, step, start, facets), None)  # noqa: E731
     y = jax.lax.scan(nearer, start, (jnp.asarray(onto.lengths, x.dtype), is_last))[0]
     return (
         onto._places(y, onto.wall.at(y).normals(), target) if onto.is_exact else onto._in_planes(y)
@@ -265,7 +281,9 @@ def _turn_normals(target: Facets, start: Facets) -> Facets:
     votes = np.bincount(np.asarray(target.part)[face], alike, minlength=int(target.part.max()) + 1)
     is_other = (np.where(votes == 0, alike.sum(), votes) < 0)[target.part]
     faces = np.where(is_other[:, None], target.faces[:, ::-1], target.faces)
-    return Facets(target.points, faces, smooth=target.smooth, angle=target.angle)
+    return Facets(
+        target.points, faces, smooth=target.smooth, angle=target.angle, model=target.model
+    )
 
 
 FITS = 20

@@ -260,6 +260,12 @@ class Model:
             return np.zeros(len(points), bool)
         return closest(segments, points).distance <= SAME * self.size
 
+    def is_vertex(self, points: ndarray) -> ndarray:
+        """Marks points of facets at which edges end."""
+        if not len(self.vertices):
+            return np.zeros(len(points), bool)
+        return Tree(self.vertices).query(points)[0] <= SAME * self.size
+
     def onto_edges(
         self, edge: ndarray, along: ndarray, x: ndarray
     ) -> tuple[ndarray, ndarray, ndarray]:
@@ -368,6 +374,18 @@ class Model:
         first = order[np.unique(keys[order], axis=0, return_index=True)[1]]
         return (row[first], face[first], at[first]), distance
 
+    def rows(self, x: ndarray) -> ndarray:
+        """Closest places, and their derivatives by three coordinates, as rows (m, 4, 3)."""
+        found = self.closest(x)
+        return np.concatenate([found.places[:, None], found.slopes], axis=1)
+
+    def edge_rows(self, x: ndarray) -> ndarray:
+        """The same on sharp edges."""
+        x = np.asarray(x, float)
+        edge, along, _ = self.nearest_edges(x, self.is_sharp)
+        _, places, slopes = self.onto_edges(edge, along, x)
+        return np.concatenate([places[:, None], slopes], axis=1)
+
     def locate(self, x: ndarray, tolerance: ndarray) -> Located:
         """Finds each point on a vertex or edge within its tolerance (m,), else on a face."""
         found = self.closest(x)
@@ -390,9 +408,13 @@ class Model:
             number[is_on] = vertex[is_on]
         return Located(dimension, number, at, found.distance)
 
-    def nearest_edges(self, x: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+    def nearest_edges(
+        self, x: ndarray, among: ndarray | None = None
+    ) -> tuple[ndarray, ndarray, ndarray]:
         """Finds the nearest edge to each point, a parameter on it, and about its distance."""
         segments, ends, edge = self._fine_edges
+        if among is not None:
+            segments, ends, edge = (part[among[edge]] for part in (segments, ends, edge))
         if not len(segments):
             return np.zeros(len(x), int), np.zeros(len(x)), np.full(len(x), np.inf)
         found = closest(segments, x)
