@@ -12,10 +12,10 @@ import jaxmorph
 
 CODE = """
 import sys
-missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtkmodules", "gmsh", "rich", "platformdirs", "openmdao")
+missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtkmodules", "gmsh", "rich", "platformdirs", "openmdao", "OCP")
 sys.modules.update(dict.fromkeys((*missing, "openmdao.api", "mphys.core", "mpi4py")))
 import importlib, pathlib, numpy, jaxmorph
-from jaxmorph import cases, io
+from jaxmorph import cases, io, shapes
 mesh = cases.naca0015(points=300)
 plan = jaxmorph.prepare(mesh.points.astype("f4"), mesh.patch("airfoil"), mesh.patch("farfield"), method=jaxmorph.DelaunayGraph())
 assert numpy.isfinite(plan.points).all()
@@ -23,11 +23,16 @@ io.write("a.su2", mesh)
 assert io.read("a.su2").points.shape == mesh.points.shape
 io.write("a.msh", mesh)
 assert io.read("a.msh").points.shape == mesh.points.shape
-for name in ("a.vtu", "a.cgns"):
+corners = numpy.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+cell = numpy.array([[0, 1, 3, 2, 4, 5, 7, 6]])
+bricks = jaxmorph.Mesh(corners, {"hexahedron": cell}, {"outer": numpy.arange(8)})
+for name in ("a.vtu", "a.cgns", "a.step"):
     pathlib.Path(name).write_text("")
 calls = {
     "vtu": lambda: io.write("b.vtu", mesh),
     "cgns": lambda: io.read("a.cgns"),
+    "step": lambda: io.read_facets("a.step"),
+    "cad": lambda: shapes.CAD(lambda x: None, [1.0], bricks, "outer"),
     "meshio": mesh.to_meshio,
     "pyvista": mesh.to_pyvista,
     "plot": lambda: importlib.import_module("jaxmorph.plot"),
@@ -58,7 +63,7 @@ def test_each_missing_extra_is_named(tmp_path):
     )
     assert remedies == {
         "vtu": "io", "cgns": "io", "meshio": "io", "pyvista": "plot", "plot": "plot",
-        "openmdao": "openmdao", "mphys": "mphys", "mpi": "mpi", "idwarp": "mpi",
+        "step": "cad", "cad": "cad", "openmdao": "openmdao", "mphys": "mphys", "mpi": "mpi", "idwarp": "mpi",
     }  # fmt: skip
     project = tomllib.loads((pathlib.Path(root) / "pyproject.toml").read_text())["project"]
     assert set(remedies.values()) <= set(project["optional-dependencies"])

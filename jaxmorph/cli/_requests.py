@@ -142,7 +142,9 @@ class MotionFlags:
         choices=("position", "displacement"),
         default="position",
     )
-    onto: Path | None = flag("a surface onto which the patches go: .stl, .obj, .npz, a mesh")
+    onto: Path | None = flag(
+        "a surface onto which the patches go: .step, .iges, .brep, .stl, .obj, .npz, a mesh"
+    )
     mode: tuple[tuple[Path, float], ...] = flag(
         "a file of displacements, and a factor; may be repeated",
         metavar=("FILE", "AMPLITUDE"),

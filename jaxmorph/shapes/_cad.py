@@ -19,7 +19,7 @@ import jaxmorph as jm
 from jaxmorph import Facets, Mesh, Plan
 from jaxmorph.extend import between, checked, finite_array, host_call, is_known, warn, whole
 
-from ._arguments import Numbers, Positions, Vector, check_parameters, positions
+from ._arguments import Numbers, Positions, check_parameters, positions
 from ._cad_cells import ParameterMesh
 from ._cad_wall import Builder, WallOnModel, wall_on_model
 from ._shape import AbstractShape, Move
@@ -27,6 +27,7 @@ from ._shape import AbstractShape, Move
 STEP = 1e-5
 """Of differences: share of a number where the model starts, or the step of one that is 0 there."""
 
+Design = Float[Array, " p"]
 KEPT = 16  # models that are kept, by their numbers
 
 
@@ -53,8 +54,8 @@ class CAD(AbstractShape):
     - `x0`: numbers (p,), or a pytree such as a dict by name, of the model that was meshed.
     - `mesh`, `patches`: a mesh in 3-D in the model's unit, and patches of the wall. Row i is node
       `mesh.patch(*patches)[i]`.
-    - `tolerance`: how far a node may be off the model, and off an edge or vertex that it is on.
-      Default: 0.01 of the shortest edge at the node.
+    - `tolerance`: how far a node may be off the model. Default: 0.01 of the shortest edge at the
+      node. A node on an edge or vertex is as near to it as the farthest node is to the model.
     - `step`: of the differences, one for all or (p,). Default: 1e-5 of each number of `x0`.
     - `processes`: that build models for derivatives, if `build` can be imported. A script then
       needs `if __name__ == "__main__":`. Default 1, this one.
@@ -88,14 +89,14 @@ class CAD(AbstractShape):
         leaves, structure = jax.tree.flatten(self.x0)
         start = finite_array("x0", np.concatenate([np.zeros(0), *map(np.ravel, leaves)]), (None,))
         builder = Builder(build, structure, tuple(map(np.shape, leaves)))
+        step = STEP * np.where(start != 0, np.abs(start), 1) if step is None else step
+        step = finite_array("step", np.broadcast_to(step, start.shape), start.shape)
+        if (step <= 0).any():
+            raise ValueError("`step` must be above 0.")
         points = np.asarray(mesh.points, float)[mesh.patch(*patches)]
         triangles = np.asarray(Facets.of(mesh, *patches).faces)
         wall, cells = wall_on_model(builder, start, points, triangles, tolerance)
         self.plan = _plan_of(cells)
-        step = STEP * np.where(start != 0, np.abs(start), 1) if step is None else step
-        step = np.broadcast_to(finite_array("step", step, (), start.shape), start.shape)
-        if (step <= 0).any():
-            raise ValueError("`step` must be above 0.")
         self.models = ModelsByNumbers(wall, step, processes)
 
     def neutral(self) -> PyTree:
@@ -165,6 +166,11 @@ class ModelsByNumbers:
     def model(self, x: ndarray) -> Any:
         return self.built(np.ascontiguousarray(x, float).tobytes())
 
+    def check(self, x: Design) -> None:
+        """Raises `ValueError` for known numbers without a model of this topology."""
+        if is_known(x):
+            self.model(np.asarray(x))
+
     @_in_numbers
     def borders(self, x: ndarray) -> Any:
         return self.wall.evaluate(self.model(x), np.zeros((len(self.wall.inner), 2)))[1]
@@ -217,7 +223,7 @@ def _called(method: Callable[..., Any], shape: tuple[int, ...], *arguments: Arra
     return host_call(method, jax.ShapeDtypeStruct(shape, arguments[0].dtype), *arguments)
 
 
-def _borders(x: Vector, plan: Plan, models: ModelsByNumbers) -> Float[Array, "b 2"]:
+def _borders(x: Design, plan: Plan, models: ModelsByNumbers) -> Float[Array, "b 2"]:
     return _called(models.borders, (plan.n_moving, 2), x).astype(plan.points.dtype)
 
 
@@ -226,9 +232,8 @@ def _carried(borders: Float[Array, "b 2"], plan: Plan) -> Float[Array, "k 2"]:
 
 
 @eqx.filter_custom_jvp
-def _displace(x: Vector, plan: Plan | None, models: ModelsByNumbers) -> Positions:
-    if is_known(x):
-        models.model(np.asarray(x))  # raises where there is none
+def _displace(x: Design, plan: Plan | None, models: ModelsByNumbers) -> Positions:
+    models.check(x)
     carried = jnp.zeros((0, 2), x.dtype)
     if plan is not None:
         carried = _carried(_borders(x, plan, models), plan).astype(x.dtype)
@@ -238,6 +243,7 @@ def _displace(x: Vector, plan: Plan | None, models: ModelsByNumbers) -> Position
 @_displace.def_jvp
 def _displace_jvp(primals: Any, tangents: Any) -> tuple[Positions, Positions]:
     x, plan, models = primals
+    models.check(x)
     x_dot = jnp.zeros_like(x) if tangents[0] is None else tangents[0]
     m = len(models.wall.points)
     carried = jnp.zeros((0, 2), x.dtype)

@@ -9,6 +9,7 @@ try:
     from OCP.BRepMesh import BRepMesh_IncrementalMesh
     from OCP.BRepTools import BRepTools
     from OCP.gp import gp_Pnt, gp_Pnt2d, gp_Vec
+    from OCP.IFSelect import IFSelect_RetDone
     from OCP.IGESControl import IGESControl_Reader
     from OCP.IntTools import IntTools_FClass2d
     from OCP.STEPConstruct import STEPConstruct_UnitContext
@@ -57,6 +58,7 @@ PIECES = 8  # parts of a segment of the facets, on an edge itself
 INWARD = 0.1  # share of a facet by which a search begins off its border
 POLE = 1e-6  # length of a derivative, over the largest at a facet, that is none
 CONVEX = 1e-3  # share of a curvature that is left where a distance has a minimum
+ROUNDED = 1e-6  # distance over the size, of coordinates of few digits, from an edge they are on
 SEWN = 1e-6  # gap of faces of an IGES file that are one surface
 STATIONS = np.linspace(0.1, 0.9, 5)  # shares of an edge at which its faces' normals are compared
 
@@ -387,8 +389,12 @@ class Model:
         return np.concatenate([places[:, None], slopes], axis=1)
 
     def locate(self, x: ndarray, tolerance: ndarray) -> Located:
-        """Finds each point on a vertex or edge within its tolerance (m,), else on a face."""
+        """Finds each point on a vertex or edge, else on a face. On an edge it is about as near to
+        it as all points are to the model, and within its tolerance (m,).
+        """
         found = self.closest(x)
+        usual = max(BESIDE * found.distance.max(initial=0), ROUNDED * self.size)
+        tolerance = np.minimum(tolerance, usual)
         dimension = np.full(len(x), 2)
         number = found.face.copy()
         at = found.at.copy()
@@ -567,10 +573,11 @@ def _turned_at_poles(model: Model, face: ndarray, at: ndarray) -> ndarray:
 
 def _read_step(path: str) -> Any:
     reader = STEPControl_Reader()
-    reader.ReadFile(path)
+    if reader.ReadFile(path) != IFSelect_RetDone:
+        return None
     model = reader.StepModel()
     # OpenCASCADE would turn all into millimetres
-    for number in range(model.NbEntities() if model is not None else 0):
+    for number in range(model.NbEntities()):
         entity = model.Entity(number + 1)
         if hasattr(entity, "GlobalUnitAssignedContext"):
             unit = STEPConstruct_UnitContext()
@@ -583,7 +590,8 @@ def _read_step(path: str) -> Any:
 
 def _read_iges(path: str) -> Any:
     reader = IGESControl_Reader()
-    reader.ReadFile(path)
+    if reader.ReadFile(path) != IFSelect_RetDone:
+        return None
     section = reader.IGESModel().ChangeGlobalSection()
     section.SetCascadeUnit(section.UnitValue())
     reader.TransferRoots()
