@@ -77,8 +77,8 @@ class ParameterMesh(NamedTuple):
             keys[row, corner] = -1 - places.setdefault(place, len(places))
             at[row, corner] = model.uses[place[0]].at(place[1])
         keys = keys[_fits(model, owner, at, points[faces], scale)]
-        inner = np.unique(keys[keys >= 0])
         used = np.unique(-1 - keys[keys < 0])
+        inner = np.unique(keys[keys >= 0])[: None if len(used) else 0]  # nothing carries them
         borders = Places.of(model, [[*places][number] for number in used])
         cells = np.where(
             keys < 0,

@@ -19,7 +19,10 @@ ON_MODEL = 0.01  # share of the shortest edge at a node by which it may be off t
 UNITS = (1e3, 1e-3, 25.4, 1 / 25.4, 100, 0.01, 304.8, 1 / 304.8)
 """What a mesh in another unit than its model is multiplied by."""
 
-MOST = 0.9  # share of the nodes that lie on the model then
+TRIED = 50
+MOST = 0.9
+"""Nodes that are tried, and the share of them that lie on the model then."""
+
 SHARES = np.arange(8) / 8  # places on an edge by which the border of a face is followed
 
 
@@ -150,7 +153,7 @@ def wall_on_model(
     lengths = np.linalg.norm(sides, axis=2)
     np.minimum.at(shortest, faces, lengths)
     np.minimum.at(shortest, np.roll(faces, 1, axis=1), lengths)
-    shortest[np.isinf(shortest)] = np.median(shortest)
+    shortest[np.isinf(shortest)] = np.median(lengths)
     allowed = ON_MODEL * shortest if tolerance is None else np.full(len(points), tolerance)
     located = model.locate(points, allowed)
     _check_distance(model, points, located.distance, allowed)
@@ -176,13 +179,16 @@ def _check_distance(model: Any, points: ndarray, distance: ndarray, allowed: nda
     if not len(off):
         return
     worst = off[distance[off].argmax()]
-    some = points[:: max(1, len(points) // 100)]
-    share = allowed[:: max(1, len(points) // 100)]
-    hints = [
-        factor
-        for factor in UNITS
-        if np.mean(model.closest(factor * some).distance <= factor * share) > MOST
-    ]
+    corners = model.facets.points
+    low = corners.min(axis=0) - ON_MODEL * model.size
+    high = corners.max(axis=0) + ON_MODEL * model.size
+    some = slice(None, None, max(1, len(points) // TRIED))
+    hints = []
+    for factor in UNITS:
+        places = factor * points[some]
+        if ((places >= low) & (places <= high)).all():
+            is_on = model.closest(places).distance <= factor * allowed[some]
+            hints += [factor] if is_on.mean() > MOST else []
     hint = (
         f"Times {hints[0]:.6g} the nodes lie on it: give mesh and model one unit."
         if hints
