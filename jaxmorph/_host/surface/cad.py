@@ -12,6 +12,7 @@ try:
     from OCP.IFSelect import IFSelect_RetDone
     from OCP.IGESControl import IGESControl_Reader
     from OCP.IntTools import IntTools_FClass2d
+    from OCP.Message import Message
     from OCP.STEPConstruct import STEPConstruct_UnitContext
     from OCP.STEPControl import STEPControl_Reader
     from OCP.TopAbs import (
@@ -198,7 +199,14 @@ class Model:
     @staticmethod
     def read(path: Path) -> "Model":
         """Reads a STEP, IGES or BREP file; its numbers stay, in the unit in which they stand."""
-        shape = READERS[path.suffix.lower()](str(path))
+        messenger = Message.DefaultMessenger_s()
+        printers = [*messenger.Printers()]
+        messenger.ChangePrinters().Clear()  # of what is read, on the standard output
+        try:
+            shape = READERS[path.suffix.lower()](str(path))
+        finally:
+            for printer in printers:
+                messenger.AddPrinter(printer)
         if shape is None or shape.IsNull():
             raise ValueError("not a CAD model, or a damaged one.")
         return Model(shape)
