@@ -34,7 +34,7 @@ KEPT = 16  # models that are kept, by their numbers
 class CAD(AbstractShape):
     """Moves a wall with a CAD model that is built anew from other numbers.
 
-    Each node is found once on the model, on a face, an edge or a vertex, and stays there: at its
+    Each node is found once, on a face, an edge or a vertex of the model. It stays there: at its
     share of the edge, at its parameters of the face. Where the border of a face moves in these
     parameters, as beside a fillet that grows, its inner nodes are carried by `LinearElasticity`.
     The nodes are on the model also at `x0`, where they may have been off by the tolerance.
@@ -96,7 +96,7 @@ class CAD(AbstractShape):
         points = np.asarray(mesh.points, float)[mesh.patch(*patches)]
         triangles = np.asarray(Facets.of(mesh, *patches).faces)
         wall, cells = wall_on_model(builder, start, points, triangles, tolerance)
-        self.plan = _plan_of(cells)
+        self.plan = _flat_plan(cells)
         self.models = ModelsByNumbers(wall, step, processes)
 
     def neutral(self) -> PyTree:
@@ -122,7 +122,7 @@ class CAD(AbstractShape):
             raise ValueError(f"the numbers have shapes {given}; this model takes {needed}.")
         x = ravel_pytree(jax.tree.map(jnp.asarray, parameters))[0]
         x = x.astype(jnp.result_type(x.dtype, jnp.float32))
-        return _displace(x, self.plan, self.models)
+        return _follow(x, self.plan, self.models)
 
 
 def _row_as_array(numbers: PyTree) -> PyTree:
@@ -131,7 +131,7 @@ def _row_as_array(numbers: PyTree) -> PyTree:
     return numbers
 
 
-def _plan_of(cells: ParameterMesh) -> Plan | None:
+def _flat_plan(cells: ParameterMesh) -> Plan | None:
     count = len(cells.borders.use)
     if not (count and len(cells.inner)):
         return None
@@ -223,7 +223,7 @@ def _called(method: Callable[..., Any], shape: tuple[int, ...], *arguments: Arra
     return host_call(method, jax.ShapeDtypeStruct(shape, arguments[0].dtype), *arguments)
 
 
-def _borders(x: Design, plan: Plan, models: ModelsByNumbers) -> Float[Array, "b 2"]:
+def _border_motion(x: Design, plan: Plan, models: ModelsByNumbers) -> Float[Array, "b 2"]:
     return _called(models.borders, (plan.n_moving, 2), x).astype(plan.points.dtype)
 
 
@@ -232,23 +232,23 @@ def _carried(borders: Float[Array, "b 2"], plan: Plan) -> Float[Array, "k 2"]:
 
 
 @eqx.filter_custom_jvp
-def _displace(x: Design, plan: Plan | None, models: ModelsByNumbers) -> Positions:
+def _follow(x: Design, plan: Plan | None, models: ModelsByNumbers) -> Positions:
     models.check(x)
     carried = jnp.zeros((0, 2), x.dtype)
     if plan is not None:
-        carried = _carried(_borders(x, plan, models), plan).astype(x.dtype)
+        carried = _carried(_border_motion(x, plan, models), plan).astype(x.dtype)
     return _called(models.displacements, models.wall.points.shape, x, carried)
 
 
-@_displace.def_jvp
-def _displace_jvp(primals: Any, tangents: Any) -> tuple[Positions, Positions]:
+@_follow.def_jvp
+def _follow_jvp(primals: Any, tangents: Any) -> tuple[Positions, Positions]:
     x, plan, models = primals
     models.check(x)
     x_dot = jnp.zeros_like(x) if tangents[0] is None else tangents[0]
     m = len(models.wall.points)
     carried = jnp.zeros((0, 2), x.dtype)
     if plan is not None:
-        borders = _borders(x, plan, models)
+        borders = _border_motion(x, plan, models)
         carried = _carried(borders, plan).astype(x.dtype)
     count = 3 * m + 2 * len(models.wall.borders.use)
     rates = _called(models.rates, (count, len(x)), x, carried)
@@ -260,4 +260,4 @@ def _displace_jvp(primals: Any, tangents: Any) -> tuple[Positions, Positions]:
         sides = _called(models.sides, (len(carried), 2, 3), x, carried)
         change = jnp.einsum("kp,kpd->kd", carried_dot.astype(x.dtype), sides, precision="highest")
         moved = moved.at[models.wall.inner].add(change)
-    return _displace(x, plan, models), moved
+    return _follow(x, plan, models), moved

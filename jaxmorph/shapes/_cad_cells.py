@@ -11,7 +11,7 @@ GAP = 0.1  # between faces side by side, over their width
 FLAT = 1e-9  # area of a triangle over the square of its longest side that is none
 
 
-class Places(NamedTuple):
+class BorderPlaces(NamedTuple):
     """Places (k,) on borders of faces, by the number of a use and the share of its edge, with the
     face's parameters `at` (k, 2) where the model starts.
     """
@@ -22,7 +22,7 @@ class Places(NamedTuple):
     at: ndarray
 
     @classmethod
-    def of(cls, model: Any, pairs: Sequence[tuple[int, float]]) -> "Places":
+    def of(cls, model: Any, pairs: Sequence[tuple[int, float]]) -> "BorderPlaces":
         """Makes places of uses and shares, with parameters on this model."""
         use, share = np.reshape(pairs, (-1, 2)).T
         face = np.array([each.face for each in model.uses])[use.astype(int)]
@@ -48,13 +48,13 @@ def lengths_of(model: Any) -> ndarray:
 
 
 class ParameterMesh(NamedTuple):
-    """Triangles (c, 3) of a wall, in its faces' parameters, side by side: `points` (n, 2), of which
-    the first ones are on the `borders` of faces, the next ones the `inner` nodes (k,).
+    """Triangles `cells` (c, 3) of a wall, in its faces' parameters, side by side. The first of the
+    `points` (n, 2) are on `borders` of faces, the next are the `inner` nodes (k,).
     """
 
     points: ndarray
     cells: ndarray
-    borders: Places
+    borders: BorderPlaces
     inner: ndarray
 
     @classmethod
@@ -79,7 +79,7 @@ class ParameterMesh(NamedTuple):
         keys = keys[_fits(model, owner, at, points[faces], scale)]
         used = np.unique(-1 - keys[keys < 0])
         inner = np.unique(keys[keys >= 0])[: None if len(used) else 0]  # nothing carries them
-        borders = Places.of(model, [[*places][number] for number in used])
+        borders = BorderPlaces.of(model, [[*places][number] for number in used])
         cells = np.where(
             keys < 0,
             np.searchsorted(used, -1 - keys),

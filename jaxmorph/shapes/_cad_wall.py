@@ -13,10 +13,10 @@ from jaxmorph import MeshError
 from jaxmorph.extend import cad_model
 
 from ._arguments import shown_place
-from ._cad_cells import ParameterMesh, Places, lengths_of
+from ._cad_cells import BorderPlaces, ParameterMesh, lengths_of
 
 ON_MODEL = 0.01  # share of the shortest edge at a node by which it may be off the model
-UNITS = (1e3, 1e-3, 25.4, 1 / 25.4, 100, 0.01, 304.8, 1 / 304.8)
+OTHER_UNITS = (1e3, 1e-3, 25.4, 1 / 25.4, 100, 0.01, 304.8, 1 / 304.8)
 """What a mesh in another unit than its model is multiplied by."""
 
 TRIED = 50
@@ -65,8 +65,8 @@ class WallOnModel:
     number: ndarray
     at: ndarray
     scale: ndarray
-    samples: Places
-    borders: Places
+    samples: BorderPlaces
+    borders: BorderPlaces
     inner: ndarray
 
     def build(self, x: ndarray) -> Any:
@@ -168,7 +168,7 @@ def wall_on_model(
         number=located.number,
         at=located.at,
         scale=scale,
-        samples=Places.of(model, samples),
+        samples=BorderPlaces.of(model, samples),
         borders=cells.borders,
         inner=cells.inner,
     ), cells
@@ -184,7 +184,7 @@ def _check_distance(model: Any, points: ndarray, distance: ndarray, allowed: nda
     high = corners.max(axis=0) + ON_MODEL * model.size
     some = slice(None, None, max(1, len(points) // TRIED))
     hints = []
-    for factor in UNITS:
+    for factor in OTHER_UNITS:
         places = factor * points[some]
         if ((places >= low) & (places <= high)).all():
             is_on = model.closest(places).distance <= factor * allowed[some]
