@@ -41,6 +41,7 @@ PROJECTION_STEPS = 8
 SECTION_STEPS = 4  # onto the section of a CAD model with a plane
 STEEPEST = 10.0  # square of the longest of them, over the distance from the model
 SETTLED = 4  # steps from one to the other, and at the last
+OTHER_UNIT = 300.0  # extent of a CAD model over the wall's that is that of another unit
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
 # weight of edges, corners and planes over the stiffness; of staying, against sliding away
 HARD = 100.0
@@ -104,6 +105,8 @@ class Onto(Module):
             raise ValueError(
                 f"the wall is in {x.shape[1]}-D, its target in {target.points.shape[1]}-D."
             )
+        if isinstance(target, Facets) and target.model is not None:
+            _check_unit(np.ptp(np.asarray(target.points), axis=0).max() / extent)
         self.wall = wall
         self.is_exact = length == 0
         self.function = None
@@ -222,6 +225,14 @@ class Onto(Module):
             )
 
         return y + jax.lax.custom_linear_solve(product, off, solve, symmetric=True)
+
+
+def _check_unit(ratio: float) -> None:
+    if not 1 / OTHER_UNIT < ratio < OTHER_UNIT:
+        raise ValueError(
+            f"the CAD model is {ratio:.3g} times as large as the wall, in the numbers of its file. "
+            "Do both have one unit? Scale the mesh, or write the file in the unit of the mesh."
+        )
 
 
 @eqx.filter_jit

@@ -1,5 +1,7 @@
 """Shapes of OpenCASCADE: faces, edges and vertices by number, evaluated, as facets, of files."""
 
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
+
 try:
     from OCP.Bnd import Bnd_Box
     from OCP.BRep import BRep_Builder, BRep_Tool
