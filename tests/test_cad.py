@@ -3,6 +3,7 @@ distances, differences.
 """
 
 import pickle
+import pathlib
 import subprocess
 import sys
 
@@ -16,16 +17,6 @@ import jaxmorph as jm
 from jaxmorph import io, shapes
 from jaxmorph.cli import main
 from jaxmorph.extend import cad_model
-
-
-def test_the_extra_is_named_where_it_is_missing(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "OCP.Bnd", None)
-    monkeypatch.delitem(sys.modules, "jaxmorph._host.surface.cad", raising=False)
-    (tmp_path / "a.step").write_text("")
-    with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[cad\]'"):
-        io.read_facets(tmp_path / "a.step")
-    with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[cad\]'"):
-        shapes.CAD(lambda x: None, [1.0], bricks(1), "floor")
 
 
 cad = pytest.importorskip("OCP.BRepPrimAPI", reason="pip install 'jaxmorph[cad]'")
@@ -374,7 +365,7 @@ for step in range(4):
     late = jnp.asarray(np.zeros(20001)[1:])
     assert jnp.isfinite(slope(jnp.array([1.0, 0.2 + 0.01 * step]), late)[1]).all()
 """
-    folder = str(__import__("pathlib").Path(__file__).parent)
+    folder = pathlib.Path(__file__).parent
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300, cwd=folder)
 
 

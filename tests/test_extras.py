@@ -7,8 +7,10 @@ import sys
 import tomllib
 
 import pytest
+from meshes import bricks
 
 import jaxmorph
+from jaxmorph import io, shapes
 
 CODE = """
 import sys
@@ -71,3 +73,14 @@ def test_each_missing_extra_is_named(tmp_path):
 
 def test_types_ship():
     assert (pathlib.Path(jaxmorph.__file__).parent / "py.typed").is_file()
+
+
+def test_a_cad_model_names_its_extra(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "OCP.Bnd", None)
+    for name in ("cad", "cad_kernel"):
+        monkeypatch.delitem(sys.modules, f"jaxmorph._host.surface.{name}", raising=False)
+    (tmp_path / "a.step").write_text("")
+    with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[cad\]'"):
+        io.read_facets(tmp_path / "a.step")
+    with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[cad\]'"):
+        shapes.CAD(lambda x: None, [1.0], bricks(1), "floor")

@@ -246,7 +246,7 @@ def _follow_jvp(primals: Any, tangents: Any) -> tuple[Positions, Positions]:
     models.check(x)
     x_dot = jnp.zeros_like(x) if tangents[0] is None else tangents[0]
     m = len(models.wall.points)
-    carried = jnp.zeros((0, 2), x.dtype)
+    borders = carried = jnp.zeros((0, 2), x.dtype)
     if plan is not None:
         borders = _border_motion(x, plan, models)
         carried = _carried(borders, plan).astype(x.dtype)

@@ -138,7 +138,9 @@ class _Parts:
             share = float(self.located.at[node, 0])
             choices = [(use, share) for use in self.on_edge[face, number]]
         else:
-            choices = [self._turned(*pair, middle, scale) for pair in self.at_vertex[face, number]]
+            choices = [
+                self._turned(use, end, middle, scale) for use, end in self.at_vertex[face, number]
+            ]
         off = [
             np.linalg.norm((self.model.uses[use].at(share) - middle) * scale)
             for use, share in choices
