@@ -24,6 +24,7 @@ from ._host.package.files import (
 from ._host.package.ranks import Agreement as Agreement, Alone as Alone, together as together
 from ._host.package.rounding import Tree as Tree, spacing as spacing
 from ._host.package.text import decoded as decoded, patch_names as patch_names
+from ._host.surface.cad_sources import cad_model as cad_model
 from ._host.surface.gaps import closest as closest, fans as fans
 from ._kernels.callback import host_call as host_call
 from ._kernels.compile import (

@@ -228,6 +228,15 @@ def check_curved(said):
     check_equal(said, r"together (\S+), by a difference (\S+)", 1e-3)
 
 
+def check_cad(said):
+    """The mesh stays valid while the objective falls, and the gradient is the difference."""
+    check_equal(said, r"sweep (\S+), by a difference (\S+)\n", 1e-3)
+    rows = re.findall(r"^([0-9.]+)  (\d+)   ", said, flags=re.MULTILINE)
+    assert len(rows) > 2
+    assert {inverted for _, inverted in rows} == {"0"}
+    assert float(rows[-1][0]) < float(rows[0][0])
+
+
 CASES = {
     "00_first_steps.ipynb": ({"points": 1200}, check_first_steps),
     "01_least_drag.ipynb": ({"around": 20, "layers": 16}, check_least_drag),
@@ -245,6 +254,7 @@ CASES = {
     "10_flap.ipynb": ({"size": 0.008, "deflections": 4}, check_flap),
     "11_wing_openmdao.ipynb": ({"points": 6500, "steps": 8}, check_wing_openmdao),
     "13_curved.ipynb": ({"points": 500}, check_curved),
+    "14_cad.ipynb": ({"size": 0.2, "iterations": 3}, check_cad),
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets, and what the output has to say."""
 
@@ -256,6 +266,8 @@ CASES = {
 def test_notebook_runs(name):
     if name == "01_least_drag.ipynb":
         pytest.importorskip("skfem")
+    if name == "14_cad.ipynb":
+        pytest.importorskip("OCP")
     CASES[name][1](said_by(name))
 
 

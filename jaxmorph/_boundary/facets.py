@@ -1,10 +1,11 @@
 """Triangulated surfaces, polylines in 2-D: their closest places, traced, and their edges."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
@@ -61,6 +62,9 @@ class Facets(Module):
       the sharp edges kept, as Phong tessellation has it. Default False.
     - `angle`: radians. Default pi / 3.
     - `sides`: normals (k, d) of segments in 3-D, if they are known.
+    - `model`: the CAD model of which these are facets, as `io.read_facets` gives it. Closest places
+      are on its own surfaces, those to segments on its sharp edges. Faces meet at a sharp edge
+      where the model has one: its faces turn there, by more than a degree.
 
     **Raises:** `ValueError` for faces of another shape, ids that are no rows, and no faces.
 
@@ -79,6 +83,7 @@ class Facets(Module):
     sides: Float[Either, "k d"] | None
     smooth: bool = eqx.field(static=True)
     angle: float = eqx.field(static=True)
+    model: Any = eqx.field(static=True)
 
     @checked
     def __init__(
@@ -89,7 +94,9 @@ class Facets(Module):
         smooth: bool = False,
         angle: float = SHARP,
         sides: Any = None,
+        model: Any = None,
     ):
+        self.model = model
         known = finite_array("points", points, (None, 2), (None, 3))
         self.points = points if isinstance(points, jax.Array) else array(known)
         self.smooth = smooth
@@ -100,7 +107,10 @@ class Facets(Module):
         faces = cut_faces(faces, exact)
         if sides is None:
             self.sides = None
-            found = Creased.of(with_extent(faces, self.welded), exact, self.welded, angle)
+            is_feature = None if model is None else model.is_feature
+            found = Creased.of(
+                with_extent(faces, self.welded), exact, self.welded, angle, is_feature
+            )
         else:
             self.sides = finite_array("sides", sides, faces.shape[:1] + exact.shape[1:])
             found = Creased.none(faces)
@@ -131,10 +141,15 @@ class Facets(Module):
 
     @checked
     def at(self, points: Numbers) -> "Facets":
-        """Moves the points to other places (n, d). Traced; the edges stay as they were found."""
-        return eqx.tree_at(
+        """Moves the points to other places (n, d). Traced; the edges stay as they were found.
+
+        Facets of a CAD model become facets alone.
+        """
+        moved = eqx.tree_at(
             lambda facets: facets.points, self, self._like("points", points, len(self.points))
         )
+        object.__setattr__(moved, "model", None)  # of the new one
+        return moved
 
     @checked
     def closest(self, x: Numbers, facing: Numbers | None = None, *, along: bool = False) -> Places:
@@ -146,8 +161,13 @@ class Facets(Module):
         `x` is seen along the normals, interpolated between vertices: it moves without jumps.
         """
         x = self._like("x", x)
-        is_seen = self.smooth or (along and self.sides is None)
-        return as_jax(_place(self, x, self.face(x, facing), is_seen))
+        is_curve = self.sides is not None
+        is_seen = self.smooth or (along and not is_curve)
+        if self.model is None:
+            return as_jax(_place(self, x, self.face(x, facing), is_seen))
+        if facing is not None or along or is_curve:
+            x = _place(self, x, self.face(x, facing), is_seen)
+        return as_jax(_onto_model(self.model.edge_rows if is_curve else self.model.rows, x))
 
     @checked
     def face(self, x: Numbers, facing: Numbers | None = None) -> Int[Array, " m"]:
@@ -201,6 +221,16 @@ def _unit_normals(facets: Facets) -> Float[Either, "n d"]:
 
 def _normals_of(facets: Facets) -> Float[Either, "v d"]:
     return smooth_normals(facets.points[facets.origins], facets.corners)
+
+
+def _onto_model(rows: Callable[..., Any], x: Float[Either, "m d"]) -> Float[Either, "m d"]:
+    """The closest places on a model; its host finds them, and their derivatives."""
+    if namespace(x) is np:
+        return rows(x)[:, 0].astype(x.dtype)
+    shape = jax.ShapeDtypeStruct((len(x), 4, 3), x.dtype)
+    still = jax.lax.stop_gradient(x)
+    found = host_call(rows, shape, still)
+    return found[:, 0] + jnp.einsum("mkd,mk->md", found[:, 1:], x - still, precision="highest")
 
 
 @by_place

@@ -64,6 +64,8 @@ NO_AREA = 1e-14
 NO_EDGE = np.cos(np.deg2rad(5))
 # Least cosine of a hole's faces to those around it, of faces of one wall: a dome's rim is no hole.
 CONTINUES = 0.5
+# Angle, in radians, of two faces of a CAD model that meet smoothly.
+SMOOTH_SEAM = np.deg2rad(1)
 # Cosine of a concave corner's angle from which on its faces are two walls.
 CONCAVE = np.cos(np.deg2rad(45))
 # Cosine of the angle between a tip's edges below which the wall is sharp there.

@@ -254,8 +254,15 @@ def _read_wall(flags: MotionFlags, mesh: Mesh) -> Wall | None:
     if flags.onto_scale is not None:
         if flags.onto_scale <= 0:
             raise ValueError(f"--onto-scale {flags.onto_scale:g}: a factor above 0 is expected.")
-        target = target.at(np.asarray(target.points) * flags.onto_scale)
+        target = _scaled_target(target, flags.onto_scale)
     return Wall(jm.Facets.of(mesh, *flags.patches, angle=angle), target, flags.onto)
+
+
+def _scaled_target(target: jm.Facets, factor: float) -> jm.Facets:
+    if target.model is None:
+        return target.at(np.asarray(target.points) * factor)
+    model = target.model.scaled(factor)
+    return jm.Facets(model.facets.points, model.facets.triangles, model=model)
 
 
 ONTO_WORDS = {

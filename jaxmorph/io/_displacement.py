@@ -15,6 +15,7 @@ from jaxmorph import Facets, Mesh
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import input_path, read_arrays, real_values
 from jaxmorph._host.rows import Rows
+from jaxmorph._host.surface.cad_sources import CAD_ENDINGS, cad_model
 from jaxmorph._host.surface.gaps import closest, fans
 
 from ._format import faults_of
@@ -91,18 +92,24 @@ def take_labels(mesh: Mesh, nodes: NodeIds) -> ndarray | None:
 def read_facets(
     path: PathLike, d: int = 3, *, smooth: bool = False, angle: float = np.pi / 3
 ) -> Facets:
-    """Reads a surface in 3-D, a curve in 2-D: a scan, or the tessellation of a CAD model.
+    """Reads a surface in 3-D, a curve in 2-D: a scan, or a CAD model.
+
+    Closest places on a CAD model are on its own surfaces, and its edges are sharp where its faces
+    turn, not where facets do. Its numbers stay as the file has them, in the unit that it names.
 
     **Arguments:**
 
     - `path`: .stl, .obj, .npz of `points` and `triangles` (2-D: `lines`), or a mesh, of which its
-      faces count, else its boundary.
+      faces count, else its boundary. A CAD model in .step, .iges or .brep.
     - `d`: 2 takes x and y of .obj. Default 3.
     - `smooth`, `angle`: as `Facets` takes them.
 
     **Raises:** `ValueError` for a damaged file, and for triangles in 2-D or lines in 3-D.
+    `ImportError` for a CAD model without OpenCASCADE.
     """
     path = input_path(path)
+    if path.suffix.lower() in CAD_ENDINGS:
+        return _read_model(path, d)
     if path.suffix.lower() not in READERS:
         return Facets.of(read(path), smooth=smooth, angle=angle)
     shape = read_shape(path)
@@ -112,6 +119,14 @@ def read_facets(
             f"{path}: {'lines' if d == 2 else 'triangles'} in {d}-D are expected, found {found}."
         )
     return Facets(shape.points[:, :d], shape.simplices, smooth=smooth, angle=angle)
+
+
+def _read_model(path: Path, d: int) -> Facets:
+    with faults_of(path):
+        if d != 3:
+            raise ValueError("a CAD model has surfaces in 3-D; in 2-D take lines of .obj or .npz.")
+        model = cad_model(path)
+        return Facets(model.facets.points, model.facets.triangles, model=model)
 
 
 def _interpolate_motion(before: Path, after: Path, x: ndarray) -> ndarray:

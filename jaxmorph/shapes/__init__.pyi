@@ -1,6 +1,7 @@
 """Public names of `jaxmorph.shapes` and their homes, for type checkers and as the room runs."""
 
 # isort: off
+from ._cad import CAD as CAD
 from ._curves import (
     BSplineCurve as BSplineCurve,
     CST as CST,

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from jaxmorph import Facets, MeshError, Plane
-from jaxmorph.extend import Either, Module, namespace
+from jaxmorph.extend import Either, Module, namespace, norm, put_at
 
 from ._arguments import rows_like, shown_place
 from ._tolerances import ON_SYMMETRY
@@ -38,12 +38,15 @@ class Rail(Module):
     ids: NodeIds | None = None
     curve: Facets | None = None
 
-    def places(self, x: Places, facing: Places, points: Float[Either, "n d"]) -> Any:
-        return (
-            points[self.ids]
-            if self.curve is None
-            else self.curve.at(points).closest(x[self.rows], facing[self.rows])
-        )
+    def places(self, x: Places, facing: Places, target: Facets) -> Any:
+        points = namespace(x).asarray(target.points)
+        if self.curve is None:
+            return points[self.ids]
+        is_model = target.model is not None
+        curve = self.curve if is_model else self.curve.at(points)
+        places = curve.closest(x[self.rows], facing[self.rows])
+        # sections and named edges are polylines
+        return target.closest(places) if is_model and curve.model is None else places
 
 
 class Clip(Module):
@@ -109,14 +112,15 @@ def check_pairs(features: Sequence[Any]) -> None:
         )
 
 
-def normals_beside(borders: Borders, wall: Facets) -> Positions:
+def normals_beside(borders: Borders, wall: Facets) -> Places:
     """Computes unit normals (m, d) at a wall's nodes, within the planes where its border stays."""
-    normals = wall.normals()
+    normals: Any = wall.normals()
+    xp = namespace(normals)
     for plane, rows in borders:
-        normal = jnp.asarray(plane.normal, normals.dtype)
+        normal = xp.asarray(plane.normal, normals.dtype)
         own = normals[rows]
-        own = own - jnp.matmul(own, normal, precision="highest")[:, None] * normal[None]
-        normals = normals.at[rows].set(own / jnp.linalg.norm(own, axis=1)[:, None])
+        own = own - xp.sum(own * normal[None], axis=1)[:, None] * normal[None]
+        normals = put_at(normals, rows, own / norm(own)[:, None])
     return normals
 
 
@@ -151,7 +155,9 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
         )
     clip = Clip(pairs, on, plane)
     cut = place.reshape(-1, width)
-    return clip, Facets(clip(points), cut, smooth=target.smooth, angle=target.angle)
+    return clip, Facets(
+        clip(points), cut, smooth=target.smooth, angle=target.angle, model=target.model
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,6 +172,7 @@ class Curves:
     kinds: ndarray
     corners: ndarray
     codes: ndarray
+    model: Any
 
     @classmethod
     def of(
@@ -186,7 +193,7 @@ class Curves:
             found.append(np.reshape(own, (-1, 1)) if rim.shape[1] == 1 else edges)
         edges = np.concatenate(found)
         kinds = np.repeat(np.arange(len(found)), [len(part) for part in found])
-        corners, codes = _meeting_points(points, edges, kinds, rim, len(planes))
+        corners, codes = _meeting_points(points, edges, kinds, rim, len(planes), facets.model)
         return cls(
             points=points,
             normals=normals,
@@ -194,6 +201,7 @@ class Curves:
             kinds=kinds,
             corners=corners,
             codes=codes,
+            model=facets.model,
         )
 
     def chains(self, kind: int) -> list[ndarray]:
@@ -210,7 +218,7 @@ class Curves:
 
 
 def _meeting_points(
-    points: ndarray, edges: ndarray, kinds: ndarray, rim: ndarray, planes: int
+    points: ndarray, edges: ndarray, kinds: ndarray, rim: ndarray, planes: int, model: Any
 ) -> tuple[ndarray, ndarray]:
     nodes, number = np.unique(edges, return_inverse=True)
     number = number.reshape(edges.shape)
@@ -227,6 +235,8 @@ def _meeting_points(
         count = np.bincount(number.ravel())
         is_single = ~np.isin(nodes, rim) | met[:, planes + 1 :].any(axis=1)
         is_end = np.where(count == 1, is_single, (count > 2) | (np.sum(total**2, axis=1) > 1))
+        if model is not None:  # its own edges end there, also where they go on smoothly
+            is_end |= model.is_vertex(points[nodes])
         is_corner = (is_end & ~met[:, 1 : planes + 1].any(axis=1)) | (met.sum(axis=1) > 1)
     return nodes[is_corner], met[is_corner] @ (1 << np.arange(met.shape[1]))
 
@@ -300,7 +310,12 @@ def _on_curves(own: Curves, other: Curves, kind: int, taken: ndarray) -> list[Ra
         if near.any():
             onto = np.concatenate([chains[number] for number in np.unique(best[near])])
             rows = rows[near]
-            curve = Facets(other.points, onto, sides=other.normals[onto].mean(axis=1) * (kind > 0))
+            curve = Facets(
+                other.points,
+                onto,
+                sides=other.normals[onto].mean(axis=1) * (kind > 0),
+                model=other.model if kind == 0 else None,
+            )
             guides.append(Rail(rows=rows, beside=_neighbours_along(rows, edges), curve=curve))
     return guides
 

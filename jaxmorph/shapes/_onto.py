@@ -58,6 +58,8 @@ Motion = tuple[ndarray, ndarray]
 FIRST = 0.5
 LAST = 0.01  # first and last length over the wall's extent
 PROJECTION_STEPS = 8
+SECTION_STEPS = 4  # onto the section of a CAD model with a plane
+STEEPEST = 10.0  # square of the longest of them, over the distance from the model
 SETTLED = 4  # steps from one to the other, and at the last
 FAR = 0.2  # distance over the wall's extent from which on there are three times as many steps
 # weight of edges, corners and planes over the stiffness; of staying, against sliding away
@@ -178,9 +180,22 @@ class Onto(Module):
             return self._in_planes(places)
         places = xp.asarray(target.closest(y, facing, along=True))
         for guide in self.guides:
-            own = xp.asarray(guide.places(y, facing, target.points))
+            own = xp.asarray(guide.places(y, facing, target))
             places = put_at(places, guide.rows, own)
-        return self._in_planes(places)
+        places = self._in_planes(places)
+        return places if target.model is None else self._on_sections(places, target)
+
+    def _on_sections(self, y: Places, target: Facets) -> Places:
+        """Takes nodes in planes onto the model in these: its facets were cut there, not itself."""
+        xp = namespace(y)
+        for rows in [rows for _, rows in self.borders for _ in range(SECTION_STEPS)]:
+            # the foot lies along the normal: as far again in the plane as its share there is less
+            off = xp.asarray(target.closest(y[rows])) - y[rows]
+            across = self._in_planes(add_at(y, rows, off))[rows] - y[rows]
+            squared = xp.sum(across**2, axis=1)
+            share = xp.sum(off**2, axis=1) / xp.where(squared > 0, squared, xp.inf)
+            y = add_at(y, rows, xp.minimum(share, STEEPEST)[:, None] * across)
+        return y
 
     def _is_beyond(self, places: Places, target: Facets | None) -> Bool[Either, " m"]:
         """Whether places are on the border of the target: nothing draws their nodes."""
@@ -269,7 +284,9 @@ def _move_walls(onto: Onto, x: Places, target: Facets | None) -> Places:
     )
     start = xp.sum(x[:, None] * turn[None], axis=2) + shift[None]
     is_last = np.arange(len(lengths)) >= PROJECTION_STEPS
-    nearer = functools.partial(onto._nearer, start=start, target=target)
+    # a CAD model is searched at the last step alone, its facets before
+    facets = None if target is None else target.at(target.points)
+    nearer = functools.partial(onto._nearer, start=start, target=facets)
     y = start
     if xp is np:
         for step in zip(lengths, is_last, strict=True):
@@ -335,9 +352,12 @@ def _check_target(x: ndarray, target: Facets) -> None:
     off = np.median(target.distance(some))
     in_unit = factor * np.median(target.distance(some / factor))
     if off > FAR * own or in_unit < off / NEARER:
+        cure = f"Multiply its points by {factor:.10g}."
+        if target.model is not None:
+            cure = f"Scale the mesh by {1 / factor:.10g}, or write the CAD file in the mesh's unit."
         raise ValueError(
             f"the target is {other:.4g} long, the wall {own:.4g}: it seems to be in another unit. "
-            f"Multiply its points by {factor:.10g}."
+            f"{cure}"
         )
 
 
@@ -387,7 +407,9 @@ def _turn_normals(target: Facets, start: Facets) -> Facets:
     votes = np.bincount(np.asarray(target.part)[face], alike, minlength=int(target.part.max()) + 1)
     is_other = (np.where(votes == 0, alike.sum(), votes) < 0)[target.part]
     faces = np.where(is_other[:, None], target.faces[:, ::-1], target.faces)
-    return Facets(target.points, faces, smooth=target.smooth, angle=target.angle)
+    return Facets(
+        target.points, faces, smooth=target.smooth, angle=target.angle, model=target.model
+    )
 
 
 FITS = 20

@@ -1,5 +1,6 @@
 """Faces of a surface: cut into simplices, turned to one sense, and the edges at which they turn."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,15 +40,27 @@ class Creased(NamedTuple):
         return cls(faces, faces, faces, nothing, nothing, nothing[:, None], nothing[:, None])
 
     @classmethod
-    def of(cls, faces: ndarray, points: ndarray, welded: ndarray, angle: float) -> "Creased":
-        """Finds the edges of faces; `welded` (n,) is the vertex of each point."""
+    def of(
+        cls,
+        faces: ndarray,
+        points: ndarray,
+        welded: ndarray,
+        angle: float,
+        is_feature: Callable[[ndarray], ndarray] | None = None,
+    ) -> "Creased":
+        """Finds the edges of faces; `welded` (n,) is the vertex of each point.
+
+        `is_feature` marks places on the sharp edges, if a model tells these and no angle does.
+        """
         _, sign, part = _neighbours_of(welded[faces])
         sign = sign * _sense(sign, part, points[faces])
         faces = np.where(sign[:, None] < 0, faces[:, ::-1], faces)
         vertices = welded[faces]
         beside = _neighbours_of(vertices)[0]
         is_sharp = np.zeros(beside.shape, bool)  # no angle tells the sides of curves in 3-D apart
-        if vertices.shape[1] == points.shape[1]:
+        if is_feature is not None:
+            is_sharp = _on_features(_sides_of(vertices), points, is_feature)
+        elif vertices.shape[1] == points.shape[1]:
             unit = unit_rows(normals(points[vertices]))
             is_sharp = np.sum(unit[:, None] * unit[beside], axis=2) < np.cos(angle)
         sharp, rim = _borders(vertices, beside, is_sharp)
@@ -140,6 +153,15 @@ def _borders(vertices: ndarray, beside: ndarray, is_sharp: ndarray) -> Pair:
     sharp = np.unique(edges[(beside >= 0) & is_sharp], axis=0)
     single, count = np.unique(edges[beside < 0], axis=0, return_counts=True)
     return np.concatenate([sharp, single[count > 1]]), single[count == 1]
+
+
+def _on_features(
+    sides: ndarray, points: ndarray, is_feature: Callable[[ndarray], ndarray]
+) -> ndarray:
+    """Marks sides (k, c, 2) of faces of which both ends, and the middle, are on sharp edges."""
+    found = np.all(is_feature(points)[sides], axis=2, keepdims=False)
+    found[found] = is_feature(points[sides[found]].mean(axis=1))
+    return found
 
 
 def _split(vertices: ndarray, beside: ndarray, is_smooth: ndarray) -> Pair:

@@ -112,16 +112,27 @@ def closest(corners: ndarray, x: ndarray) -> Closest:
 
     Of equally near ones it is that whose middle comes first by place.
     """
+    row, near = nearby(corners, x, 0.0)
+    first = np.unique(row, return_index=True)[1]
+    return Closest(*(column[first] for column in near))
+
+
+def nearby(corners: ndarray, x: ndarray, slack: float) -> tuple[ndarray, Closest]:
+    """Finds the simplices that are farther than the closest one by `slack` at most, that one first.
+
+    Rows of `x` ascend, and come with each of their simplices.
+    """
     # sorted by place, the first of equally near simplices is the one wanted
     order = canonical_order(corners.mean(axis=1))
     corners = corners[order]
     trees = _trees_by_size(corners)
     blocks = [
-        _closest_of_block(trees, corners, x[at : at + POINTS_TOGETHER])
+        _near_of_block(trees, corners, x[at : at + POINTS_TOGETHER], slack)
         for at in range(0, max(len(x), 1), POINTS_TOGETHER)
     ]
-    simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
-    return Closest(order[simplex], weights, distance)
+    row, simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
+    block = np.repeat(np.arange(len(blocks)), [len(block[0]) for block in blocks])
+    return row + POINTS_TOGETHER * block, Closest(order[simplex], weights, distance)
 
 
 def _trees_by_size(corners: ndarray) -> list[tuple[ndarray, Tree, float]]:
@@ -135,10 +146,12 @@ def _trees_by_size(corners: ndarray) -> list[tuple[ndarray, Tree, float]]:
     return [(group, Tree(centre[group]), radius[group].max()) for group in groups]
 
 
-def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
+def _near_of_block(
+    trees: list, corners: ndarray, x: ndarray, slack: float
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     # The nearest middles bound the distance; a ball holds what may be closer, of which most is
     # beside, and its box farther than the bound.
-    slack = max(roundoff(corners), roundoff(x))
+    noise = max(roundoff(corners), roundoff(x))
     bound = np.full(len(x), np.inf)
     rows = []
     simplices = []
@@ -148,11 +161,11 @@ def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
             1
         ]
         bound = np.minimum(bound, distance.reshape(near.shape).min(axis=1))
-    bound = bound * (1 + SAME)
+    bound = (bound + slack) * (1 + SAME)
     for group, tree, radius in trees:
         row, member = tree.within(x, bound + radius * (1 + SAME))
         box = _measure_to_boxes(corners[group], member, x, row)
-        some = box <= (bound + slack)[row]
+        some = box <= (bound + noise)[row]
         rows.append(row[some])
         simplices.append(group[member[some]])
     row = np.concatenate(rows)
@@ -160,10 +173,10 @@ def _closest_of_block(trees: list, corners: ndarray, x: ndarray) -> Closest:
     weights, distance = _find_nearest_places(corners[simplex], x[row])
     least = np.full(len(x), np.inf)
     np.minimum.at(least, row, distance)
-    is_least = distance <= least[row] + slack
-    order = np.lexsort((simplex, ~is_least, row))
-    best = order[np.unique(row[order], return_index=True)[1]]
-    return Closest(simplex[best], weights[best], distance[best])
+    beyond = distance - least[row] - noise
+    order = np.lexsort((simplex, beyond > 0, row))
+    order = order[beyond[order] <= slack]
+    return row[order], simplex[order], weights[order], distance[order]
 
 
 def _measure_to_boxes(corners: ndarray, simplex: ndarray, x: ndarray, row: ndarray) -> ndarray:
