@@ -1,0 +1,154 @@
+"""A motion over several meshes: a new one takes over before the cells of the last one break."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Real
+
+from .._boundary.conditions import renumbered
+from .._boundary.names import Nodes
+from .._host.package.arguments import between, check_fields, checked, finite_array
+from .._mesh.mesh import Mesh
+from .._plan.deform import deform
+from .._plan.plan import Plan
+from .._plan.prepare import plan_of
+from .._quality.limits import Limits
+from .._quality.verdict import Verdict, judge
+from .largest_step import DesignedMesh
+from .remesh import nodes_of, remesh
+from .transfer import Remeshed
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Relay:
+    """A motion of a wall that goes on over several meshes, each moved by one plan.
+
+        state = jm.Relay(jm.prepare(mesh, "body", "channel"), mesh)
+        for u in path:
+            state = state.moved(u)
+            if state.remeshed is not None:
+                field = state.remeshed.transfer(field)
+
+    Each move is tried first. Where it would break a limit, `remesh` makes new cells on the points
+    before it, and a plan is prepared for them. The move then goes on from there. Displacements
+    are total ones, of the first mesh's moving nodes in their order: so are design variables.
+    Derivatives are exact on one mesh (`points_at`); across a hand-over they begin anew.
+
+    - `plan`, `mesh`: of the mesh that moves now; its first mesh's to begin with.
+    - `limits`: of every move, relative to that mesh. Default: a Jacobian ratio of 0.2.
+    - `keep`, `target`: as `remesh` takes them, 0.4 by default.
+    - `start` (m, d): the displacement at which `mesh` took over. Default: none.
+    - `u` (m, d), `points` (n, d): the last displacement, and the points there.
+    - `verdict`: of these points; None before the first move.
+    - `remeshed`: the `Remeshed` by which `mesh` took over in the last move, or None.
+    - `count`: the number of hand-overs up to now.
+
+    **Raises:** `ValueError` for a mesh that is not the plan's.
+    """
+
+    plan: Plan
+    mesh: Mesh
+    limits: Limits = dataclasses.field(
+        default_factory=lambda: Limits(min_jacobian_ratio=0.2), kw_only=True
+    )
+    keep: Nodes = dataclasses.field(default=(), kw_only=True)
+    target: float = dataclasses.field(default=0.4, kw_only=True)
+    start: Float[np.ndarray, "m d"] | None = dataclasses.field(default=None, kw_only=True)
+    u: Float[np.ndarray, "m d"] | None = dataclasses.field(default=None, kw_only=True)
+    points: Any = dataclasses.field(default=None, kw_only=True)
+    verdict: Verdict | None = dataclasses.field(default=None, kw_only=True)
+    remeshed: Remeshed | None = dataclasses.field(default=None, kw_only=True)
+    count: int = dataclasses.field(default=0, kw_only=True)
+
+    def __post_init__(self):
+        check_fields(self)
+        between("target", self.target, 0, 1)
+        self.plan.check_mesh(self.mesh)
+        none = np.zeros((self.plan.n_moving, self.mesh.points.shape[1]))
+        for name, value in {"start": none, "u": none, "points": self.mesh.points}.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+
+    def points_at(self, u: Real[ArrayLike, "m d"]) -> Float[Array, "n d"]:
+        """Moves the present mesh by a total displacement. Traced, with exact derivatives."""
+        return deform(self.plan, jnp.asarray(u) - self.start)
+
+    def design(
+        self, displacement: Callable[[Any], Any], *, min_jacobian_ratio: float = 0.0
+    ) -> DesignedMesh:
+        """Makes the present mesh, moved by design variables, for `shapes.MeshGuard`.
+
+        - `displacement`: takes design variables and returns the total displacement (m, d).
+        - `min_jacobian_ratio`: as of `DesignedMesh`.
+        """
+        return DesignedMesh(
+            self.plan,
+            self.mesh,
+            lambda variables: displacement(variables) - self.start,
+            min_jacobian_ratio=min_jacobian_ratio,
+        )
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """Numbers of the last move for `shapes.History.add`."""
+        ratio = 1.0 if self.verdict is None or self.verdict.judged is None else self.verdict.judged.ratio
+        return {"jacobian_ratio": float(ratio), "hand_overs": float(self.count)}
+
+    @checked
+    def moved(self, u: Real[ArrayLike, "m d"]) -> "Relay":
+        """Moves the wall to a total displacement (m, d), on the host, and hands over before that
+        where it must.
+
+        **Raises:** `ValueError` for another shape of `u`, where `remesh` does, and where the move
+        breaks a limit on the new mesh, too.
+        """
+        u = finite_array("u", u, self.start.shape)
+        state = self._after(u)
+        if state.verdict.ok:
+            return state
+        new = self._handed_over(state.verdict.bad)
+        state = new._after(u)
+        if not state.verdict.ok:
+            raise ValueError(
+                f"this move breaks a limit right after a hand-over: {' '.join(state.verdict.faults())} "
+                "Take smaller moves, or other limits."
+            )
+        return dataclasses.replace(state, remeshed=new.remeshed)
+
+    def _after(self, u: np.ndarray) -> "Relay":
+        points = np.asarray(self.points_at(u))
+        verdict = judge(self.mesh, points, self.limits)
+        return dataclasses.replace(self, u=u, points=points, verdict=verdict, remeshed=None)
+
+    def _handed_over(self, bad: np.ndarray) -> "Relay":
+        mesh = self.mesh
+        keep = nodes_of(mesh, self.keep)
+        stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
+        made = remesh(mesh, self.points, keep=stay, target=self.target, cells=bad)
+        return dataclasses.replace(
+            self,
+            plan=_prepared(self.plan, made),
+            mesh=made.mesh,
+            keep=made.of_old[keep],
+            start=self.u,
+            points=made.mesh.points,
+            remeshed=made,
+            count=self.count + 1,
+        )
+
+
+def _prepared(plan: Plan, made: Remeshed) -> Plan:
+    """Prepares the conditions of a plan again, on the new mesh."""
+    old = plan.boundary
+    place = made.of_old
+    stay = np.flatnonzero(place >= 0)
+    on = np.zeros((len(made.mesh.points), old.on.shape[1]), bool)
+    on[place[stay]] = old.on[stay]
+    pairings, tracks = renumbered(old.pairings, old.tracks, place)
+    lists = {name: place[getattr(old, name)] for name in ("moving", "fixed", "guided", "loose")}
+    known = old.altered(points=np.asarray(made.mesh.points), on=on, pairings=pairings, tracks=tracks, **lists)
+    # the first `prepare` has warned of free faces
+    return plan_of(known.with_mesh(made.mesh).altered(left=None), plan.method)

@@ -1,0 +1,279 @@
+"""Values at nodes and in cells of an old mesh, carried over to a new one in the same place."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.sparse import BCOO
+from jaxtyping import Array, ArrayLike, Int, Real
+from numpy import ndarray
+from scipy.sparse import block_array, coo_array, diags_array
+from scipy.sparse.linalg import splu
+
+from .._host.cells.topology import ByType, Pair, numbers_by_name
+from .._host.package.arguments import checked
+from .._host.package.rounding import Tree
+from .._mesh.mesh import Mesh
+from .._quality.quality import quality
+from .region import cells_of
+
+SIMPLICES = numbers_by_name(
+    {
+        "triangle": "012",
+        "quad": "012 023",
+        "tetra": "0123",
+        "pyramid": "0124 0234",
+        "wedge": "0125 0154 0453",
+        "hexahedron": "0126 0236 0376 0746 0456 0516",
+    }
+)
+TRIED = (16, 256)  # simplices nearest to a place among which it is sought
+NEAR = (10, 40)  # cells whose centres may give a linear field at a place
+SAMPLES = (2, 4)  # steps of a lattice in a simplex, the second where the first is too coarse
+BLOCK = 1 << 17  # pairs of places and simplices at a time
+OUTSIDE = -1e-9  # barycentric coordinate of a place outside of all simplices
+ROUNDING = 1e-13  # of what must be exact
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Remeshed:
+    """A mesh with new cells in the place of worn ones, from `remesh`.
+
+    - `mesh`: the new mesh, of N points; its coordinates are where the old mesh has moved.
+    - `of_old` (n,): the new id of each old node, -1 for one that is gone.
+    - `weights` (N, n): linear interpolation of values at nodes, a sparse matrix of JAX. It is the
+      identity at nodes that stay, and exact for linear fields.
+    - `cells_of_old` (k,): the new number of each old cell, -1 for one that is gone.
+    - `old`: the old mesh, moved.
+
+    `transfer` and `transfer_cells` are traced and linear; their transposes carry cotangents back.
+    """
+
+    mesh: Mesh
+    of_old: Int[ndarray, " n"]
+    weights: BCOO
+    cells_of_old: Int[ndarray, " k"]
+    old: Mesh
+
+    @classmethod
+    def of(cls, old: Mesh, mesh: Mesh, of_old: ndarray, cells_of_old: ndarray) -> "Remeshed":
+        stay = np.flatnonzero(of_old >= 0)
+        new = np.arange(len(stay), len(mesh.points))
+        region = _Part.of(old, cells_of_old < 0)
+        simplex, shares = region.locate(np.asarray(mesh.points, float)[new])
+        nodes = region.simplices[simplex]
+        weights = _sparse(
+            (len(mesh.points), len(of_old)),
+            np.concatenate([of_old[stay], np.repeat(new, nodes.shape[1])]),
+            np.concatenate([stay, nodes.ravel()]),
+            np.concatenate([np.ones(len(stay)), shares.ravel()]),
+        )
+        return cls(mesh, of_old, weights, cells_of_old, old)
+
+    @property
+    def replaced(self) -> float:
+        """The share of the old cells that are gone."""
+        return float(np.mean(self.cells_of_old < 0))
+
+    @checked
+    def transfer(self, values: Real[ArrayLike, "n *c"]) -> Real[Array, "m *c"]:
+        """Interpolates values at the nodes of the old mesh at those of the new one. Traced.
+
+        **Raises:** `ValueError` for another number of values.
+        """
+        return _apply(self.weights, values)
+
+    @checked
+    def transfer_cells(
+        self, values: Real[ArrayLike, "k *c"], *, conservative: bool = False
+    ) -> Real[Array, "m *c"]:
+        """Carries values of cells, in the order of `cells`, to the cells of the new mesh. Traced.
+
+        Cells that stay keep their values. Others get combinations of values of old cells near
+        them, exact for fields that are linear between the cells' centres (means of corners). With
+        `conservative`, values are means over cells. Their integral stays, and so does a constant,
+        but no linear field. Volumes of intersections are then those of samples, corrected by as
+        little as makes the sums exact.
+
+        **Raises:** `ValueError` for another number of values. With `conservative`, also for old
+        cells that are inverted.
+        """
+        return _apply(self._conserving if conservative else self._linear, values)
+
+    @functools.cached_property
+    def _linear(self) -> BCOO:
+        return self._of_cells(lambda old, new: _linear_rows(old.centres, new.centres))
+
+    @functools.cached_property
+    def _conserving(self) -> BCOO:
+        return self._of_cells(_conserving_rows)
+
+    def _of_cells(self, rows_of_new: Callable[..., coo_array]) -> BCOO:
+        """Joins the identity on cells that stay and rows of new cells, from cells that are gone."""
+        is_gone = self.cells_of_old < 0
+        stay = np.flatnonzero(~is_gone)
+        count = sum(map(len, self.mesh.cells.values()))
+        is_new = np.ones(count, bool)
+        is_new[self.cells_of_old[stay]] = False
+        part = rows_of_new(_Part.of(self.old, is_gone), _Part.of(self.mesh, is_new))
+        return _sparse(
+            (count, len(is_gone)),
+            np.concatenate([self.cells_of_old[stay], np.flatnonzero(is_new)[part.row]]),
+            np.concatenate([stay, np.flatnonzero(is_gone)[part.col]]),
+            np.concatenate([np.ones(len(stay)), part.data]),
+        )
+
+
+def _sparse(shape: tuple[int, int], *entries: ndarray) -> BCOO:
+    rows, columns, values = entries
+    return BCOO((jnp.asarray(values), jnp.asarray(np.stack([rows, columns], axis=1))), shape=shape)
+
+
+@jax.jit
+def _product(weights: BCOO, values: Array) -> Array:
+    return weights @ values
+
+
+def _apply(weights: BCOO, values: ArrayLike) -> Array:
+    rows = jnp.asarray(values)
+    if not rows.ndim or len(rows) != weights.shape[1]:
+        raise ValueError(
+            f"`values` has shape {rows.shape}; the old mesh has {weights.shape[1]} rows of values."
+        )
+    flat = _product(weights, rows.reshape(len(rows), -1).astype(weights.dtype))
+    return flat.reshape(-1, *rows.shape[1:])
+
+
+def cut(cells: ByType) -> Pair:
+    """Cuts cells into simplices between their corners (s, d + 1), with the cell (s,) of each."""
+    rows = {kind: np.array(SIMPLICES[kind]) for kind in cells}
+    pieces = [np.asarray(ids)[:, rows[kind]] for kind, ids in cells.items()]
+    counts = np.concatenate([np.full(len(piece), piece.shape[1]) for piece in pieces])
+    simplices = np.concatenate([piece.reshape(-1, piece.shape[2]) for piece in pieces])
+    return simplices, np.repeat(np.arange(len(counts)), counts)
+
+
+def signed_volumes(corners: ndarray) -> ndarray:
+    """Volumes (s,) of simplices (s, d + 1, d) times d!."""
+    return np.linalg.det(corners[:, 1:] - corners[:, :1])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Part:
+    """Some cells of a mesh (c,), and the simplices (s, d + 1) in them, with their cells (s,)."""
+
+    points: ndarray
+    simplices: ndarray
+    owner: ndarray
+    volumes: ndarray
+    centres: ndarray
+
+    @classmethod
+    def of(cls, mesh: Mesh, chosen: ndarray) -> "_Part":
+        measured = quality(mesh)
+        volumes = np.asarray(measured.volume, float)[chosen]
+        centres = np.asarray(measured.centroid, float)[chosen]
+        points = np.asarray(mesh.points, float)
+        return cls(points, *cut(cells_of(mesh, chosen)), np.abs(volumes), centres)
+
+    @property
+    def corners(self) -> ndarray:
+        return self.points[self.simplices]
+
+    def locate(self, places: ndarray) -> Pair:
+        """Finds the simplex (k,) at each place (k, d), and barycentric coordinates (k, d + 1)."""
+        # Among the simplices whose middles are near, the one in whose smallest coordinate a place
+        # is most inside. A place that is in none is sought again among more.
+        corners = self.corners
+        tree = Tree(corners.mean(axis=1))
+        inverse = np.linalg.pinv(corners[:, 1:] - corners[:, :1])
+        simplex = np.zeros(len(places), int)
+        least = np.full(len(places), -np.inf)
+        for count in TRIED:
+            rows = np.flatnonzero(least < OUTSIDE)
+            for some in np.array_split(rows, 1 + len(rows) * count // BLOCK):
+                near = tree.query(places[some], k=range(1, 1 + min(count, len(corners))))[1]
+                away = places[some, None] - corners[near, 0]
+                shares = np.einsum("kcd,kcde->kce", away, inverse[near])
+                inside = np.minimum(shares.min(axis=2), 1 - shares.sum(axis=2))
+                best = inside.argmax(axis=1)
+                simplex[some] = np.take_along_axis(near, best[:, None], axis=1)[:, 0]
+                least[some] = inside.max(axis=1)
+        shares = np.zeros((len(places), corners.shape[1]))
+        shares[:, 0] = 1
+        for _ in range(2):  # the second time for round-off
+            left = places - np.einsum("kc,kcd->kd", shares, corners[simplex])
+            more = np.einsum("kd,kde->ke", left, inverse[simplex])
+            shares += np.column_stack([-more.sum(axis=1), more])
+        return simplex, shares
+
+    def samples(self, steps: int) -> tuple[ndarray, ndarray, ndarray]:
+        """Places (p, d) in the simplices, each with its cell and a share of the cell's volume."""
+        d = self.points.shape[1]
+        lattice = np.array([row for row in np.ndindex(*[steps] * (d + 1)) if sum(row) == steps - 1])
+        weights = (lattice + 1 / (d + 1)) / steps
+        places = np.einsum("pc,scd->spd", weights, self.corners).reshape(-1, d)
+        size = np.abs(signed_volumes(self.corners))
+        whole = np.bincount(self.owner, size, len(self.volumes))
+        volume = size / whole[self.owner] * self.volumes[self.owner] / len(weights)
+        return places, np.repeat(self.owner, len(weights)), np.repeat(volume, len(weights))
+
+
+def _linear_rows(old: ndarray, new: ndarray) -> coo_array:
+    """The smallest weights, the nearer the larger, that give linear fields at new centres."""
+    tree = Tree(old)
+    parts = []
+    left = np.arange(len(new))
+    for count in NEAR:
+        k = min(count, len(old))
+        away, near = tree.query(new[left], k=range(1, 1 + k))
+        scale = away[:, -1:] + np.finfo(float).tiny
+        rows = np.ones((len(left), 1 + new.shape[1], k))
+        rows[:, 1:] = ((old[near] - new[left, None]) / scale[:, :, None]).swapaxes(1, 2)
+        nearness = 1 / (0.01 + (away / scale) ** 2)
+        weights = np.zeros(near.shape)
+        wanted = np.eye(1, rows.shape[1]).repeat(len(left), axis=0)
+        inverse = np.linalg.pinv(np.einsum("nik,nk,njk->nij", rows, nearness, rows))
+        for _ in range(3):  # the second and third time for round-off
+            fault = wanted - np.einsum("nik,nk->ni", rows, weights)
+            weights += nearness * np.einsum("nik,nij,nj->nk", rows, inverse, fault)
+        fault = np.abs(wanted - np.einsum("nik,nk->ni", rows, weights)).max(axis=1)
+        good = (fault < ROUNDING) | (count == NEAR[-1])
+        parts.append((weights[good].ravel(), np.repeat(left[good], k), near[good].ravel()))
+        left = left[~good]
+    values, rows, columns = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return coo_array((values, (rows, columns)), (len(new), len(old)))
+
+
+def _conserving_rows(old: _Part, new: _Part) -> coo_array:
+    """Means over new cells by means over old ones; sums of volumes are exact in both."""
+    # Samples of the cells of either mesh, sought in the other, give volumes M of intersections.
+    # M (1 + a + b), with a number `a` for each new cell and `b` for each old one, has the right
+    # sums of rows and columns: a linear system, singular for constants, which do not matter.
+    shape = (len(new.volumes), len(old.volumes))
+    for steps in SAMPLES:
+        volumes = coo_array(shape)
+        for here, there in ((old, new), (new, old)):
+            places, cell, volume = here.samples(steps)
+            found = there.owner[there.locate(places)[0]]
+            ids = (found, cell) if here is old else (cell, found)
+            volumes = volumes + coo_array((volume / 2, ids), shape)
+        volumes = coo_array(volumes)
+        sums = np.concatenate([volumes.sum(axis=1), volumes.sum(axis=0)])
+        system = block_array([[None, volumes], [volumes.T, None]]) + diags_array(sums)
+        wanted = np.concatenate([new.volumes, old.volumes]) - sums
+        solve = splu((system + 1e-9 * diags_array(sums)).tocsc()).solve
+        shift = np.zeros(len(wanted))
+        for _ in range(8):
+            shift += solve(wanted - system @ shift)
+        if np.abs(wanted - system @ shift).max() < ROUNDING * new.volumes.max():
+            factor = 1 + shift[: shape[0]][volumes.row] + shift[shape[0] :][volumes.col]
+            values = volumes.data * factor / new.volumes[volumes.row]
+            return coo_array((values, (volumes.row, volumes.col)), shape)
+    raise ValueError(
+        "no conservative transfer: old and new cells do not fill the same place, some old cells "
+        "are inverted; hand over earlier."
+    )
