@@ -1,69 +1,102 @@
-"""Bodies with boundary layers in channels and boxes, filled by gmsh; what happens on their way."""
+"""Bodies with boundary layers in channels and boxes, and what becomes of them on their way."""
+
+import dataclasses
 
 import numpy as np
-from meshes import circle
 
 import jaxmorph as jm
+from jaxmorph._host.cells.first_lines import first_lines
+
+HEIGHT, RATIO = 0.01, 1.25
+"""Height of the first cells at bodies, and its growth."""
 
 
-def layered(
-    wall: np.ndarray, sides: tuple[float, float, float, float], spacing: float, layers: int = 6
-) -> jm.Mesh:
+def box_sides(sides, spacing: float) -> np.ndarray:
+    """The corners and inner points of the edges of a rectangle, counterclockwise."""
+    left, right, bottom, top = sides
+    corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]], float)
+    after = np.roll(corners, -1, axis=0)
+    counts = [max(2, round(np.abs(b - a).sum() / spacing)) for a, b in zip(corners, after, strict=True)]
+    steps = [np.arange(count)[:, None] / count for count in counts]
+    return np.concatenate([a + t * (b - a) for a, b, t in zip(corners, after, steps, strict=True)])
+
+
+def stacked(wall: np.ndarray, normal: np.ndarray, layers: int) -> np.ndarray:
+    """Points of layers (layers + 1, m, d) on a wall (m, d)."""
+    heights = HEIGHT * (RATIO ** np.arange(layers + 1) - 1) / (RATIO - 1)
+    return wall[None] + heights[:, None, None] * normal[None]
+
+
+def growing(points: np.ndarray, corners: np.ndarray, centre, least: float, most: float):
+    """Sizes of new cells on a lattice of simplices: they grow with the distance from a centre."""
+    from jaxmorph._advice.fill import Sizes
+
+    away = np.linalg.norm(points - centre, axis=1)
+    sizes = np.clip(least + 0.2 * (away - 0.7), least, most)
+    return Sizes(points[corners], sizes[corners])
+
+
+def layered(wall: np.ndarray, sides, spacing: float, layers: int = 9) -> jm.Mesh:
     """Quads in layers around a body (m, 2), counterclockwise, and triangles up to a rectangle."""
-    from jaxmorph._advice.fill import Sizes, fill
+    from meshes import grid
 
-    m = len(wall)
+    from jaxmorph._advice.fill import fill
+
     along = np.roll(wall, -1, axis=0) - np.roll(wall, 1, axis=0)
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    heights = 0.01 * (1.5 ** np.arange(layers + 1) - 1) / 0.5
-    rings = (wall[None] + heights[:, None, None] * normal[None]).reshape(-1, 2)
-    ids = np.arange(len(rings)).reshape(-1, m)
+    rings = stacked(wall, normal, layers).reshape(-1, 2)
+    ids = np.arange(len(rings)).reshape(-1, len(wall))
     after = np.roll(ids, -1, axis=1)
     quads = np.stack([ids[:-1], ids[1:], after[1:], after[:-1]], axis=2).reshape(-1, 4)
-    left, right, bottom, top = sides
-    nx, ny = (max(2, round(length / spacing)) for length in (right - left, top - bottom))
-    x = left + (right - left) * np.arange(nx) / nx
-    y = bottom + (top - bottom) * np.arange(ny) / ny
-    box = np.concatenate(
-        [
-            np.stack([x, np.full(nx, bottom)], axis=1),
-            np.stack([np.full(ny, right), y], axis=1),
-            np.stack([left + right - x, np.full(nx, top)], axis=1),
-            np.stack([np.full(ny, left), bottom + top - y], axis=1),
-        ]
-    )
+    box = box_sides(sides, spacing)
     outer = len(rings) + np.arange(len(box))
+    edges = [np.stack([after[-1], ids[-1]], axis=1), np.stack([outer, np.roll(outer, -1)], axis=1)]
+    left, right, bottom, top = sides
+    lattice = grid(np.linspace(left, right, 99), np.linspace(bottom, top, 41))
+    corners = np.asarray(lattice.cells["quad"])[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    least = np.linalg.norm(rings[ids[-1]] - rings[after[-1]], axis=1).mean()
+    size = growing(np.asarray(lattice.points), corners, wall.mean(axis=0), least, spacing)
+    border = np.concatenate(edges)
     points = np.concatenate([rings, box])
-    border = np.concatenate(
-        [np.stack([after[-1], ids[-1]], axis=1), np.stack([outer, np.roll(outer, -1)], axis=1)]
-    )
-    # sizes grow with the distance from the body
-    grid = np.stack(np.meshgrid(np.linspace(left, right, 81), np.linspace(bottom, top, 41)), axis=2)
-    away = np.linalg.norm(grid - wall.mean(axis=0), axis=2)
-    edge = np.linalg.norm(rings[ids[-1]] - rings[after[-1]], axis=1).mean()
-    size = np.minimum(edge + 0.25 * np.maximum(away - np.ptp(wall, axis=0).max() / 2, 0), spacing)
-    a, b = [grid[j : j + 40, i : i + 80].reshape(-1, 2) for j in (0, 1) for i in (0, 1)][::3], None
-    corners, values = [], []
-    for shifts in (((0, 0), (0, 1), (1, 1)), ((0, 0), (1, 1), (1, 0))):
-        corners.append(np.stack([grid[j : j + 40, i : i + 80].reshape(-1, 2) for j, i in shifts], 1))
-        values.append(np.stack([size[j : j + 40, i : i + 80].ravel() for j, i in shifts], 1))
-    sizes = Sizes(np.concatenate(corners), np.concatenate(values))
-    new, triangles = fill(points, border, np.zeros(len(border), int), sizes)
-    patches = {"body": ids[0], "channel": outer}
-    return jm.Mesh(np.concatenate([points, new]), {"quad": quads, "triangle": triangles}, patches)
+    new, triangles = fill(points, border, np.zeros(len(border), int), size)
+    cells = {"quad": quads, "triangle": triangles}
+    return jm.Mesh(np.concatenate([points, new]), cells, {"body": ids[0], "box": outer})
 
 
+@dataclasses.dataclass
 class Way:
-    """What happened on the way of a relay."""
+    """What a relay has done on its way: for each move the share of cells replaced, 0 without."""
 
-    def __init__(self, plan: jm.Plan, mesh: jm.Mesh, wall, **options):
-        self.state = jm.Relay(plan, mesh, **options)
-        lines = jm.wall_quality(mesh, wall)
-        self.wall = np.asarray(lines.nodes)
-        self.first = self.heights(mesh, mesh.points)
-        self.replaced, self.inverted, self.low, self.high = [], [], [], []
+    state: jm.Relay
+    replaced: list[float]
+    inverted: int
+    heights: tuple[float, float]
+    """The least and largest height of first cells, over that in the beginning."""
 
-    def heights(self, mesh, points):
-        lines = first_line_heights(mesh, points, self.wall)
-        return lines
+    @property
+    def gaps(self) -> np.ndarray:
+        """Numbers of moves before the first hand-over, and between them."""
+        return np.diff(np.flatnonzero([1, *self.replaced]))
+
+
+def travel(state: jm.Relay, wall: np.ndarray, path) -> Way:
+    """Moves along a path, and measures the cells at each of its ends."""
+    mesh = state.mesh
+    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+    lines = first_lines(cells, mesh.topology.outer(wall), np.asarray(mesh.points), wall)
+    nodes, ends = lines.nodes, lines.ends
+    start = np.linalg.norm(np.asarray(mesh.points)[ends] - np.asarray(mesh.points)[nodes], axis=1)
+    way = Way(state, [], 0, (1.0, 1.0))
+    for u in path:
+        state = state.moved(u)
+        made = state.remeshed
+        if made is not None:
+            nodes, ends = made.of_old[nodes], made.of_old[ends]
+        x = np.asarray(state.points)
+        ratios = np.linalg.norm(x[ends] - x[nodes], axis=1) / start
+        way.state = state
+        way.replaced.append(made.replaced if made is not None else 0.0)
+        way.inverted += int(jm.quality(state.mesh.moved(x)).inverted)
+        way.heights = (min(way.heights[0], ratios.min()), max(way.heights[1], ratios.max()))
+    return way

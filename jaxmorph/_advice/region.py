@@ -14,7 +14,7 @@ from .._host.package.arguments import checked
 from .._host.rows import first_of_equals, join_ids, mark
 from .._mesh.mesh import Mesh
 
-GROWTH = 2  # layers of cells around worn ones that are replaced, too
+GROWTH = 1  # layers of cells around worn ones that are replaced, too
 FLATNESS = 0.9  # of layers at walls: the height of a cell over its width
 
 

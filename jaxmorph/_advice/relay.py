@@ -38,8 +38,8 @@ class Relay:
     Derivatives are exact on one mesh (`points_at`); across a hand-over they begin anew.
 
     - `plan`, `mesh`: of the mesh that moves now; its first mesh's to begin with.
-    - `limits`: of every move, relative to that mesh. Default: a Jacobian ratio of 0.2.
-    - `keep`, `target`: as `remesh` takes them, 0.4 by default.
+    - `limits`: of every move, relative to that mesh. Default: a Jacobian ratio of 0.3.
+    - `keep`, `target`: as `remesh` takes them.
     - `start` (m, d): the displacement at which `mesh` took over. Default: none.
     - `u` (m, d), `points` (n, d): the last displacement, and the points there.
     - `verdict`: of these points; None before the first move.
@@ -52,10 +52,10 @@ class Relay:
     plan: Plan
     mesh: Mesh
     limits: Limits = dataclasses.field(
-        default_factory=lambda: Limits(min_jacobian_ratio=0.2), kw_only=True
+        default_factory=lambda: Limits(min_jacobian_ratio=0.3), kw_only=True
     )
     keep: Nodes = dataclasses.field(default=(), kw_only=True)
-    target: float = dataclasses.field(default=0.4, kw_only=True)
+    target: float = dataclasses.field(default=0.2, kw_only=True)
     start: Float[np.ndarray, "m d"] | None = dataclasses.field(default=None, kw_only=True)
     u: Float[np.ndarray, "m d"] | None = dataclasses.field(default=None, kw_only=True)
     points: Any = dataclasses.field(default=None, kw_only=True)

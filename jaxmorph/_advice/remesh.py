@@ -30,13 +30,13 @@ def remesh(
     points: PointsLike,
     *,
     keep: Nodes = (),
-    target: float = 0.3,
+    target: float = 0.2,
     cells: Int[ArrayLike, " _k"] = (),
 ) -> Remeshed:
     """Replaces the cells that a motion has worn by triangles or tetrahedra of gmsh.
 
     A cell is worn where its smallest Jacobian falls below `target` of the undeformed one. It is
-    worn, too, where 1 less its skewness falls below `target`, and fell. Worn cells and two layers
+    worn, too, where 1 less its skewness falls below `target`, and fell. Worn cells and those
     around them are filled anew, with edges as long as on the undeformed mesh. All other nodes and
     cells keep their numbers' order, and every bit. So do boundary faces, and the layers at walls:
     quads, wedges and hexahedra that are stacked on a boundary face and lower than wide. A pyramid
@@ -47,7 +47,7 @@ def remesh(
     - `mesh`: the undeformed mesh, in 2-D or 3-D, of linear cells.
     - `points`: the moved points (n, d), in the unit of the mesh.
     - `keep`: node ids or patches that stay, with the cells between them. Default: none.
-    - `target`: share of quality below which a cell is worn, from 0 to 1. Default 0.3.
+    - `target`: share of quality below which a cell is worn, from 0 to 1. Default 0.2.
     - `cells`: numbers of further worn cells, such as `jm.judge(...).bad` of a next step.
 
     **Returns:** a `Remeshed`; without worn cells with the moved mesh as it is. **Raises:**
