@@ -59,7 +59,7 @@ def layered(wall: np.ndarray, sides, spacing: float, layers: int = 9) -> jm.Mesh
     size = growing(np.asarray(lattice.points), corners, wall.mean(axis=0), least, spacing)
     border = np.concatenate(edges)
     points = np.concatenate([rings, box])
-    new, triangles = fill(points, border, np.zeros(len(border), int), size)
+    new, triangles = fill(points, border, np.zeros((len(border), 2), int), size)
     cells = {"quad": quads, "triangle": triangles}
     return jm.Mesh(np.concatenate([points, new]), cells, {"body": ids[0], "box": outer})
 
@@ -100,3 +100,32 @@ def travel(state: jm.Relay, wall: np.ndarray, path) -> Way:
         way.inverted += int(jm.quality(state.mesh.moved(x)).inverted)
         way.heights = (min(way.heights[0], ratios.min()), max(way.heights[1], ratios.max()))
     return way
+
+
+def around_sphere(count: int, sides, spacing: float, layers: int = 5) -> jm.Mesh:
+    """Wedges in layers around a ball of diameter 1, and tetrahedra up to a box."""
+    from meshes import ball, grid
+
+    from jaxmorph._advice.fill import fill
+
+    unit, faces = ball(count)
+    rings = stacked(unit / 2, unit, layers).reshape(-1, 3)
+    ids = np.arange(len(rings)).reshape(-1, count)
+    wedges = np.concatenate(
+        [np.concatenate([low[faces[:, ::-1]], high[faces[:, ::-1]]], axis=1) for low, high in zip(ids, ids[1:])]
+    )
+    axes = [np.linspace(low, high, 1 + round((high - low) / spacing)) for low, high in sides]
+    lattice = grid(*axes)
+    outer = lattice.outer_faces.corners["quad"]
+    used, quads = np.unique(outer, return_inverse=True)
+    quads = quads.reshape(-1, 4) + len(rings)
+    border = np.concatenate([ids[-1][faces[:, ::-1]], quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    points = np.concatenate([rings, np.asarray(lattice.points)[used]])
+    from meshes import tetrahedra
+
+    cubes = np.arange(len(lattice.points)).reshape([len(axis) for axis in axes])
+    least = np.linalg.norm(np.diff(rings[ids[-1]][faces[:, :2]], axis=1), axis=2).mean()
+    size = growing(np.asarray(lattice.points), tetrahedra(cubes), np.zeros(3), least, spacing)
+    new, tetra = fill(points, border, np.repeat([[0, 0], [0, 1]], [len(faces), len(border) - len(faces)], axis=0), size)
+    patches = {"body": ids[0], "box": np.arange(len(rings), len(points))}
+    return jm.Mesh(np.concatenate([points, new]), {"wedge": wedges, "tetra": tetra}, patches)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from .._host.package.errors import place_of
+from .._host.cells.topology import Pair
 from .._host.rows import Rows
 
 try:
@@ -41,58 +41,82 @@ class Sizes(NamedTuple):
     values: ndarray
 
 
-def fill(
-    points: ndarray, border: ndarray, part: ndarray, sizes: Sizes
-) -> tuple[ndarray, ndarray]:
-    """Fills each part of a region within its border: edges with the region on their left, or
+def fill(points: ndarray, border: ndarray, shells: ndarray, sizes: Sizes) -> Pair:
+    """Fills the parts of a region within their borders: edges with the region on their left, or
     triangles. Returns new points (m, d), and simplices, whose ids count them after `points` (n, d).
 
-    - `border` (f, d): node ids. `part` (f,): the part of the region that has each face.
+    - `border` (f, d): node ids.
+    - `shells` (f, 2): for each face, numbers of the part of the region, and of what lies behind.
 
-    **Raises:** `ValueError` where gmsh fails, or would change the border.
+    **Raises:** `ValueError` where gmsh fails.
     """
     n, d = points.shape
     nodes = np.unique(border)
+    centre = points[nodes].mean(axis=0)
+    extent = np.ptp(points[nodes], axis=0).max()  # gmsh has tolerances for sizes near 1
     places = np.zeros((n, 3))
-    places[:, :d] = points
-    with _model(sizes):
-        try:
-            (_in_plane if d == 2 else _in_space)(places, border, part)
-            gmsh.model.mesh.generate(d)
-        except Exception as error:  # gmsh raises nothing more special
-            where = place_of(points[nodes].mean(axis=0))
-            raise ValueError(
-                f"gmsh does not fill the region of {len(border)} border faces around {where}: "
-                f"{error}."
-            ) from error
-        tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        _, corners = gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[d])
+    places[:, :d] = (points - centre) / extent
+    scaled = Sizes((sizes.corners - centre) / extent, sizes.values / extent)
+    added = [places[:0]]
+    cells = [np.zeros((0, d + 1), int)]
+    with _model(scaled):
+        for number in np.unique(shells[:, 0]).tolist():
+            rows = shells[:, 0] == number
+            here = border[rows]
+            new, simplices = _fill_part(places, here, shells[rows, 1])
+            ids = np.append(np.unique(here), n + sum(map(len, added)) + np.arange(len(new)))
+            added.append(new)
+            cells.append(ids[simplices])
+    return np.concatenate(added)[:, :d] * extent + centre, np.concatenate(cells)
+
+
+def _fill_part(places: ndarray, border: ndarray, behind: ndarray) -> Pair:
+    """Fills one part: new places, and simplices whose ids count them after the border's nodes."""
+    d = border.shape[1]
+    nodes = np.unique(border)
+    mesher = gmsh.model.mesh
+    gmsh.model.add("region of jaxmorph")
+    try:
+        mesher.field.add("PostView", 1)
+        mesher.field.setNumber(1, "ViewIndex", gmsh.view.getIndex(gmsh.view.getTags()[-1]))
+        mesher.field.setAsBackgroundMesh(1)
+        if d == 2:
+            _in_plane(places, border)
+        else:
+            _in_space(places, border, behind)
+        mesher.generate(d)
+        tags, coordinates, _ = mesher.getNodes()
+        _, corners = mesher.getElementsByType({2: 2, 3: 4}[d])
+    except Exception as error:  # gmsh raises nothing more special
+        raise ValueError(
+            f"gmsh does not fill a region of {len(border)} border faces: {error}. Hand over "
+            "earlier, with a larger `target`."
+        ) from error
+    finally:
+        gmsh.model.remove()
     coordinates = coordinates.reshape(-1, 3)
-    ids = _border_ids(coordinates, places[nodes], nodes)
+    ids = _border_ids(coordinates, places[nodes])
     is_new = ids < 0
-    ids[is_new] = n + np.arange(is_new.sum())
-    cells = ids[Rows(tags.astype(np.int64)).of(corners)].reshape(-1, d + 1)
-    return coordinates[is_new, :d], cells
+    ids[is_new] = len(nodes) + np.arange(is_new.sum())
+    return coordinates[is_new], ids[Rows(tags.astype(np.int64)).of(corners)].reshape(-1, d + 1)
 
 
-def _border_ids(coordinates: ndarray, border: ndarray, nodes: ndarray) -> ndarray:
-    """The id of each point that is a border node, to the last bit; -1 for others."""
+def _border_ids(coordinates: ndarray, border: ndarray) -> ndarray:
+    """The row of each point in the border's nodes, by all its bits; -1 for others."""
     places, which = np.unique(np.concatenate([border, coordinates]), axis=0, return_inverse=True)
     table = np.full(len(places), -1)
-    which = which.ravel()
-    table[which[: len(border)]] = nodes
-    return table[which[len(border) :]]
+    table[which.ravel()[: len(border)]] = np.arange(len(border))
+    return table[which.ravel()[len(border) :]]
 
 
 @contextlib.contextmanager
 def _model(sizes: Sizes) -> Iterator[None]:
-    """Opens a model of gmsh with a field of sizes; the caller's models and options stay."""
+    """Opens gmsh with a view of sizes; the caller's models and options stay."""
     is_own = not gmsh.isInitialized()
     if is_own:
         gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
     current = gmsh.model.getCurrent()
     before = {name: gmsh.option.getNumber(name) for name in OPTIONS}
-    gmsh.model.add("region of jaxmorph")
     view = gmsh.view.add("sizes")
     try:
         for name, value in OPTIONS.items():
@@ -102,13 +126,9 @@ def _model(sizes: Sizes) -> Iterator[None]:
         rows[:, :d] = sizes.corners.swapaxes(1, 2)
         rows[:, 3] = sizes.values
         gmsh.view.addListData(view, {2: "ST", 3: "SS"}[d], k, rows.ravel())
-        field = gmsh.model.mesh.field.add("PostView")
-        gmsh.model.mesh.field.setNumber(field, "ViewTag", view)
-        gmsh.model.mesh.field.setAsBackgroundMesh(field)
         yield
     finally:
         gmsh.view.remove(view)
-        gmsh.model.remove()
         for name, value in before.items():
             gmsh.option.setNumber(name, value)
         if is_own:
@@ -117,45 +137,45 @@ def _model(sizes: Sizes) -> Iterator[None]:
             gmsh.model.setCurrent(current)
 
 
-def _in_plane(places: ndarray, border: ndarray, part: ndarray) -> None:
-    """Makes surfaces between loops of straight lines of one element each."""
+def _in_plane(places: ndarray, border: ndarray) -> None:
+    """Makes a surface between loops of straight lines of one element each."""
     geometry = gmsh.model.geo
     for node in np.unique(border).tolist():
         geometry.addPoint(*places[node].tolist(), tag=1 + node)
     for line, (first, last) in enumerate((1 + border).tolist(), start=1):
         geometry.addLine(first, last, line)
-    for number in np.unique(part).tolist():
-        loops = _loops(border, np.flatnonzero(part == number))
-        extents = [np.prod(np.ptp(places[border[loop, 0], :2], axis=0)) for loop in loops]
-        tags = [geometry.addCurveLoop((1 + loop).tolist()) for loop in loops]
-        geometry.addPlaneSurface([tags[k] for k in np.argsort(extents)[::-1].tolist()])
+    loops = _loops(border)
+    extents = [np.prod(np.ptp(places[border[loop, 0], :2], axis=0)) for loop in loops]
+    tags = [geometry.addCurveLoop([1 + row for row in loop]) for loop in loops]
+    geometry.addPlaneSurface([tags[k] for k in np.argsort(extents)[::-1].tolist()])
     geometry.synchronize()
     for line in range(1, 1 + len(border)):
         gmsh.model.mesh.setTransfiniteCurve(line, 2)
 
 
-def _loops(border: ndarray, rows: ndarray) -> list[ndarray]:
-    """Chains edges, each begins where the last one ends; a node is in one loop."""
-    following = dict(zip(border[rows, 0].tolist(), rows.tolist(), strict=True))
+def _loops(border: ndarray) -> list[list[int]]:
+    """Chains rows of edges, each begins where the last one ends; a node is in one loop."""
+    following = {first: row for row, first in enumerate(border[:, 0].tolist())}
     loops = []
     while following:
         start = next(iter(following))
         loop = [following.pop(start)]
         while (end := int(border[loop[-1], 1])) != start:
             loop.append(following.pop(end))
-        loops.append(np.array(loop))
+        loops.append(loop)
     return loops
 
 
-def _in_space(places: ndarray, border: ndarray, part: ndarray) -> None:
-    """Makes volumes within surfaces of given triangles."""
+def _in_space(places: ndarray, border: ndarray, behind: ndarray) -> None:
+    """Makes a volume within given triangles, a surface for each thing behind them."""
+    # gmsh knows a volume by its set of surfaces: a hole must not have the same set.
     nodes = np.unique(border)
-    for number in np.unique(part).tolist():
-        surface = gmsh.model.addDiscreteEntity(2)
-        if len(nodes):  # of all surfaces, since two may touch
-            gmsh.model.mesh.addNodes(2, surface, 1 + nodes, places[nodes].ravel())
-            nodes = nodes[:0]
-        corners = 1 + border[part == number]
-        gmsh.model.mesh.addElementsByType(surface, 2, [], corners.ravel())
-        gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop([surface])])
+    surfaces = []
+    for number in np.unique(behind).tolist():
+        surfaces.append(gmsh.model.addDiscreteEntity(2))
+        gmsh.model.mesh.addNodes(2, surfaces[-1], 1 + nodes, places[nodes].ravel())
+        corners = 1 + border[behind == number]
+        gmsh.model.mesh.addElementsByType(surfaces[-1], 2, [], corners.ravel())
+        nodes = nodes[:0]  # the first surface has all of them
+    gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop(surfaces)])
     gmsh.model.geo.synchronize()

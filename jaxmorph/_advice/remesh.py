@@ -102,13 +102,14 @@ def _worn(mesh: Mesh, points: ndarray, target: float) -> ndarray:
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Hole:
     """The region of `chosen` cells (k,) of a moved mesh, within faces seen from outside, by type.
-    `parts` has the connected part of each face; `sizes` lengths of edges, at the nodes (n,).
+    `shells` (f, 2) has numbers of the part that has each face, and of what lies behind it; `sizes`
+    lengths of edges, at the nodes (n,).
     """
 
     moved: Mesh
     chosen: ndarray
     faces: dict[str, ndarray]
-    parts: dict[str, ndarray]
+    shells: dict[str, ndarray]
     sizes: ndarray
 
     @classmethod
@@ -119,15 +120,15 @@ class _Hole:
         volume = np.bincount(owner, signed_volumes(start[simplices]), chosen.sum())
         part = _parts(mesh, chosen)
         faces = {}
-        parts = {}
+        shells = {}
         for kind, (ids, cell) in border_of(mesh, chosen).items():
             faces[kind] = np.where(volume[cell, None] < 0, ids[:, ::-1], ids)
-            parts[kind] = part[cell]
+            shells[kind] = np.stack([part[cell], _behind(mesh, chosen, kind, ids)], axis=1)
         sizes = _mean_lengths(start, list(simplices[:, [0, k]] for k in range(1, simplices.shape[1])))
         edges = [np.stack([ids, np.roll(ids, 1, axis=1)], axis=2) for ids in faces.values()]
         on_border = _mean_lengths(x, [pairs.reshape(-1, 2) for pairs in edges])
         sizes = np.where(on_border > 0, on_border, sizes)
-        return cls(moved, chosen, faces, parts, sizes)
+        return cls(moved, chosen, faces, shells, sizes)
 
     def filled(self) -> Remeshed:
         """Fills the hole; lower pyramids are tried where gmsh finds no room."""
@@ -149,14 +150,14 @@ class _Hole:
         simplices, _ = cut(cells_of(moved, self.chosen))
         sizes = Sizes(x[simplices], self.sizes[simplices])
         if d == 2:
-            added, triangles = fill(x, self.faces["line"], self.parts["line"], sizes)
+            added, triangles = fill(x, self.faces["line"], self.shells["line"], sizes)
             return self._joined(added, {"triangle": triangles})
         apexes, pyramids = self._pyramids(x, height)
         # a pyramid's sides, seen from the tetrahedra beside it
         sides = [pyramids[:, [first, last, 4]] for first, last in ((1, 0), (2, 1), (3, 2), (0, 3))]
         border = np.concatenate([self.faces["triangle"], *sides])
-        part = np.concatenate([self.parts["triangle"], *[self.parts["quad"]] * 4])
-        added, tetra = fill(np.concatenate([x, apexes]), border, part, sizes)
+        shells = np.concatenate([self.shells["triangle"], *[self.shells["quad"]] * 4])
+        added, tetra = fill(np.concatenate([x, apexes]), border, shells, sizes)
         return self._joined(
             np.concatenate([apexes, added]), {"pyramid": pyramids, "tetra": tetra}
         )
@@ -226,6 +227,22 @@ def _parts(mesh: Mesh, chosen: ndarray) -> ndarray:
     here = np.repeat(np.arange(len(chosen)), np.concatenate(faces))
     both = (behind >= 0) & chosen[here] & chosen[behind]
     return parts_of(here[both], behind[both], len(chosen))[chosen]
+
+
+def _behind(mesh: Mesh, chosen: ndarray, kind: str, faces: ndarray) -> ndarray:
+    """Numbers what lies behind faces of chosen cells: parts of other cells, or of the boundary."""
+    rows, cell = border_of(mesh, ~chosen).get(kind, (faces[:0], np.zeros(0, int)))
+    edges = [
+        np.stack([ids, np.roll(ids, 1, axis=1)], axis=2).reshape(-1, 2)
+        for ids, _ in mesh.topology.outer().values()
+    ]
+    number = parts_of(*np.concatenate(edges).T, len(mesh.points))[faces[:, 0]]
+    both = np.sort(np.concatenate([rows, faces]), axis=1)
+    _, first, place = np.unique(both, axis=0, return_index=True, return_inverse=True)
+    twin = first[place.ravel()][len(rows) :]
+    inner = twin < len(rows)
+    number[inner] = len(mesh.points) + _parts(mesh, ~chosen)[cell[twin[inner]]]
+    return number
 
 
 def _mean_lengths(x: ndarray, edges: Sequence[ndarray]) -> ndarray:
