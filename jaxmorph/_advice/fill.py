@@ -29,6 +29,7 @@ OPTIONS = {
     "Mesh.MeshSizeMax": 1e22,
     "Mesh.MeshSizeMin": 0,
     "Mesh.Optimize": 1,
+    "Mesh.OptimizeNetgen": 1,  # else flat tetrahedra are left, which the next moves invert
     "Mesh.RecombineAll": 0,
     "Mesh.SubdivisionAlgorithm": 0,
 }

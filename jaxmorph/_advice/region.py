@@ -14,7 +14,6 @@ from .._host.package.arguments import checked
 from .._host.rows import first_of_equals, join_ids, mark
 from .._mesh.mesh import Mesh
 
-GROWTH = 1  # layers of cells around worn ones that are replaced, too
 FLATNESS = 0.9  # of layers at walls: the height of a cell over its width
 
 
@@ -88,12 +87,12 @@ def _layers(mesh: Mesh, front: ndarray) -> ndarray:
             return found
 
 
-def region_of(mesh: Mesh, worn: ndarray, stays: Pair) -> ndarray:
-    """Marks the cells to replace: the worn ones and those around them that need not stay."""
+def region_of(mesh: Mesh, worn: ndarray, stays: Pair, layers: int) -> ndarray:
+    """Marks the cells to replace: the worn ones, and layers around them that need not stay."""
     cells, needed = stays
     nodes = incidence(mesh)
     chosen = worn & ~cells
-    for _ in range(GROWTH):
+    for _ in range(layers):
         chosen = (nodes @ (nodes.T @ chosen) > 0) & ~cells
     while chosen.any():
         inside = needed & (nodes.T @ ~chosen == 0) & (nodes.T @ chosen > 0)

@@ -21,6 +21,8 @@ from .largest_step import DesignedMesh
 from .remesh import nodes_of, remesh
 from .transfer import Remeshed
 
+LAYERS = (1, 2, 4)  # of cells around worn ones, tried in turn
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Relay:
@@ -109,25 +111,28 @@ class Relay:
         state = self._after(u)
         if state.verdict.ok:
             return state
-        new = self._handed_over(state.verdict.bad)
-        state = new._after(u)
-        if not state.verdict.ok:
-            raise ValueError(
-                f"this move breaks a limit right after a hand-over: {' '.join(state.verdict.faults())} "
-                "Take smaller moves, or other limits."
-            )
-        return dataclasses.replace(state, remeshed=new.remeshed)
+        for layers in LAYERS:
+            new = self._handed_over(state.verdict.bad, layers)
+            after = new._after(u)
+            if after.verdict.ok:
+                return dataclasses.replace(after, remeshed=new.remeshed)
+        raise ValueError(
+            f"this move breaks a limit right after a hand-over, too: {after.verdict.faults()[0]} "
+            "Take smaller moves, or other limits."
+        )
 
     def _after(self, u: np.ndarray) -> "Relay":
         points = np.asarray(self.points_at(u))
         verdict = judge(self.mesh, points, self.limits)
         return dataclasses.replace(self, u=u, points=points, verdict=verdict, remeshed=None)
 
-    def _handed_over(self, bad: np.ndarray) -> "Relay":
+    def _handed_over(self, bad: np.ndarray, layers: int) -> "Relay":
         mesh = self.mesh
         keep = nodes_of(mesh, self.keep)
         stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
-        made = remesh(mesh, self.points, keep=stay, target=self.target, cells=bad)
+        made = remesh(
+            mesh, self.points, keep=stay, target=self.target, layers=layers, cells=bad
+        )
         return dataclasses.replace(
             self,
             plan=_prepared(self.plan, made),

@@ -12,7 +12,7 @@ from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import owned_sides
 from .._host.cells.topology import CORNERS, FACES, Pair
 from .._host.linear.products import outward, row_lengths, unit_rows
-from .._host.package.arguments import between, checked, finite_array, rows_of
+from .._host.package.arguments import between, checked, finite_array, rows_of, whole
 from .._host.package.rounding import Tree
 from .._host.rows import join_ids, mark
 from .._mesh.mesh import Mesh, PointsLike
@@ -31,6 +31,7 @@ def remesh(
     *,
     keep: Nodes = (),
     target: float = 0.2,
+    layers: int = 1,
     cells: Int[ArrayLike, " _k"] = (),
 ) -> Remeshed:
     """Replaces the cells that a motion has worn by triangles or tetrahedra of gmsh.
@@ -48,6 +49,7 @@ def remesh(
     - `points`: the moved points (n, d), in the unit of the mesh.
     - `keep`: node ids or patches that stay, with the cells between them. Default: none.
     - `target`: share of quality below which a cell is worn, from 0 to 1. Default 0.2.
+    - `layers`: layers of cells around worn ones that are replaced, too, default 1.
     - `cells`: numbers of further worn cells, such as `jm.judge(...).bad` of a next step.
 
     **Returns:** a `Remeshed`; without worn cells with the moved mesh as it is. **Raises:**
@@ -55,13 +57,14 @@ def remesh(
     may be replaced, and where gmsh fails.
     """
     between("target", target, 0, 1)
+    whole("layers", layers, 0)
     moved = _checked_mesh(mesh, points)
     worn = _worn(mesh, moved.points, target)
     worn[rows_of("cells", cells, len(worn))] = True
     if not worn.any():
         every = (np.arange(len(moved.points)), np.arange(len(worn)))
         return Remeshed.of(moved, moved, *every)
-    chosen = region_of(moved, worn, staying(mesh, moved, nodes_of(mesh, keep)))
+    chosen = region_of(moved, worn, staying(mesh, moved, nodes_of(mesh, keep)), layers)
     if not chosen.any():
         raise ValueError(
             f"all {worn.sum()} cells below `target` {target:g} belong to layers at walls, to inner "
