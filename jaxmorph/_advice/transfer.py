@@ -32,7 +32,11 @@ SIMPLICES = numbers_by_name(
 )
 TRIED = (16, 256)  # simplices nearest to a place among which it is sought
 NEAR = (10, 40)  # cells whose centres may give a linear field at a place
-SAMPLES = (2, 4)  # steps of a lattice in a simplex, the second where the first is too coarse
+SAMPLES = 3  # steps of the lattice of samples in a simplex
+LINKS = 4  # near cells that samples may miss
+LINK = 1e-3  # their share in corrections
+REFINEMENTS = 8  # of a solution, for round-off
+LOST = 1e-12  # volume over the largest cell's that a conservative operator may lose
 BLOCK = 1 << 17  # pairs of places and simplices at a time
 OUTSIDE = -1e-9  # barycentric coordinate of a place outside of all simplices
 ROUNDING = 1e-13  # of what must be exact
@@ -210,11 +214,11 @@ class _Part:
             shares += np.column_stack([-more.sum(axis=1), more])
         return simplex, shares
 
-    def samples(self, steps: int) -> tuple[ndarray, ndarray, ndarray]:
+    def samples(self) -> tuple[ndarray, ndarray, ndarray]:
         """Places (p, d) in the simplices, each with its cell and a share of the cell's volume."""
         d = self.points.shape[1]
-        lattice = np.array([row for row in np.ndindex(*[steps] * (d + 1)) if sum(row) == steps - 1])
-        weights = (lattice + 1 / (d + 1)) / steps
+        lattice = np.array([row for row in np.ndindex(*[SAMPLES] * (d + 1)) if sum(row) == SAMPLES - 1])
+        weights = (lattice + 1 / (d + 1)) / SAMPLES
         places = np.einsum("pc,scd->spd", weights, self.corners).reshape(-1, d)
         size = np.abs(signed_volumes(self.corners))
         whole = np.bincount(self.owner, size, len(self.volumes))
@@ -251,29 +255,35 @@ def _linear_rows(old: ndarray, new: ndarray) -> coo_array:
 def _conserving_rows(old: _Part, new: _Part) -> coo_array:
     """Means over new cells by means over old ones; sums of volumes are exact in both."""
     # Samples of the cells of either mesh, sought in the other, give volumes M of intersections.
-    # M (1 + a + b), with a number `a` for each new cell and `b` for each old one, has the right
-    # sums of rows and columns: a linear system, singular for constants, which do not matter.
+    # M + P (a + b), with a number `a` for each new cell and `b` for each old one, has the right
+    # sums of rows and columns: a linear system, singular for constants, which do not matter. The
+    # pattern P is M, and small links between near cells, which samples may miss.
     shape = (len(new.volumes), len(old.volumes))
-    for steps in SAMPLES:
-        volumes = coo_array(shape)
-        for here, there in ((old, new), (new, old)):
-            places, cell, volume = here.samples(steps)
-            found = there.owner[there.locate(places)[0]]
-            ids = (found, cell) if here is old else (cell, found)
-            volumes = volumes + coo_array((volume / 2, ids), shape)
-        volumes = coo_array(volumes)
-        sums = np.concatenate([volumes.sum(axis=1), volumes.sum(axis=0)])
-        system = block_array([[None, volumes], [volumes.T, None]]) + diags_array(sums)
-        wanted = np.concatenate([new.volumes, old.volumes]) - sums
-        solve = splu((system + 1e-9 * diags_array(sums)).tocsc()).solve
-        shift = np.zeros(len(wanted))
-        for _ in range(8):
-            shift += solve(wanted - system @ shift)
-        if np.abs(wanted - system @ shift).max() < ROUNDING * new.volumes.max():
-            factor = 1 + shift[: shape[0]][volumes.row] + shift[shape[0] :][volumes.col]
-            values = volumes.data * factor / new.volumes[volumes.row]
-            return coo_array((values, (volumes.row, volumes.col)), shape)
-    raise ValueError(
-        "no conservative transfer: old and new cells do not fill the same place, some old cells "
-        "are inverted; hand over earlier."
-    )
+    volumes = coo_array(shape)
+    pattern = coo_array(shape)
+    for here, there in ((old, new), (new, old)):
+        places, cell, volume = here.samples()
+        found = there.owner[there.locate(places)[0]]
+        ids = (found, cell) if here is old else (cell, found)
+        volumes = volumes + coo_array((volume / 2, ids), shape)
+        near = Tree(there.centres).query(here.centres, k=range(1, 1 + min(LINKS, len(there.centres))))[1]
+        cell = np.repeat(np.arange(len(near)), near.shape[1])
+        ids = (near.ravel(), cell) if here is old else (cell, near.ravel())
+        pattern = pattern + coo_array((LINK * here.volumes[cell], ids), shape)
+    pattern = coo_array(pattern + volumes)
+    sums = np.concatenate([pattern.sum(axis=1), pattern.sum(axis=0)])
+    system = block_array([[None, pattern], [pattern.T, None]]) + diags_array(sums)
+    solve = splu((system + 1e-9 * diags_array(sums)).tocsc()).solve
+    whole = np.concatenate([new.volumes, old.volumes])
+    fault = whole - np.concatenate([volumes.sum(axis=1), volumes.sum(axis=0)])
+    shift = np.zeros(len(whole))
+    for _ in range(REFINEMENTS):
+        shift += solve(fault - system @ shift)
+    if np.abs(fault - system @ shift).max() > LOST * whole.max():
+        raise ValueError(
+            "no conservative transfer: old and new cells do not fill the same place, for some old "
+            "cells are inverted; hand over earlier."
+        )
+    change = shift[: shape[0]][pattern.row] + shift[shape[0] :][pattern.col]
+    rows = coo_array(volumes + coo_array((pattern.data * change, pattern.coords), shape))
+    return coo_array((rows.data / new.volumes[rows.row], rows.coords), shape)
