@@ -1,13 +1,16 @@
 """Bodies with boundary layers in channels and boxes, and what becomes of them on their way."""
 
 import dataclasses
+import itertools
 
 import numpy as np
+from meshes import ball, grid, tetrahedra
 
 import jaxmorph as jm
 from jaxmorph._host.cells.first_lines import first_lines
 
-HEIGHT, RATIO = 0.01, 1.25
+HEIGHT = 0.01
+RATIO = 1.25
 """Height of the first cells at bodies, and its growth."""
 
 
@@ -38,8 +41,6 @@ def growing(points: np.ndarray, corners: np.ndarray, centre, least: float, most:
 
 def layered(wall: np.ndarray, sides, spacing: float, layers: int = 9) -> jm.Mesh:
     """Quads in layers around a body (m, 2), counterclockwise, and triangles up to a rectangle."""
-    from meshes import grid
-
     from jaxmorph._advice.fill import fill
 
     along = np.roll(wall, -1, axis=0) - np.roll(wall, 1, axis=0)
@@ -85,14 +86,16 @@ def travel(state: jm.Relay, wall: np.ndarray, path) -> Way:
     mesh = state.mesh
     cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
     lines = first_lines(cells, mesh.topology.outer(wall), np.asarray(mesh.points), wall)
-    nodes, ends = lines.nodes, lines.ends
+    nodes = lines.nodes
+    ends = lines.ends
     start = np.linalg.norm(np.asarray(mesh.points)[ends] - np.asarray(mesh.points)[nodes], axis=1)
     way = Way(state, [], 0, (1.0, 1.0))
     for u in path:
         state = state.moved(u)
         made = state.remeshed
         if made is not None:
-            nodes, ends = made.of_old[nodes], made.of_old[ends]
+            nodes = made.of_old[nodes]
+            ends = made.of_old[ends]
         x = np.asarray(state.points)
         ratios = np.linalg.norm(x[ends] - x[nodes], axis=1) / start
         way.state = state
@@ -104,28 +107,25 @@ def travel(state: jm.Relay, wall: np.ndarray, path) -> Way:
 
 def around_sphere(count: int, sides, spacing: float, layers: int = 5) -> jm.Mesh:
     """Wedges in layers around a ball of diameter 1, and tetrahedra up to a box."""
-    from meshes import ball, grid
-
     from jaxmorph._advice.fill import fill
 
     unit, faces = ball(count)
     rings = stacked(unit / 2, unit, layers).reshape(-1, 3)
     ids = np.arange(len(rings)).reshape(-1, count)
-    wedges = np.concatenate(
-        [np.concatenate([low[faces[:, ::-1]], high[faces[:, ::-1]]], axis=1) for low, high in zip(ids, ids[1:])]
-    )
+    inwards = faces[:, ::-1]
+    wedges = np.concatenate([np.hstack([low[inwards], high[inwards]]) for low, high in itertools.pairwise(ids)])
     axes = [np.linspace(low, high, 1 + round((high - low) / spacing)) for low, high in sides]
     lattice = grid(*axes)
     outer = lattice.outer_faces.corners["quad"]
     used, quads = np.unique(outer, return_inverse=True)
     quads = quads.reshape(-1, 4) + len(rings)
-    border = np.concatenate([ids[-1][faces[:, ::-1]], quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    border = np.concatenate([ids[-1][inwards], quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     points = np.concatenate([rings, np.asarray(lattice.points)[used]])
-    from meshes import tetrahedra
-
     cubes = np.arange(len(lattice.points)).reshape([len(axis) for axis in axes])
     least = np.linalg.norm(np.diff(rings[ids[-1]][faces[:, :2]], axis=1), axis=2).mean()
     size = growing(np.asarray(lattice.points), tetrahedra(cubes), np.zeros(3), least, spacing)
-    new, tetra = fill(points, border, np.repeat([[0, 0], [0, 1]], [len(faces), len(border) - len(faces)], axis=0), size)
+    shells = np.zeros((len(border), 2), int)
+    shells[len(faces) :, 1] = 1
+    new, tetra = fill(points, border, shells, size)
     patches = {"body": ids[0], "box": np.arange(len(rings), len(points))}
     return jm.Mesh(np.concatenate([points, new]), {"wedge": wedges, "tetra": tetra}, patches)

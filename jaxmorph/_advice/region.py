@@ -92,8 +92,11 @@ def region_of(mesh: Mesh, worn: ndarray, stays: Pair, layers: int) -> ndarray:
     cells, needed = stays
     nodes = incidence(mesh)
     chosen = worn & ~cells
+    here, behind = inner_faces(mesh)
     for _ in range(layers):
-        chosen = (nodes @ (nodes.T @ chosen) > 0) & ~cells
+        grown = chosen.copy()
+        grown[behind[chosen[here]]] = True
+        chosen = grown & ~cells
     while chosen.any():
         inside = needed & (nodes.T @ ~chosen == 0) & (nodes.T @ chosen > 0)
         lost = nodes @ inside > 0
@@ -108,6 +111,14 @@ def region_of(mesh: Mesh, worn: ndarray, stays: Pair, layers: int) -> ndarray:
         cells = cells | lost
         chosen = (chosen | more) & ~lost
     return chosen
+
+
+def inner_faces(mesh: Mesh) -> Pair:
+    """The cells on the two sides of each inner face, which is listed from both."""
+    behind, _ = mesh.topology.neighbours
+    counts = [np.full(len(ids), len(FACES[kind])) for kind, ids in mesh.cells.items()]
+    here = np.repeat(np.arange(sum(_counts(mesh))), np.concatenate(counts))
+    return here[behind >= 0], behind[behind >= 0]
 
 
 def cells_of(mesh: Mesh, chosen: ndarray) -> dict[str, ndarray]:

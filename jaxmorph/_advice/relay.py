@@ -21,7 +21,7 @@ from .largest_step import DesignedMesh
 from .remesh import nodes_of, remesh
 from .transfer import Remeshed
 
-LAYERS = (1, 2, 4)  # of cells around worn ones, tried in turn
+LAYERS = (2, 4, 8)  # of cells around worn ones, tried in turn
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

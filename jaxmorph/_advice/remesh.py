@@ -10,14 +10,14 @@ from numpy import ndarray
 from .._boundary.names import Nodes
 from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import owned_sides
-from .._host.cells.topology import CORNERS, FACES, Pair
+from .._host.cells.topology import CORNERS, Pair
 from .._host.linear.products import outward, row_lengths, unit_rows
 from .._host.package.arguments import between, checked, finite_array, rows_of, whole
 from .._host.package.rounding import Tree
 from .._host.rows import join_ids, mark
 from .._mesh.mesh import Mesh, PointsLike
 from .._quality.quality import quality
-from .region import border_of, cells_of, region_of, staying
+from .region import border_of, cells_of, inner_faces, region_of, staying
 from .transfer import Remeshed, cut, signed_volumes
 
 HEIGHTS = (0.35, 0.2, 0.1)  # of pyramids, over the width of their base, tried in turn
@@ -31,7 +31,7 @@ def remesh(
     *,
     keep: Nodes = (),
     target: float = 0.2,
-    layers: int = 1,
+    layers: int = 2,
     cells: Int[ArrayLike, " _k"] = (),
 ) -> Remeshed:
     """Replaces the cells that a motion has worn by triangles or tetrahedra of gmsh.
@@ -49,7 +49,7 @@ def remesh(
     - `points`: the moved points (n, d), in the unit of the mesh.
     - `keep`: node ids or patches that stay, with the cells between them. Default: none.
     - `target`: share of quality below which a cell is worn, from 0 to 1. Default 0.2.
-    - `layers`: layers of cells around worn ones that are replaced, too, default 1.
+    - `layers`: layers of cells around worn ones that are replaced, too, by their faces. Default 2.
     - `cells`: numbers of further worn cells, such as `jm.judge(...).bad` of a next step.
 
     **Returns:** a `Remeshed`; without worn cells with the moved mesh as it is. **Raises:**
@@ -225,10 +225,8 @@ class _Hole:
 
 def _parts(mesh: Mesh, chosen: ndarray) -> ndarray:
     """The connected part of each chosen cell."""
-    behind, _ = mesh.topology.neighbours
-    faces = [np.full(len(ids), len(FACES[kind])) for kind, ids in mesh.cells.items()]
-    here = np.repeat(np.arange(len(chosen)), np.concatenate(faces))
-    both = (behind >= 0) & chosen[here] & chosen[behind]
+    here, behind = inner_faces(mesh)
+    both = chosen[here] & chosen[behind]
     return parts_of(here[both], behind[both], len(chosen))[chosen]
 
 

@@ -33,8 +33,7 @@ SIMPLICES = numbers_by_name(
 TRIED = (16, 256)  # simplices nearest to a place among which it is sought
 NEAR = (10, 40)  # cells whose centres may give a linear field at a place
 SAMPLES = 3  # steps of the lattice of samples in a simplex
-LINKS = 4  # near cells that samples may miss
-LINK = 1e-3  # their share in corrections
+LINK = 1e-3  # share in corrections of cells that meet at a corner
 REFINEMENTS = 8  # of a solution, for round-off
 LOST = 1e-12  # volume over the largest cell's that a conservative operator may lose
 BLOCK = 1 << 17  # pairs of places and simplices at a time
@@ -257,7 +256,8 @@ def _conserving_rows(old: _Part, new: _Part) -> coo_array:
     # Samples of the cells of either mesh, sought in the other, give volumes M of intersections.
     # M + P (a + b), with a number `a` for each new cell and `b` for each old one, has the right
     # sums of rows and columns: a linear system, singular for constants, which do not matter. The
-    # pattern P is M, and small links between near cells, which samples may miss.
+    # pattern P is M, and small links from each cell to those at its corners. So it connects a part
+    # of the region whatever the samples miss.
     shape = (len(new.volumes), len(old.volumes))
     volumes = coo_array(shape)
     pattern = coo_array(shape)
@@ -266,9 +266,9 @@ def _conserving_rows(old: _Part, new: _Part) -> coo_array:
         found = there.owner[there.locate(places)[0]]
         ids = (found, cell) if here is old else (cell, found)
         volumes = volumes + coo_array((volume / 2, ids), shape)
-        near = Tree(there.centres).query(here.centres, k=range(1, 1 + min(LINKS, len(there.centres))))[1]
-        cell = np.repeat(np.arange(len(near)), near.shape[1])
-        ids = (near.ravel(), cell) if here is old else (cell, near.ravel())
+        found = there.owner[there.locate(here.corners.reshape(-1, here.points.shape[1]))[0]]
+        cell = np.repeat(here.owner, here.simplices.shape[1])
+        ids = (found, cell) if here is old else (cell, found)
         pattern = pattern + coo_array((LINK * here.volumes[cell], ids), shape)
     pattern = coo_array(pattern + volumes)
     sums = np.concatenate([pattern.sum(axis=1), pattern.sum(axis=0)])
