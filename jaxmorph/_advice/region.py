@@ -14,7 +14,7 @@ from .._host.package.arguments import checked
 from .._host.rows import first_of_equals, join_ids, mark
 from .._mesh.mesh import Mesh
 
-FLATNESS = 0.9  # of layers at walls: the height of a cell over its width
+FLATNESS = 0.75  # of layers at walls: the height of a cell over its width
 
 
 def incidence(mesh: Mesh) -> csr_array:

@@ -122,8 +122,9 @@ class _Hole:
         simplices, owner = cut(cells_of(mesh, chosen))
         volume = np.bincount(owner, signed_volumes(start[simplices]), chosen.sum())
         part = _parts(mesh, chosen)
-        faces = {}
-        shells = {}
+        kinds = ("line",) if start.shape[1] == 2 else ("triangle", "quad")
+        faces = {kind: np.zeros((0, CORNERS[kind]), int) for kind in kinds}
+        shells = {kind: np.zeros((0, 2), int) for kind in kinds}
         for kind, (ids, cell) in border_of(mesh, chosen).items():
             faces[kind] = np.where(volume[cell, None] < 0, ids[:, ::-1], ids)
             shells[kind] = np.stack([part[cell], _behind(mesh, chosen, kind, ids)], axis=1)
@@ -135,7 +136,7 @@ class _Hole:
 
     def filled(self) -> Remeshed:
         """Fills the hole; lower pyramids are tried where gmsh finds no room."""
-        heights = HEIGHTS if "quad" in self.faces else HEIGHTS[:1]
+        heights = HEIGHTS if len(self.faces.get("quad", ())) else HEIGHTS[:1]
         for height in heights:
             try:
                 return self._filled(height)

@@ -121,7 +121,9 @@ class Remeshed:
         count = sum(map(len, self.mesh.cells.values()))
         is_new = np.ones(count, bool)
         is_new[self.cells_of_old[stay]] = False
-        part = rows_of_new(_Part.of(self.old, is_gone), _Part.of(self.mesh, is_new))
+        part = coo_array((int(is_new.sum()), int(is_gone.sum())))
+        if is_gone.any():
+            part = rows_of_new(_Part.of(self.old, is_gone), _Part.of(self.mesh, is_new))
         return _sparse(
             (count, len(is_gone)),
             np.concatenate([self.cells_of_old[stay], np.flatnonzero(is_new)[part.row]]),
