@@ -19,7 +19,9 @@ def box_sides(sides, spacing: float) -> np.ndarray:
     left, right, bottom, top = sides
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]], float)
     after = np.roll(corners, -1, axis=0)
-    counts = [max(2, round(np.abs(b - a).sum() / spacing)) for a, b in zip(corners, after, strict=True)]
+    counts = [
+        max(2, round(np.abs(b - a).sum() / spacing)) for a, b in zip(corners, after, strict=True)
+    ]
     steps = [np.arange(count)[:, None] / count for count in counts]
     return np.concatenate([a + t * (b - a) for a, b, t in zip(corners, after, steps, strict=True)])
 
@@ -113,7 +115,9 @@ def around_sphere(count: int, sides, spacing: float, layers: int = 5) -> jm.Mesh
     rings = stacked(unit / 2, unit, layers).reshape(-1, 3)
     ids = np.arange(len(rings)).reshape(-1, count)
     inwards = faces[:, ::-1]
-    wedges = np.concatenate([np.hstack([low[inwards], high[inwards]]) for low, high in itertools.pairwise(ids)])
+    wedges = np.concatenate(
+        [np.hstack([low[inwards], high[inwards]]) for low, high in itertools.pairwise(ids)]
+    )
     axes = [np.linspace(low, high, 1 + round((high - low) / spacing)) for low, high in sides]
     lattice = grid(*axes)
     outer = lattice.outer_faces.corners["quad"]

@@ -28,7 +28,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 BUILT = words("""
 io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.Cure jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
-jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Turn jm.Verdict
+jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.Remeshed jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Turn jm.Verdict
 jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""

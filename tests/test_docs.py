@@ -36,7 +36,7 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}
     for code, output in blocks_and_output(page):
-        for package in ("openmdao", "mpi4py"):
+        for package in ("openmdao", "mpi4py", "gmsh"):
             if package in code:
                 pytest.importorskip(package)
         with jax.numpy_rank_promotion("allow"):  # as users have it

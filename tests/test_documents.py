@@ -9,7 +9,7 @@ import pytest
 from documents import ROOT, blocks
 
 import jaxmorph as jm
-from jaxmorph import cases, io
+from jaxmorph import io
 
 
 @pytest.mark.slow
@@ -52,17 +52,6 @@ def test_readme_runs(tmp_path, monkeypatch, capsys):
     np.testing.assert_allclose(after.points[wall], 1.1 * before.points[wall], atol=1e-15)
     np.testing.assert_array_equal(names["dJ_dwall"].shape, (len(wall), 2))
     assert float(capsys.readouterr().out) != 0
-
-
-@pytest.mark.slow
-def test_a_remesher_takes_over_as_the_page_says(capsys):
-    pytest.importorskip("mmgpy")
-    text = (ROOT / "docs" / "pages" / "steps.md").read_text()
-    ((code, printed),) = re.findall(
-        r"```py\n(import mmgpy\n.*?)```\n.*?```text\n(.*?)```", text, flags=re.DOTALL
-    )
-    exec(code, {"jm": jm, "cases": cases})
-    assert capsys.readouterr().out == printed
 
 
 def test_the_first_screen_of_readme():

@@ -20,7 +20,10 @@ pytest.importorskip("gmsh")
 @functools.cache
 def passing() -> tuple[jm.Mesh, jm.Plan, np.ndarray]:
     """Two bodies in a mesh of quads, and points that the upper one's motion has worn."""
-    mesh = cases.bodies({"upper": (-2.0, -1.0, 0.5, 1.5), "lower": (-0.5, 0.5, -1.5, -0.5)}, box=(-4.0, 4.0, -3.0, 3.0))
+    mesh = cases.bodies(
+        {"upper": (-2.0, -1.0, 0.5, 1.5), "lower": (-0.5, 0.5, -1.5, -0.5)},
+        box=(-4.0, 4.0, -3.0, 3.0),
+    )
     plan = jm.prepare(mesh, "upper", ("lower", "farfield"))
     return mesh, plan, np.asarray(jm.deform(plan, np.tile([1.2, 0.0], (plan.n_moving, 1))))
 
@@ -51,7 +54,9 @@ NAMES = ("plane", "hexahedron", "tetra", "wedge")
 def faces_of(mesh: jm.Mesh, of_old: np.ndarray | None = None) -> set[tuple[int, ...]]:
     outer = [ids for ids, _ in mesh.topology.outer().values()]
     return {
-        tuple(sorted(face)) for ids in outer for face in (ids if of_old is None else of_old[ids]).tolist()
+        tuple(sorted(face))
+        for ids in outer
+        for face in (ids if of_old is None else of_old[ids]).tolist()
     }
 
 
@@ -92,7 +97,9 @@ def test_linear_fields_are_carried_over_exactly(name):
     for values in (points, 1 + points @ slope, np.ones(len(points))):
         expected = np.asarray(new.mesh.points) if values is points else values
         if values is not points:
-            expected = 1 + new.mesh.points @ slope if values.ndim == 2 else np.ones(len(new.mesh.points))
+            expected = (
+                1 + new.mesh.points @ slope if values.ndim == 2 else np.ones(len(new.mesh.points))
+            )
         np.testing.assert_allclose(new.transfer(values), expected, rtol=0, atol=1e-13)
     values = np.random.default_rng(1).normal(size=len(points))
     stay = new.of_old >= 0
@@ -143,7 +150,9 @@ def test_a_mesh_with_nothing_to_cure_is_returned():
     np.testing.assert_array_equal(moved.transfer(points), points)
     values = np.arange(len(moved.cells_of_old), dtype=float)
     for conservative in (False, True):
-        np.testing.assert_array_equal(moved.transfer_cells(values, conservative=conservative), values)
+        np.testing.assert_array_equal(
+            moved.transfer_cells(values, conservative=conservative), values
+        )
 
 
 def test_nodes_to_keep_stay():
@@ -214,7 +223,9 @@ def test_a_relay_goes_on_where_one_plan_ends(tmp_path):
     assert relay.count == history.column("hand_overs")[-1] > 0
     assert jm.quality(relay.mesh.moved(relay.points)).inverted == 0
     wall = np.asarray(relay.plan.moving)
-    np.testing.assert_allclose(relay.points[wall], np.asarray(mesh.points)[plan.moving] + u, atol=1e-13)
+    np.testing.assert_allclose(
+        relay.points[wall], np.asarray(mesh.points)[plan.moving] + u, atol=1e-13
+    )
     np.testing.assert_array_equal(wall, relay.mesh.patch("upper"))
     # one mesh: exact derivatives, and constraints of an optimiser
     direction = np.random.default_rng(4).normal(size=u.shape)

@@ -13,9 +13,7 @@ from .._host.rows import Rows
 try:
     import gmsh
 except (ImportError, OSError) as error:  # OSError: a library of the system is missing
-    raise ImportError(
-        f"remeshing needs gmsh ({error}): pip install 'jaxmorph[remesh]'"
-    ) from error
+    raise ImportError(f"remeshing needs gmsh ({error}): pip install 'jaxmorph[remesh]'") from error
 
 OPTIONS = {
     "General.Terminal": 0,

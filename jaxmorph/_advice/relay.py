@@ -96,7 +96,11 @@ class Relay:
     @property
     def measures(self) -> dict[str, float]:
         """Numbers of the last move for `shapes.History.add`."""
-        ratio = 1.0 if self.verdict is None or self.verdict.judged is None else self.verdict.judged.ratio
+        ratio = (
+            1.0
+            if self.verdict is None or self.verdict.judged is None
+            else self.verdict.judged.ratio
+        )
         return {"jacobian_ratio": float(ratio), "hand_overs": float(self.count)}
 
     @checked
@@ -130,9 +134,7 @@ class Relay:
         mesh = self.mesh
         keep = nodes_of(mesh, self.keep)
         stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
-        made = remesh(
-            mesh, self.points, keep=stay, target=self.target, layers=layers, cells=bad
-        )
+        made = remesh(mesh, self.points, keep=stay, target=self.target, layers=layers, cells=bad)
         return dataclasses.replace(
             self,
             plan=_prepared(self.plan, made),
@@ -154,6 +156,8 @@ def _prepared(plan: Plan, made: Remeshed) -> Plan:
     on[place[stay]] = old.on[stay]
     pairings, tracks = renumbered(old.pairings, old.tracks, place)
     lists = {name: place[getattr(old, name)] for name in ("moving", "fixed", "guided", "loose")}
-    known = old.altered(points=np.asarray(made.mesh.points), on=on, pairings=pairings, tracks=tracks, **lists)
+    known = old.altered(
+        points=np.asarray(made.mesh.points), on=on, pairings=pairings, tracks=tracks, **lists
+    )
     # the first `prepare` has warned of free faces
     return plan_of(known.with_mesh(made.mesh).altered(left=None), plan.method)

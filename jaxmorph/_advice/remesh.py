@@ -128,11 +128,12 @@ class _Hole:
         for kind, (ids, cell) in border_of(mesh, chosen).items():
             faces[kind] = np.where(volume[cell, None] < 0, ids[:, ::-1], ids)
             shells[kind] = np.stack([part[cell], _behind(mesh, chosen, kind, ids)], axis=1)
-        sizes = _mean_lengths(start, list(simplices[:, [0, k]] for k in range(1, simplices.shape[1])))
+        sizes = _mean_lengths(
+            start, list(simplices[:, [0, k]] for k in range(1, simplices.shape[1]))
+        )
         edges = [np.stack([ids, np.roll(ids, 1, axis=1)], axis=2) for ids in faces.values()]
         on_border = _mean_lengths(x, [pairs.reshape(-1, 2) for pairs in edges])
-        sizes = np.where(on_border > 0, on_border, sizes)
-        return cls(moved, chosen, faces, shells, sizes)
+        return cls(moved, chosen, faces, shells, np.maximum(sizes, on_border))
 
     def filled(self) -> Remeshed:
         """Fills the hole; lower pyramids are tried where gmsh finds no room."""
@@ -162,9 +163,7 @@ class _Hole:
         border = np.concatenate([self.faces["triangle"], *sides])
         shells = np.concatenate([self.shells["triangle"], *[self.shells["quad"]] * 4])
         added, tetra = fill(np.concatenate([x, apexes]), border, shells, sizes)
-        return self._joined(
-            np.concatenate([apexes, added]), {"pyramid": pyramids, "tetra": tetra}
-        )
+        return self._joined(np.concatenate([apexes, added]), {"pyramid": pyramids, "tetra": tetra})
 
     def _pyramids(self, x: ndarray, height: float) -> Pair:
         """Apexes (q, 3) on the quads of the border, and pyramids (q, 5)."""
@@ -213,7 +212,9 @@ class _Hole:
         sides = owned_sides(new, len(x))
         for kind, ids in self.faces.items():
             there = sides.get(kind, (ids[:0],))[0]
-            if not np.array_equal(*(np.unique(np.sort(rows, axis=1), axis=0) for rows in (ids, there))):
+            if not np.array_equal(
+                *(np.unique(np.sort(rows, axis=1), axis=0) for rows in (ids, there))
+            ):
                 raise ValueError(
                     f"gmsh has changed the border of the region, at {kind} faces: no mesh can be "
                     "handed over here; hand over earlier, with a larger `target`."
@@ -221,7 +222,9 @@ class _Hole:
         simplices, _ = cut(new)
         flat = signed_volumes(x[simplices]) <= 0
         if flat.any():
-            raise ValueError(f"{flat.sum()} of {len(flat)} new cells have no volume; hand over earlier, with a larger `target`.")
+            raise ValueError(
+                f"{flat.sum()} of {len(flat)} new cells have no volume; hand over earlier, with a larger `target`."
+            )
 
 
 def _parts(mesh: Mesh, chosen: ndarray) -> ndarray:

@@ -65,9 +65,12 @@ class Remeshed:
     def of(cls, old: Mesh, mesh: Mesh, of_old: ndarray, cells_of_old: ndarray) -> "Remeshed":
         stay = np.flatnonzero(of_old >= 0)
         new = np.arange(len(stay), len(mesh.points))
-        region = _Part.of(old, cells_of_old < 0)
-        simplex, shares = region.locate(np.asarray(mesh.points, float)[new])
-        nodes = region.simplices[simplex]
+        nodes = np.zeros((0, 1), int)
+        shares = nodes.astype(float)
+        if len(new):
+            region = _Part.of(old, cells_of_old < 0)
+            simplex, shares = region.locate(np.asarray(mesh.points, float)[new])
+            nodes = region.simplices[simplex]
         weights = _sparse(
             (len(mesh.points), len(of_old)),
             np.concatenate([of_old[stay], np.repeat(new, nodes.shape[1])]),
@@ -218,7 +221,9 @@ class _Part:
     def samples(self) -> tuple[ndarray, ndarray, ndarray]:
         """Places (p, d) in the simplices, each with its cell and a share of the cell's volume."""
         d = self.points.shape[1]
-        lattice = np.array([row for row in np.ndindex(*[SAMPLES] * (d + 1)) if sum(row) == SAMPLES - 1])
+        lattice = np.array(
+            [row for row in np.ndindex(*[SAMPLES] * (d + 1)) if sum(row) == SAMPLES - 1]
+        )
         weights = (lattice + 1 / (d + 1)) / SAMPLES
         places = np.einsum("pc,scd->spd", weights, self.corners).reshape(-1, d)
         size = np.abs(signed_volumes(self.corners))
