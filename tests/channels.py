@@ -43,7 +43,7 @@ def growing(points: np.ndarray, corners: np.ndarray, centre, least: float, most:
 
 def layered(wall: np.ndarray, sides, spacing: float, layers: int = 9) -> jm.Mesh:
     """Quads in layers around a body (m, 2), counterclockwise, and triangles up to a rectangle."""
-    from jaxmorph._advice.fill import fill
+    from jaxmorph._advice.fill import fill_region
 
     along = np.roll(wall, -1, axis=0) - np.roll(wall, 1, axis=0)
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
@@ -62,7 +62,7 @@ def layered(wall: np.ndarray, sides, spacing: float, layers: int = 9) -> jm.Mesh
     size = growing(np.asarray(lattice.points), corners, wall.mean(axis=0), least, spacing)
     border = np.concatenate(edges)
     points = np.concatenate([rings, box])
-    new, triangles = fill(points, border, np.zeros((len(border), 2), int), size)
+    new, triangles = fill_region(points, border, np.zeros((len(border), 2), int), size)
     cells = {"quad": quads, "triangle": triangles}
     return jm.Mesh(np.concatenate([points, new]), cells, {"body": ids[0], "box": outer})
 
@@ -109,7 +109,7 @@ def travel(state: jm.Relay, wall: np.ndarray, path) -> Way:
 
 def around_sphere(count: int, sides, spacing: float, layers: int = 5) -> jm.Mesh:
     """Wedges in layers around a ball of diameter 1, and tetrahedra up to a box."""
-    from jaxmorph._advice.fill import fill
+    from jaxmorph._advice.fill import fill_region
 
     unit, faces = ball(count)
     rings = stacked(unit / 2, unit, layers).reshape(-1, 3)
@@ -130,6 +130,6 @@ def around_sphere(count: int, sides, spacing: float, layers: int = 5) -> jm.Mesh
     size = growing(np.asarray(lattice.points), tetrahedra(cubes), np.zeros(3), least, spacing)
     shells = np.zeros((len(border), 2), int)
     shells[len(faces) :, 1] = 1
-    new, tetra = fill(points, border, shells, size)
+    new, tetra = fill_region(points, border, shells, size)
     patches = {"body": ids[0], "box": np.arange(len(rings), len(points))}
     return jm.Mesh(np.concatenate([points, new]), {"wedge": wedges, "tetra": tetra}, patches)

@@ -34,13 +34,13 @@ OPTIONS = {
 
 
 class Sizes(NamedTuple):
-    """Lengths of edges to aim at: at the `corners` (k, d + 1, d) of simplices `values` (k, d + 1)."""
+    """Lengths of edges to aim at: `values` (k, d + 1) at `corners` (k, d + 1, d) of simplices."""
 
     corners: ndarray
     values: ndarray
 
 
-def fill(points: ndarray, border: ndarray, shells: ndarray, sizes: Sizes) -> Pair:
+def fill_region(points: ndarray, border: ndarray, shells: ndarray, sizes: Sizes) -> Pair:
     """Fills the parts of a region within their borders: edges with the region on their left, or
     triangles. Returns new points (m, d), and simplices, whose ids count them after `points` (n, d).
 
@@ -80,9 +80,9 @@ def _fill_part(places: ndarray, border: ndarray, behind: ndarray) -> Pair:
         mesher.field.setNumber(1, "ViewIndex", gmsh.view.getIndex(gmsh.view.getTags()[-1]))
         mesher.field.setAsBackgroundMesh(1)
         if d == 2:
-            _in_plane(places, border)
+            _add_surface(places, border)
         else:
-            _in_space(places, border, behind)
+            _add_volume(places, border, behind)
         mesher.generate(d)
         tags, coordinates, _ = mesher.getNodes()
         _, corners = mesher.getElementsByType({2: 2, 3: 4}[d])
@@ -136,7 +136,7 @@ def _model(sizes: Sizes) -> Iterator[None]:
             gmsh.model.setCurrent(current)
 
 
-def _in_plane(places: ndarray, border: ndarray) -> None:
+def _add_surface(places: ndarray, border: ndarray) -> None:
     """Makes a surface between loops of straight lines of one element each."""
     geometry = gmsh.model.geo
     for node in np.unique(border).tolist():
@@ -165,7 +165,7 @@ def _loops(border: ndarray) -> list[list[int]]:
     return loops
 
 
-def _in_space(places: ndarray, border: ndarray, behind: ndarray) -> None:
+def _add_volume(places: ndarray, border: ndarray, behind: ndarray) -> None:
     """Makes a volume within given triangles, a surface for each thing behind them."""
     # gmsh knows a volume by its set of surfaces: a hole must not have the same set.
     nodes = np.unique(border)

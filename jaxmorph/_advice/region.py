@@ -39,7 +39,7 @@ def wall_layers(mesh: Mesh, patches: str | Sequence[str]) -> Int[np.ndarray, " k
     """
     names = (patches,) if isinstance(patches, str) else tuple(patches)
     wall = mesh.patch(*names)
-    cells = cells_of(mesh, _layers(mesh, mark(len(mesh.points), wall)))
+    cells = chosen_cells(mesh, _layers(mesh, mark(len(mesh.points), wall)))
     return np.union1d(wall, join_ids(cells.values()))
 
 
@@ -121,7 +121,7 @@ def inner_faces(mesh: Mesh) -> Pair:
     return here[behind >= 0], behind[behind >= 0]
 
 
-def cells_of(mesh: Mesh, chosen: ndarray) -> dict[str, ndarray]:
+def chosen_cells(mesh: Mesh, chosen: ndarray) -> dict[str, ndarray]:
     parts = np.split(chosen, np.cumsum(_counts(mesh))[:-1])
     return {
         kind: np.asarray(ids)[rows]
@@ -130,4 +130,4 @@ def cells_of(mesh: Mesh, chosen: ndarray) -> dict[str, ndarray]:
 
 
 def border_of(mesh: Mesh, chosen: ndarray) -> dict[str, tuple[ndarray, ndarray]]:
-    return owned_sides(cells_of(mesh, chosen), len(mesh.points))
+    return owned_sides(chosen_cells(mesh, chosen), len(mesh.points))

@@ -18,7 +18,7 @@ from .._plan.prepare import plan_of
 from .._quality.limits import Limits
 from .._quality.verdict import Verdict, judge
 from .largest_step import DesignedMesh
-from .remesh import nodes_of, remesh
+from .remesh import kept_nodes, remesh
 from .transfer import Remeshed
 
 LAYERS = (2, 4, 8)  # of cells around worn ones, tried in turn
@@ -132,7 +132,7 @@ class Relay:
 
     def _handed_over(self, bad: np.ndarray, layers: int) -> "Relay":
         mesh = self.mesh
-        keep = nodes_of(mesh, self.keep)
+        keep = kept_nodes(mesh, self.keep)
         stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
         made = remesh(mesh, self.points, keep=stay, target=self.target, layers=layers, cells=bad)
         return dataclasses.replace(

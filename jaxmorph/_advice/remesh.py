@@ -1,7 +1,7 @@
 """New cells where a motion has worn the old ones; all others stay as they are."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import ArrayLike, Int
@@ -13,15 +13,13 @@ from .._host.cells.pieces import owned_sides
 from .._host.cells.topology import CORNERS, Pair
 from .._host.linear.products import outward, row_lengths, unit_rows
 from .._host.package.arguments import between, checked, finite_array, rows_of, whole
-from .._host.package.rounding import Tree
 from .._host.rows import join_ids, mark
 from .._mesh.mesh import Mesh, PointsLike
 from .._quality.quality import quality
-from .region import border_of, cells_of, inner_faces, region_of, staying
-from .transfer import Remeshed, cut, signed_volumes
+from .region import border_of, chosen_cells, inner_faces, region_of, staying
+from .transfer import Remeshed, signed_volumes, simplices_in
 
 HEIGHTS = (0.35, 0.2, 0.1)  # of pyramids, over the width of their base, tried in turn
-ROOM = 0.4  # a pyramid's largest height over the distance to the nearest other node
 
 
 @checked
@@ -64,7 +62,7 @@ def remesh(
     if not worn.any():
         every = (np.arange(len(moved.points)), np.arange(len(worn)))
         return Remeshed.of(moved, moved, *every)
-    chosen = region_of(moved, worn, staying(mesh, moved, nodes_of(mesh, keep)), layers)
+    chosen = region_of(moved, worn, staying(mesh, moved, kept_nodes(mesh, keep)), layers)
     if not chosen.any():
         raise ValueError(
             f"all {worn.sum()} cells below `target` {target:g} belong to layers at walls, to inner "
@@ -73,7 +71,7 @@ def remesh(
     return _Hole.of(mesh, moved, chosen).filled()
 
 
-def nodes_of(mesh: Mesh, keep: Nodes) -> ndarray:
+def kept_nodes(mesh: Mesh, keep: Nodes) -> ndarray:
     """Ids of the nodes to keep, which patches may name."""
     names = (keep,) if isinstance(keep, str) else keep
     if len(names) and all(isinstance(name, str) for name in names):
@@ -119,20 +117,17 @@ class _Hole:
     def of(cls, mesh: Mesh, moved: Mesh, chosen: ndarray) -> "_Hole":
         start = np.asarray(mesh.points, float)
         x = np.asarray(moved.points, float)
-        simplices, owner = cut(cells_of(mesh, chosen))
+        simplices, owner = simplices_in(chosen_cells(mesh, chosen))
         volume = np.bincount(owner, signed_volumes(start[simplices]), chosen.sum())
-        part = _parts(mesh, chosen)
+        part = _connected_parts(mesh, chosen)
         kinds = ("line",) if start.shape[1] == 2 else ("triangle", "quad")
         faces = {kind: np.zeros((0, CORNERS[kind]), int) for kind in kinds}
         shells = {kind: np.zeros((0, 2), int) for kind in kinds}
         for kind, (ids, cell) in border_of(mesh, chosen).items():
             faces[kind] = np.where(volume[cell, None] < 0, ids[:, ::-1], ids)
             shells[kind] = np.stack([part[cell], _behind(mesh, chosen, kind, ids)], axis=1)
-        sizes = _mean_lengths(
-            start, list(simplices[:, [0, k]] for k in range(1, simplices.shape[1]))
-        )
-        edges = [np.stack([ids, np.roll(ids, 1, axis=1)], axis=2) for ids in faces.values()]
-        on_border = _mean_lengths(x, [pairs.reshape(-1, 2) for pairs in edges])
+        sizes = _mean_lengths(start, [simplices])
+        on_border = _mean_lengths(x, faces.values())
         return cls(moved, chosen, faces, shells, np.maximum(sizes, on_border))
 
     def filled(self) -> Remeshed:
@@ -147,22 +142,22 @@ class _Hole:
         raise AssertionError
 
     def _filled(self, height: float) -> Remeshed:
-        from .fill import Sizes, fill  # needs gmsh
+        from .fill import Sizes, fill_region  # needs gmsh
 
         moved = self.moved
         x = np.asarray(moved.points, float)
         d = x.shape[1]
-        simplices, _ = cut(cells_of(moved, self.chosen))
+        simplices, _ = simplices_in(chosen_cells(moved, self.chosen))
         sizes = Sizes(x[simplices], self.sizes[simplices])
         if d == 2:
-            added, triangles = fill(x, self.faces["line"], self.shells["line"], sizes)
+            added, triangles = fill_region(x, self.faces["line"], self.shells["line"], sizes)
             return self._joined(added, {"triangle": triangles})
         apexes, pyramids = self._pyramids(x, height)
         # a pyramid's sides, seen from the tetrahedra beside it
         sides = [pyramids[:, [first, last, 4]] for first, last in ((1, 0), (2, 1), (3, 2), (0, 3))]
         border = np.concatenate([self.faces["triangle"], *sides])
         shells = np.concatenate([self.shells["triangle"], *[self.shells["quad"]] * 4])
-        added, tetra = fill(np.concatenate([x, apexes]), border, shells, sizes)
+        added, tetra = fill_region(np.concatenate([x, apexes]), border, shells, sizes)
         return self._joined(np.concatenate([apexes, added]), {"pyramid": pyramids, "tetra": tetra})
 
     def _pyramids(self, x: ndarray, height: float) -> Pair:
@@ -170,12 +165,8 @@ class _Hole:
         base = self.faces["quad"][:, ::-1]
         corners = x[base]
         area = outward(corners)
-        middle = corners.mean(axis=1)
-        nodes = np.unique(join_ids(self.faces.values()))
-        away, _ = Tree(x[nodes]).query(middle, k=min(5, len(nodes)))
-        width = np.sqrt(row_lengths(area))
-        rise = height * np.minimum(width, away[:, -1])
-        apexes = middle + rise[:, None] * unit_rows(area)
+        rise = height * np.sqrt(row_lengths(area))
+        apexes = corners.mean(axis=1) + rise[:, None] * unit_rows(area)
         ids = len(x) + np.arange(len(base))
         return apexes, np.column_stack([base, ids])
 
@@ -184,8 +175,8 @@ class _Hole:
         moved = self.moved
         n = len(moved.points)
         self._check(np.concatenate([np.asarray(moved.points, float), added]), new)
-        left = cells_of(moved, ~self.chosen)
-        gone = mark(n, *cells_of(moved, self.chosen).values())
+        left = chosen_cells(moved, ~self.chosen)
+        gone = mark(n, *chosen_cells(moved, self.chosen).values())
         gone &= ~mark(n, *left.values(), *self.faces.values())
         kept = np.flatnonzero(~gone)
         of_old = np.where(gone, -1, np.cumsum(~gone) - 1)
@@ -209,25 +200,20 @@ class _Hole:
         return Remeshed.of(moved, mesh, of_old, cells_of_old)
 
     def _check(self, x: ndarray, new: dict[str, ndarray]) -> None:
+        simplices, _ = simplices_in(new)
+        good = (signed_volumes(x[simplices]) > 0).all()
         sides = owned_sides(new, len(x))
         for kind, ids in self.faces.items():
-            there = sides.get(kind, (ids[:0],))[0]
-            if not np.array_equal(
-                *(np.unique(np.sort(rows, axis=1), axis=0) for rows in (ids, there))
-            ):
-                raise ValueError(
-                    f"gmsh has changed the border of the region, at {kind} faces: no mesh can be "
-                    "handed over here; hand over earlier, with a larger `target`."
-                )
-        simplices, _ = cut(new)
-        flat = signed_volumes(x[simplices]) <= 0
-        if flat.any():
+            both = [np.sort(rows, axis=1) for rows in (ids, sides.get(kind, (ids[:0],))[0])]
+            good &= np.array_equal(*(np.unique(rows, axis=0) for rows in both))
+        if not good:
             raise ValueError(
-                f"{flat.sum()} of {len(flat)} new cells have no volume; hand over earlier, with a larger `target`."
+                "gmsh has changed the border of the region, or left cells without volume: hand "
+                "over earlier, with a larger `target`."
             )
 
 
-def _parts(mesh: Mesh, chosen: ndarray) -> ndarray:
+def _connected_parts(mesh: Mesh, chosen: ndarray) -> ndarray:
     """The connected part of each chosen cell."""
     here, behind = inner_faces(mesh)
     both = chosen[here] & chosen[behind]
@@ -237,22 +223,25 @@ def _parts(mesh: Mesh, chosen: ndarray) -> ndarray:
 def _behind(mesh: Mesh, chosen: ndarray, kind: str, faces: ndarray) -> ndarray:
     """Numbers what lies behind faces of chosen cells: parts of other cells, or of the boundary."""
     rows, cell = border_of(mesh, ~chosen).get(kind, (faces[:0], np.zeros(0, int)))
-    edges = [
-        np.stack([ids, np.roll(ids, 1, axis=1)], axis=2).reshape(-1, 2)
-        for ids, _ in mesh.topology.outer().values()
-    ]
-    number = parts_of(*np.concatenate(edges).T, len(mesh.points))[faces[:, 0]]
+    edges = _edges(ids for ids, _ in mesh.topology.outer().values())
+    number = parts_of(*edges.T, len(mesh.points))[faces[:, 0]]
     both = np.sort(np.concatenate([rows, faces]), axis=1)
     _, first, place = np.unique(both, axis=0, return_index=True, return_inverse=True)
     twin = first[place.ravel()][len(rows) :]
     inner = twin < len(rows)
-    number[inner] = len(mesh.points) + _parts(mesh, ~chosen)[cell[twin[inner]]]
+    number[inner] = len(mesh.points) + _connected_parts(mesh, ~chosen)[cell[twin[inner]]]
     return number
 
 
-def _mean_lengths(x: ndarray, edges: Sequence[ndarray]) -> ndarray:
-    """The mean length of the edges (e, 2) at each node (n,); 0 where there is none."""
-    pairs = np.concatenate(edges)
+def _edges(corners: Iterable[ndarray]) -> ndarray:
+    """The edges (e, 2) from each corner of faces or simplices to the one before."""
+    pairs = [np.stack([ids, np.roll(ids, 1, axis=1)], axis=2).reshape(-1, 2) for ids in corners]
+    return np.concatenate(pairs)
+
+
+def _mean_lengths(x: ndarray, corners: Iterable[ndarray]) -> ndarray:
+    """The mean length of edges at each node (n,); 0 where there is none."""
+    pairs = _edges(corners)
     length = row_lengths(x[pairs[:, 1]] - x[pairs[:, 0]])
     total = np.bincount(pairs.ravel(), np.repeat(length, 2), len(x))
     return total / np.maximum(np.bincount(pairs.ravel(), minlength=len(x)), 1)

@@ -18,7 +18,7 @@ from .._host.package.arguments import checked
 from .._host.package.rounding import Tree
 from .._mesh.mesh import Mesh
 from .._quality.quality import quality
-from .region import cells_of
+from .region import chosen_cells
 
 SIMPLICES = numbers_by_name(
     {
@@ -31,14 +31,13 @@ SIMPLICES = numbers_by_name(
     }
 )
 TRIED = (16, 256)  # simplices nearest to a place among which it is sought
-NEAR = (10, 40)  # cells whose centres may give a linear field at a place
+AROUND = 16  # old cells whose centres give a linear field at a new one
 SAMPLES = 3  # steps of the lattice of samples in a simplex
 LINK = 1e-3  # share in corrections of cells that meet at a corner
 REFINEMENTS = 8  # of a solution, for round-off
 LOST = 1e-12  # volume over the largest cell's that a conservative operator may lose
-BLOCK = 1 << 17  # pairs of places and simplices at a time
-OUTSIDE = -1e-9  # barycentric coordinate of a place outside of all simplices
-ROUNDING = 1e-13  # of what must be exact
+PAIRS = 1 << 17  # pairs of places and simplices at a time
+MISSED = -1e-9  # barycentric coordinate of a place outside of all simplices
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,7 +140,7 @@ def _sparse(shape: tuple[int, int], *entries: ndarray) -> BCOO:
 
 
 @jax.jit
-def _product(weights: BCOO, values: Array) -> Array:
+def _multiply(weights: BCOO, values: Array) -> Array:
     return weights @ values
 
 
@@ -151,11 +150,11 @@ def _apply(weights: BCOO, values: ArrayLike) -> Array:
         raise ValueError(
             f"`values` has shape {rows.shape}; the old mesh has {weights.shape[1]} rows of values."
         )
-    flat = _product(weights, rows.reshape(len(rows), -1).astype(weights.dtype))
+    flat = _multiply(weights, rows.reshape(len(rows), -1).astype(weights.dtype))
     return flat.reshape(-1, *rows.shape[1:])
 
 
-def cut(cells: ByType) -> Pair:
+def simplices_in(cells: ByType) -> Pair:
     """Cuts cells into simplices between their corners (s, d + 1), with the cell (s,) of each."""
     rows = {kind: np.array(SIMPLICES[kind]) for kind in cells}
     pieces = [np.asarray(ids)[:, rows[kind]] for kind, ids in cells.items()]
@@ -185,7 +184,7 @@ class _Part:
         volumes = np.asarray(measured.volume, float)[chosen]
         centres = np.asarray(measured.centroid, float)[chosen]
         points = np.asarray(mesh.points, float)
-        return cls(points, *cut(cells_of(mesh, chosen)), np.abs(volumes), centres)
+        return cls(points, *simplices_in(chosen_cells(mesh, chosen)), np.abs(volumes), centres)
 
     @property
     def corners(self) -> ndarray:
@@ -201,8 +200,8 @@ class _Part:
         simplex = np.zeros(len(places), int)
         least = np.full(len(places), -np.inf)
         for count in TRIED:
-            rows = np.flatnonzero(least < OUTSIDE)
-            for some in np.array_split(rows, 1 + len(rows) * count // BLOCK):
+            rows = np.flatnonzero(least < MISSED)
+            for some in np.array_split(rows, 1 + len(rows) * count // PAIRS):
                 near = tree.query(places[some], k=range(1, 1 + min(count, len(corners))))[1]
                 away = places[some, None] - corners[near, 0]
                 shares = np.einsum("kcd,kcde->kce", away, inverse[near])
@@ -234,28 +233,20 @@ class _Part:
 
 def _linear_rows(old: ndarray, new: ndarray) -> coo_array:
     """The smallest weights, the nearer the larger, that give linear fields at new centres."""
-    tree = Tree(old)
-    parts = []
-    left = np.arange(len(new))
-    for count in NEAR:
-        k = min(count, len(old))
-        away, near = tree.query(new[left], k=range(1, 1 + k))
-        scale = away[:, -1:] + np.finfo(float).tiny
-        rows = np.ones((len(left), 1 + new.shape[1], k))
-        rows[:, 1:] = ((old[near] - new[left, None]) / scale[:, :, None]).swapaxes(1, 2)
-        nearness = 1 / (0.01 + (away / scale) ** 2)
-        weights = np.zeros(near.shape)
-        wanted = np.eye(1, rows.shape[1]).repeat(len(left), axis=0)
-        inverse = np.linalg.pinv(np.einsum("nik,nk,njk->nij", rows, nearness, rows))
-        for _ in range(3):  # the second and third time for round-off
-            fault = wanted - np.einsum("nik,nk->ni", rows, weights)
-            weights += nearness * np.einsum("nik,nij,nj->nk", rows, inverse, fault)
-        fault = np.abs(wanted - np.einsum("nik,nk->ni", rows, weights)).max(axis=1)
-        good = (fault < ROUNDING) | (count == NEAR[-1])
-        parts.append((weights[good].ravel(), np.repeat(left[good], k), near[good].ravel()))
-        left = left[~good]
-    values, rows, columns = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return coo_array((values, (rows, columns)), (len(new), len(old)))
+    k = min(AROUND, len(old))
+    away, near = Tree(old).query(new, k=range(1, 1 + k))
+    scale = away[:, -1:] + np.finfo(float).tiny
+    rows = np.ones((len(new), 1 + new.shape[1], k))
+    rows[:, 1:] = ((old[near] - new[:, None]) / scale[:, :, None]).swapaxes(1, 2)
+    nearness = 1 / (0.01 + (away / scale) ** 2)
+    wanted = np.eye(1, rows.shape[1])
+    inverse = np.linalg.pinv(np.einsum("nik,nk,njk->nij", rows, nearness, rows))
+    weights = np.zeros(near.shape)
+    for _ in range(3):  # the second and third time for round-off
+        fault = wanted - np.einsum("nik,nk->ni", rows, weights)
+        weights += nearness * np.einsum("nik,nij,nj->nk", rows, inverse, fault)
+    ids = (np.repeat(np.arange(len(new)), k), near.ravel())
+    return coo_array((weights.ravel(), ids), (len(new), len(old)))
 
 
 def _conserving_rows(old: _Part, new: _Part) -> coo_array:
