@@ -115,6 +115,8 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.Steps": Lazy(lambda: jm.fewest_steps(plan(), MESH, U)),
     "jm.Turn": Lazy(lambda: jm.Turn.of(np.asarray(MESH.points)[WALL], U)),
     "jm.Verdict": Lazy(lambda: jm.judge(MESH)),
+    "jm.Relay": Lazy(lambda: jm.Relay(plan(), MESH)),
+    "jm.Remeshed": Lazy(lambda: jm.remesh(MESH, POINTS)),
     "jm.SurfaceHalf": Lazy(
         lambda: jm.prepare_surface(jm.Boundary(MESH, "wall", "far"), method=jm.InverseDistance())
     ),

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from channels import around_sphere, layered, travel
+from relays import around_sphere, layered, travel
 from meshes import circle, gmsh_session, renumbered, turn
 
 import jaxmorph as jm

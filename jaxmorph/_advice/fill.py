@@ -93,11 +93,11 @@ def _fill_part(places: ndarray, border: ndarray, behind: ndarray) -> Pair:
         ) from error
     finally:
         gmsh.model.remove()
-    coordinates = coordinates.reshape(-1, 3)
+    coordinates = np.asarray(coordinates).reshape(-1, 3)
     ids = _border_ids(coordinates, places[nodes])
     is_new = ids < 0
     ids[is_new] = len(nodes) + np.arange(is_new.sum())
-    return coordinates[is_new], ids[Rows(tags.astype(np.int64)).of(corners)].reshape(-1, d + 1)
+    return coordinates[is_new], ids[Rows(np.asarray(tags, np.int64)).of(corners)].reshape(-1, d + 1)
 
 
 def _border_ids(coordinates: ndarray, border: ndarray) -> ndarray:

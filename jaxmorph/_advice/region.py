@@ -103,7 +103,7 @@ def region_of(mesh: Mesh, worn: ndarray, stays: Pair, layers: int) -> ndarray:
         more = np.zeros_like(lost)
         if mesh.points.shape[1] == 2:  # its borders are loops, which pass no node twice
             edges, _ = border_of(mesh, chosen)["line"]
-            pinched = nodes @ (np.bincount(edges.ravel(), minlength=nodes.shape[1]) > 2) > 0
+            pinched = nodes @ (np.bincount(edges.ravel(), minlength=len(mesh.points)) > 2) > 0
             more = pinched & ~cells & ~chosen
             lost |= pinched & ~more.any()
         if not (lost & chosen).any() and not more.any():

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._boundary.conditions import renumbered
-from .._boundary.names import Nodes
+from .._boundary.names import Nodes, nodes_named
 from .._host.package.arguments import between, check_fields, checked, finite_array
 from .._mesh.mesh import Mesh
 from .._plan.deform import deform
@@ -18,7 +18,7 @@ from .._plan.prepare import plan_of
 from .._quality.limits import Limits
 from .._quality.verdict import Verdict, judge
 from .largest_step import DesignedMesh
-from .remesh import kept_nodes, remesh
+from .remesh import remesh
 from .transfer import Remeshed
 
 LAYERS = (2, 4, 8)  # of cells around worn ones, tried in turn
@@ -58,8 +58,8 @@ class Relay:
     )
     keep: Nodes = dataclasses.field(default=(), kw_only=True)
     target: float = dataclasses.field(default=0.2, kw_only=True)
-    start: Float[np.ndarray, "m d"] | None = dataclasses.field(default=None, kw_only=True)
-    u: Float[np.ndarray, "m d"] | None = dataclasses.field(default=None, kw_only=True)
+    start: Any = dataclasses.field(default=None, kw_only=True)
+    u: Any = dataclasses.field(default=None, kw_only=True)
     points: Any = dataclasses.field(default=None, kw_only=True)
     verdict: Verdict | None = dataclasses.field(default=None, kw_only=True)
     remeshed: Remeshed | None = dataclasses.field(default=None, kw_only=True)
@@ -112,27 +112,29 @@ class Relay:
         breaks a limit on the new mesh, too.
         """
         u = finite_array("u", u, self.start.shape)
-        state = self._after(u)
-        if state.verdict.ok:
+        state, verdict = self._after(u)
+        if verdict.ok:
             return state
+        bad = verdict.bad
         for layers in LAYERS:
-            new = self._handed_over(state.verdict.bad, layers)
-            after = new._after(u)
-            if after.verdict.ok:
+            new = self._handed_over(np.asarray(bad), layers)
+            after, verdict = new._after(u)
+            if verdict.ok:
                 return dataclasses.replace(after, remeshed=new.remeshed)
         raise ValueError(
-            f"this move breaks a limit right after a hand-over, too: {after.verdict.faults()[0]} "
-            "Take smaller moves, or other limits."
+            f"this move breaks a limit right after a hand-over, too: {verdict.faults()[0]} Take "
+            "smaller moves, or other limits."
         )
 
-    def _after(self, u: np.ndarray) -> "Relay":
+    def _after(self, u: np.ndarray) -> "tuple[Relay, Verdict]":
         points = np.asarray(self.points_at(u))
         verdict = judge(self.mesh, points, self.limits)
-        return dataclasses.replace(self, u=u, points=points, verdict=verdict, remeshed=None)
+        moved = dataclasses.replace(self, u=u, points=points, verdict=verdict, remeshed=None)
+        return moved, verdict
 
     def _handed_over(self, bad: np.ndarray, layers: int) -> "Relay":
         mesh = self.mesh
-        keep = kept_nodes(mesh, self.keep)
+        keep = nodes_named(self.keep, "keep", mesh, len(mesh.points))
         stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
         made = remesh(mesh, self.points, keep=stay, target=self.target, layers=layers, cells=bad)
         return dataclasses.replace(

@@ -1,13 +1,13 @@
 """New cells where a motion has worn the old ones; all others stay as they are."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import ArrayLike, Int
 from numpy import ndarray
 
-from .._boundary.names import Nodes
+from .._boundary.names import Nodes, nodes_named
 from .._host.cells.adjacency import parts_of
 from .._host.cells.pieces import owned_sides
 from .._host.cells.topology import CORNERS, Pair
@@ -30,7 +30,7 @@ def remesh(
     keep: Nodes = (),
     target: float = 0.2,
     layers: int = 2,
-    cells: Int[ArrayLike, " _k"] = (),
+    cells: Int[ArrayLike, " _k"] | Sequence[int] = (),
 ) -> Remeshed:
     """Replaces the cells that a motion has worn by triangles or tetrahedra of gmsh.
 
@@ -57,26 +57,20 @@ def remesh(
     between("target", target, 0, 1)
     whole("layers", layers, 0)
     moved = _checked_mesh(mesh, points)
-    worn = _worn(mesh, moved.points, target)
+    worn = _worn(mesh, np.asarray(moved.points), target)
     worn[rows_of("cells", cells, len(worn))] = True
     if not worn.any():
         every = (np.arange(len(moved.points)), np.arange(len(worn)))
         return Remeshed.of(moved, moved, *every)
-    chosen = region_of(moved, worn, staying(mesh, moved, kept_nodes(mesh, keep)), layers)
+    chosen = region_of(
+        moved, worn, staying(mesh, moved, nodes_named(keep, "keep", mesh, len(mesh.points))), layers
+    )
     if not chosen.any():
         raise ValueError(
             f"all {worn.sum()} cells below `target` {target:g} belong to layers at walls, to inner "
             "patches or to `keep`, and stay: no mesh can be handed over here."
         )
     return _Hole.of(mesh, moved, chosen).filled()
-
-
-def kept_nodes(mesh: Mesh, keep: Nodes) -> ndarray:
-    """Ids of the nodes to keep, which patches may name."""
-    names = (keep,) if isinstance(keep, str) else keep
-    if len(names) and all(isinstance(name, str) for name in names):
-        return mesh.patch(*names)
-    return rows_of("keep", keep, len(mesh.points))
 
 
 def _checked_mesh(mesh: Mesh, points: PointsLike) -> Mesh:
@@ -204,8 +198,9 @@ class _Hole:
         good = (signed_volumes(x[simplices]) > 0).all()
         sides = owned_sides(new, len(x))
         for kind, ids in self.faces.items():
-            both = [np.sort(rows, axis=1) for rows in (ids, sides.get(kind, (ids[:0],))[0])]
-            good &= np.array_equal(*(np.unique(rows, axis=0) for rows in both))
+            there = sides.get(kind, (ids[:0],))[0]
+            rows, others = (np.unique(np.sort(faces, axis=1), axis=0) for faces in (ids, there))
+            good &= np.array_equal(rows, others)
         if not good:
             raise ValueError(
                 "gmsh has changed the border of the region, or left cells without volume: hand "
@@ -223,8 +218,8 @@ def _connected_parts(mesh: Mesh, chosen: ndarray) -> ndarray:
 def _behind(mesh: Mesh, chosen: ndarray, kind: str, faces: ndarray) -> ndarray:
     """Numbers what lies behind faces of chosen cells: parts of other cells, or of the boundary."""
     rows, cell = border_of(mesh, ~chosen).get(kind, (faces[:0], np.zeros(0, int)))
-    edges = _edges(ids for ids, _ in mesh.topology.outer().values())
-    number = parts_of(*edges.T, len(mesh.points))[faces[:, 0]]
+    edges = _edge_nodes(ids for ids, _ in mesh.topology.outer().values())
+    number = parts_of(edges[:, 0], edges[:, 1], len(mesh.points))[faces[:, 0]]
     both = np.sort(np.concatenate([rows, faces]), axis=1)
     _, first, place = np.unique(both, axis=0, return_index=True, return_inverse=True)
     twin = first[place.ravel()][len(rows) :]
@@ -233,7 +228,7 @@ def _behind(mesh: Mesh, chosen: ndarray, kind: str, faces: ndarray) -> ndarray:
     return number
 
 
-def _edges(corners: Iterable[ndarray]) -> ndarray:
+def _edge_nodes(corners: Iterable[ndarray]) -> ndarray:
     """The edges (e, 2) from each corner of faces or simplices to the one before."""
     pairs = [np.stack([ids, np.roll(ids, 1, axis=1)], axis=2).reshape(-1, 2) for ids in corners]
     return np.concatenate(pairs)
@@ -241,7 +236,7 @@ def _edges(corners: Iterable[ndarray]) -> ndarray:
 
 def _mean_lengths(x: ndarray, corners: Iterable[ndarray]) -> ndarray:
     """The mean length of edges at each node (n,); 0 where there is none."""
-    pairs = _edges(corners)
+    pairs = _edge_nodes(corners)
     length = row_lengths(x[pairs[:, 1]] - x[pairs[:, 0]])
     total = np.bincount(pairs.ravel(), np.repeat(length, 2), len(x))
     return total / np.maximum(np.bincount(pairs.ravel(), minlength=len(x)), 1)

@@ -205,7 +205,7 @@ def _remesh(attempt: Attempt, plan: jm.Plan, out: Output) -> int:
     least = limits.min_jacobian_ratio or REMESHED_RATIO
     limits = dataclasses.replace(limits, min_jacobian_ratio=least)
     relay = jm.Relay(plan, attempt.patches.mesh, limits=limits)
-    path = attempt.path(max(REMESHED_MOVES, request.step_count))
+    path = list(attempt.path(max(REMESHED_MOVES, request.step_count)))
     with out.progress("moving and remeshing") as stage:
         for move, u in enumerate(stage.over(path), start=1):
             relay = relay.moved(u)

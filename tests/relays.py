@@ -120,7 +120,7 @@ def around_sphere(count: int, sides, spacing: float, layers: int = 5) -> jm.Mesh
     )
     axes = [np.linspace(low, high, 1 + round((high - low) / spacing)) for low, high in sides]
     lattice = grid(*axes)
-    outer = lattice.outer_faces.corners["quad"]
+    outer, _ = lattice.topology.outer()["quad"]
     used, quads = np.unique(outer, return_inverse=True)
     quads = quads.reshape(-1, 4) + len(rings)
     border = np.concatenate([ids[-1][inwards], quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
