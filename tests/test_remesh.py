@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from relays import around_sphere, layered, travel
 from meshes import circle, gmsh_session, renumbered, turn
+from relays import around_sphere, layered, travel
 
 import jaxmorph as jm
 from jaxmorph import cases, io, shapes

@@ -17,7 +17,7 @@ from .._host.rows import join_ids, mark
 from .._mesh.mesh import Mesh, PointsLike
 from .._quality.quality import quality
 from .region import border_of, chosen_cells, inner_faces, region_of, staying
-from .transfer import Remeshed, signed_volumes, simplices_in
+from .transfer import Remeshed, link_meshes, signed_volumes, simplices_in
 
 HEIGHTS = (0.35, 0.2, 0.1)  # of pyramids, over the width of their base, tried in turn
 
@@ -61,7 +61,7 @@ def remesh(
     worn[rows_of("cells", cells, len(worn))] = True
     if not worn.any():
         every = (np.arange(len(moved.points)), np.arange(len(worn)))
-        return Remeshed.of(moved, moved, *every)
+        return link_meshes(moved, moved, *every)
     chosen = region_of(
         moved, worn, staying(mesh, moved, nodes_named(keep, "keep", mesh, len(mesh.points))), layers
     )
@@ -191,7 +191,7 @@ class _Hole:
         cells_of_old[~self.chosen] = join_ids(
             first.get(kind, 0) + np.arange(len(ids)) for kind, ids in left.items()
         )
-        return Remeshed.of(moved, mesh, of_old, cells_of_old)
+        return link_meshes(moved, mesh, of_old, cells_of_old)
 
     def _check(self, x: ndarray, new: dict[str, ndarray]) -> None:
         simplices, _ = simplices_in(new)

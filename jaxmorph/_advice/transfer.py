@@ -60,24 +60,6 @@ class Remeshed:
     cells_of_old: Int[ndarray, " k"]
     old: Mesh
 
-    @classmethod
-    def of(cls, old: Mesh, mesh: Mesh, of_old: ndarray, cells_of_old: ndarray) -> "Remeshed":
-        stay = np.flatnonzero(of_old >= 0)
-        new = np.arange(len(stay), len(mesh.points))
-        nodes = np.zeros((0, 1), int)
-        shares = nodes.astype(float)
-        if len(new):
-            region = _Part.of(old, cells_of_old < 0)
-            simplex, shares = region.locate(np.asarray(mesh.points, float)[new])
-            nodes = region.simplices[simplex]
-        weights = _sparse(
-            (len(mesh.points), len(of_old)),
-            np.concatenate([of_old[stay], np.repeat(new, nodes.shape[1])]),
-            np.concatenate([stay, nodes.ravel()]),
-            np.concatenate([np.ones(len(stay)), shares.ravel()]),
-        )
-        return cls(mesh, of_old, weights, cells_of_old, old)
-
     @property
     def replaced(self) -> float:
         """The share of the old cells that are gone."""
@@ -132,6 +114,25 @@ class Remeshed:
             np.concatenate([stay, np.flatnonzero(is_gone)[part.col]]),
             np.concatenate([np.ones(len(stay)), part.data]),
         )
+
+
+def link_meshes(old: Mesh, mesh: Mesh, of_old: ndarray, cells_of_old: ndarray) -> Remeshed:
+    """Finds how values at nodes pass from an old mesh, moved, to the new one in its place."""
+    stay = np.flatnonzero(of_old >= 0)
+    new = np.arange(len(stay), len(mesh.points))
+    nodes = np.zeros((0, 1), int)
+    shares = nodes.astype(float)
+    if len(new):
+        region = _Part.of(old, cells_of_old < 0)
+        simplex, shares = region.locate(np.asarray(mesh.points, float)[new])
+        nodes = region.simplices[simplex]
+    weights = _sparse(
+        (len(mesh.points), len(of_old)),
+        np.concatenate([of_old[stay], np.repeat(new, nodes.shape[1])]),
+        np.concatenate([stay, nodes.ravel()]),
+        np.concatenate([np.ones(len(stay)), shares.ravel()]),
+    )
+    return Remeshed(mesh, of_old, weights, cells_of_old, old)
 
 
 def _sparse(shape: tuple[int, int], *entries: ndarray) -> BCOO:

@@ -192,13 +192,13 @@ def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, 
             out.say(f"picture  {file}")
     bad = faults(verdict)
     if bad and request.remesh:
-        return _remesh(attempt, plan, out)
+        return _move_over_meshes(attempt, plan, out)
     if bad:
         bad[-1] += "" if inspection.is_hopeless else _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
 
 
-def _remesh(attempt: Attempt, plan: jm.Plan, out: Output) -> int:
+def _move_over_meshes(attempt: Attempt, plan: jm.Plan, out: Output) -> int:
     """Moves again, with new cells before old ones break, and writes the last mesh."""
     request = attempt.request
     limits = request.gates.limits
