@@ -302,6 +302,10 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot.cut": SPACE | {"plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3])},
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
+    "jm.Remeshed.transfer": {"values": np.zeros(N)},
+    "jm.Remeshed.transfer_cells": {"values": np.zeros(sum(map(len, MESH.cells.values())))},
+    "jm.Relay.points_at": {"u": U},
+    **each("jm.wall_layers", {"patches": "wall"}),
     "plot.mesh": {"values": np.zeros(9)},
     "plot.picture": {"before": MESH},
     "plot.sources": {"surface": plan},
@@ -543,6 +547,10 @@ SENSE = {
     **{"jm.judge.part": "less"},
     **each(
         "jm.Steps.path_to.u jm.deform.u jm.pullback.u jm.velocity.u shapes.FreeForm.raise_if_torn.control",
+        "nan infinite",
+    ),
+    **each(
+        "jm.Relay.points_at.u jm.Remeshed.transfer.values jm.Remeshed.transfer_cells.values",
         "nan infinite",
     ),
     **each(

@@ -1,5 +1,6 @@
 """A motion over several meshes: a new one takes over before the cells of the last one break."""
 
+import copy
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -58,26 +59,34 @@ class Relay:
     )
     keep: Nodes = dataclasses.field(default=(), kw_only=True)
     target: float = dataclasses.field(default=0.2, kw_only=True)
-    start: Any = dataclasses.field(default=None, kw_only=True)
-    u: Any = dataclasses.field(default=None, kw_only=True)
-    points: Any = dataclasses.field(default=None, kw_only=True)
-    verdict: Verdict | None = dataclasses.field(default=None, kw_only=True)
-    remeshed: Remeshed | None = dataclasses.field(default=None, kw_only=True)
-    count: int = dataclasses.field(default=0, kw_only=True)
+    start: Any = dataclasses.field(init=False)
+    u: Any = dataclasses.field(init=False)
+    points: Any = dataclasses.field(init=False)
+    verdict: Verdict | None = dataclasses.field(default=None, init=False)
+    remeshed: Remeshed | None = dataclasses.field(default=None, init=False)
+    count: int = dataclasses.field(default=0, init=False)
 
     def __post_init__(self):
         check_fields(self)
         between("target", self.target, 0, 1)
         self.plan.check_mesh(self.mesh)
         none = np.zeros((self.plan.n_moving, self.mesh.points.shape[1]))
-        for name, value in {"start": none, "u": none, "points": self.mesh.points}.items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, value)
+        keep = nodes_named(self.keep, "keep", self.mesh, len(self.mesh.points))
+        vars(self).update(keep=keep, start=none, u=none, points=self.mesh.points)
 
+    def _with(self, values: dict[str, Any]) -> "Relay":
+        other = copy.copy(self)
+        vars(other).update(values)
+        return other
+
+    @checked
     def points_at(self, u: Real[ArrayLike, "m d"]) -> Float[Array, "n d"]:
         """Moves the present mesh by a total displacement. Traced, with exact derivatives."""
+        if np.shape(u) != self.start.shape:
+            raise ValueError(f"`u` has shape {np.shape(u)}; this wall's is {self.start.shape}.")
         return deform(self.plan, jnp.asarray(u) - self.start)
 
+    @checked
     def design(
         self, displacement: Callable[[Any], Any], *, min_jacobian_ratio: float = 0.0
     ) -> DesignedMesh:
@@ -120,7 +129,7 @@ class Relay:
             new = self._handed_over(np.asarray(bad), layers)
             after, verdict = new._after(u)
             if verdict.ok:
-                return dataclasses.replace(after, remeshed=new.remeshed)
+                return after._with({"remeshed": new.remeshed})
         raise ValueError(
             f"this move breaks a limit right after a hand-over, too: {verdict.faults()[0]} Take "
             "smaller moves, or other limits."
@@ -129,24 +138,24 @@ class Relay:
     def _after(self, u: np.ndarray) -> "tuple[Relay, Verdict]":
         points = np.asarray(self.points_at(u))
         verdict = judge(self.mesh, points, self.limits)
-        moved = dataclasses.replace(self, u=u, points=points, verdict=verdict, remeshed=None)
-        return moved, verdict
+        values = {"u": u, "points": points, "verdict": verdict, "remeshed": None}
+        return self._with(values), verdict
 
     def _handed_over(self, bad: np.ndarray, layers: int) -> "Relay":
         mesh = self.mesh
-        keep = nodes_named(self.keep, "keep", mesh, len(mesh.points))
+        keep = np.asarray(self.keep)
         stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
         made = remesh(mesh, self.points, keep=stay, target=self.target, layers=layers, cells=bad)
-        return dataclasses.replace(
-            self,
-            plan=_prepared(self.plan, made),
-            mesh=made.mesh,
-            keep=made.of_old[keep],
-            start=self.u,
-            points=made.mesh.points,
-            remeshed=made,
-            count=self.count + 1,
-        )
+        values = {
+            "plan": _prepared(self.plan, made),
+            "mesh": made.mesh,
+            "keep": made.of_old[keep],
+            "start": self.u,
+            "points": made.mesh.points,
+            "remeshed": made,
+            "count": self.count + 1,
+        }
+        return self._with(values)
 
 
 def _prepared(plan: Plan, made: Remeshed) -> Plan:

@@ -55,19 +55,18 @@ def remesh(
     may be replaced, and where gmsh fails.
     """
     between("target", target, 0, 1)
-    whole("layers", layers, 0)
+    whole("layers", layers)
     moved = _checked_mesh(mesh, points)
+    nodes = nodes_named(keep, "keep", mesh, len(mesh.points))
     worn = _worn(mesh, np.asarray(moved.points), target)
     worn[rows_of("cells", cells, len(worn))] = True
     if not worn.any():
         every = (np.arange(len(moved.points)), np.arange(len(worn)))
         return link_meshes(moved, moved, *every)
-    chosen = region_of(
-        moved, worn, staying(mesh, moved, nodes_named(keep, "keep", mesh, len(mesh.points))), layers
-    )
+    chosen = region_of(moved, worn, staying(mesh, moved, nodes), layers)
     if not chosen.any():
         raise ValueError(
-            f"all {worn.sum()} cells below `target` {target:g} belong to layers at walls, to inner "
+            f"all {worn.sum()} worn cells belong to layers at walls, to inner "
             "patches or to `keep`, and stay: no mesh can be handed over here."
         )
     return _Hole.of(mesh, moved, chosen).filled()

@@ -36,7 +36,7 @@ SAMPLES = 3  # steps of the lattice of samples in a simplex
 LINK = 1e-3  # share in corrections of cells that meet at a corner
 REFINEMENTS = 8  # of a solution, for round-off
 LOST = 1e-12  # volume over the largest cell's that a conservative operator may lose
-PAIRS = 1 << 17  # pairs of places and simplices at a time
+PAIRS_AT_ONCE = 1 << 17  # pairs of places and simplices at a time
 MISSED = -1e-9  # barycentric coordinate of a place outside of all simplices
 
 
@@ -202,7 +202,7 @@ class _Part:
         least = np.full(len(places), -np.inf)
         for count in TRIED:
             rows = np.flatnonzero(least < MISSED)
-            for some in np.array_split(rows, 1 + len(rows) * count // PAIRS):
+            for some in np.array_split(rows, 1 + len(rows) * count // PAIRS_AT_ONCE):
                 near = tree.query(places[some], k=range(1, 1 + min(count, len(corners))))[1]
                 away = places[some, None] - corners[near, 0]
                 shares = np.einsum("kcd,kcde->kce", away, inverse[near])
