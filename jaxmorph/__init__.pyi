@@ -13,6 +13,10 @@ from ._advice.largest_step import (
     largest_step as largest_step,
 )
 from ._advice.methods import METHODS as METHODS
+from ._advice.region import wall_layers as wall_layers
+from ._advice.relay import Relay as Relay
+from ._advice.remesh import remesh as remesh
+from ._advice.transfer import Remeshed as Remeshed
 from ._advice.turn import Turn as Turn
 from ._advice.valid_steps import ValidSteps as ValidSteps
 from ._boundary.boundary import Boundary as Boundary

@@ -28,7 +28,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 BUILT = words("""
 io.Box jm.BoundaryQuality jm.Comparison jm.Control jm.Cure jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
-jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Turn jm.Verdict
+jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.Remeshed jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf jm.Turn jm.Verdict
 jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
@@ -115,6 +115,8 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.Steps": Lazy(lambda: jm.fewest_steps(plan(), MESH, U)),
     "jm.Turn": Lazy(lambda: jm.Turn.of(np.asarray(MESH.points)[WALL], U)),
     "jm.Verdict": Lazy(lambda: jm.judge(MESH)),
+    "jm.Relay": Lazy(lambda: jm.Relay(plan(), MESH)),
+    "jm.Remeshed": Lazy(lambda: jm.remesh(MESH, POINTS)),
     "jm.SurfaceHalf": Lazy(
         lambda: jm.prepare_surface(jm.Boundary(MESH, "wall", "far"), method=jm.InverseDistance())
     ),
@@ -307,6 +309,10 @@ GOOD: dict[str, dict[str, Any]] = {
     "plot.distances": {"wall": FACETS, "target": FACETS, "points": FACETS.points},
     "plot.graph": {"interior": False},
     "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
+    "jm.Remeshed.transfer": {"values": np.zeros(N)},
+    "jm.Remeshed.transfer_cells": {"values": np.zeros(sum(map(len, MESH.cells.values())))},
+    "jm.Relay.points_at": {"u": U},
+    **each("jm.wall_layers", {"patches": "wall"}),
     "plot.mesh": {"values": np.zeros(9)},
     "plot.picture": {"before": MESH},
     "plot.sources": {"surface": plan},
@@ -548,6 +554,10 @@ SENSE = {
     **{"jm.judge.part": "less"},
     **each(
         "jm.Steps.path_to.u jm.deform.u jm.pullback.u jm.velocity.u shapes.FreeForm.raise_if_torn.control",
+        "nan infinite",
+    ),
+    **each(
+        "jm.Relay.points_at.u jm.Remeshed.transfer.values jm.Remeshed.transfer_cells.values",
         "nan infinite",
     ),
     **each(

@@ -26,7 +26,7 @@ WITH_CODE = sorted(
 )
 LONG = [page for page in WITH_CODE if pathlib.Path(page).stem not in ("openmdao", "mach", "jax")]
 EXAMPLES = sorted(path.stem for path in (ROOT / "docs" / "examples").glob("*.py"))
-NEEDED = {"hand_over": "mmgpy", "formats": "vtk", "pictures": "pyvista"}
+NEEDED = {"formats": "vtk", "pictures": "pyvista"}
 """Packages without which an example is left out."""
 NUMBER = r"(?<![\w.])[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
 
@@ -41,7 +41,7 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}
     for code, output in blocks_and_output(page):
-        for package in ("openmdao", "mpi4py", "skfem", "ngsolve", "OCP"):
+        for package in ("openmdao", "mpi4py", "skfem", "ngsolve", "OCP", "gmsh"):
             if package in code:
                 pytest.importorskip(package)
         with jax.numpy_rank_promotion("allow"):  # as users have it

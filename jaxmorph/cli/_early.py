@@ -155,6 +155,9 @@ def _check_deform(request: Deform, *_: Files) -> None:
                 f"--{name} needs a number of --steps: {AUTO} judges the whole mesh after each "
                 "trial."
             )
+    for name in ("chunk", "decomposed", "zone"):
+        if getattr(request, name) and request.remesh:
+            raise ValueError(f"--{name} and --remesh cannot be combined. Remove one of the two.")
     _check_motions(request)
 
 

@@ -62,7 +62,9 @@ gets the motions in turn. A node of several patches moves once, and they must
 agree there. With --steps N the mesh follows in N steps, each with 1/N of every
 angle, factor, translation and displacement; where a displacement file turns the
 patches, they turn on the way. --steps auto seeks the fewest steps, up to 16,
-that invert no cell, nor go below --min-jacobian-ratio.
+that invert no cell, nor go below --min-jacobian-ratio. With --remesh, where the
+steps do not keep the cells, the motion is made in 20 moves, and gmsh replaces
+worn cells before they break. OUT is then a new file: SU2, gmsh, VTK or XDMF.
 
 NAME is a patch, a regular expression for a whole name ("motorBike.*"), or a
 group of the file (inGroups of an OpenFOAM case). Every patch with boundary

@@ -349,6 +349,10 @@ class Deform(Meshed):
         "prepare and move N points at a time: less memory before cells are judged, more time",
         section="method",
     )
+    remesh: bool = switch(
+        "where the steps do not keep the cells, go on with worn cells replaced by gmsh's",
+        section="method",
+    )
     gates: Gates = nest(Gates)
     allow_inverted: bool = switch(
         "write OUT even when cells are inverted or a gate fails", section=BAD

@@ -148,7 +148,7 @@ def _list_lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
     slopes = derivatives_at_nodes(kind)
     corners = np.array(PLACES[cell.shape])
     for face, (side, nodes) in zip(FACES[cell.shape], cell.sides, strict=True):
-        beyond = corners[[_beyond(cell.shape, face, corner) for corner in face]]
+        beyond = corners[[opposite_corner(cell.shape, face, corner) for corner in face]]
         ends = np.rint(
             cell.order * shape_values(SHAPES[side], lagrange_types()[side].reference) @ beyond
         ).astype(int)
@@ -162,7 +162,7 @@ def _list_lines(kind: str) -> tuple[tuple[int, int, ndarray, ndarray], ...]:
     return tuple(lines)
 
 
-def _beyond(shape: str, face: tuple[int, ...], corner: int) -> int:
+def opposite_corner(shape: str, face: tuple[int, ...], corner: int) -> int:
     """The corner opposite a face's corner: its only neighbour off the face, else itself."""
     others = [end for edge in EDGES[shape] if corner in edge for end in edge if end not in face]
     return others[0] if len(others) == 1 else corner
