@@ -26,12 +26,13 @@ def checked(function: Function) -> Function:
     """
     parameters = inspect.signature(function).parameters
     rest = [name for name, each in parameters.items() if each.kind is each.VAR_POSITIONAL]
+    first = [name for name, each in parameters.items() if each.kind < each.VAR_POSITIONAL]
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
         arguments = [native_order(value) for value in arguments]
         keywords = {name: native_order(value) for name, value in keywords.items()}
-        names = itertools.chain(parameters, itertools.cycle(rest))
+        names = itertools.chain(first, itertools.cycle(rest))
         for name, value in (*zip(names, arguments, strict=False), *keywords.items()):
             if name in parameters:
                 check_value(name, value, parameters[name].annotation, call)
