@@ -2,8 +2,8 @@
 distances, differences.
 """
 
-import pickle
 import pathlib
+import pickle
 import subprocess
 import sys
 
@@ -17,7 +17,6 @@ import jaxmorph as jm
 from jaxmorph import io, shapes
 from jaxmorph.cli import main
 from jaxmorph.extend import cad_model
-
 
 cad = pytest.importorskip("OCP.BRepPrimAPI", reason="pip install 'jaxmorph[cad]'")
 
@@ -83,6 +82,27 @@ def test_a_box_follows_its_edges():
     exact = np.einsum("mk,kl->mkl", mesh.points / sizes, np.eye(3))
     np.testing.assert_allclose(derivative, exact, atol=1e-6)
     assert np.bincount(made.models.wall.dimension).tolist() == [8, 24, 24]
+
+
+def test_a_part_of_a_model_and_several_patches_do():
+    """Nodes of two patches that share some, on four of a box's faces; any numbering; two at one place."""
+    sizes = np.array([2.0, 1.5, 1.0])
+    mesh = cube(3, sizes)
+    faces = np.asarray(mesh.cells["quad"])
+    points = np.asarray(mesh.points)
+    kept = faces[(points[faces].mean(axis=1)[:, :2] < [1.9, 1.4]).all(axis=1)]
+    nodes, rows = np.unique(kept, return_inverse=True)
+    order = np.random.default_rng(0).permutation(len(nodes))
+    rows = np.argsort(order)[rows.reshape(kept.shape)]
+    points = np.concatenate([points[nodes][order], points[nodes][order][:1]])
+    rows[0][rows[0] == 0] = len(nodes)
+    patches = {"a": np.unique(rows[:10]), "b": np.unique(rows[10:])}
+    assert np.intersect1d(*patches.values()).size
+    part = jm.Mesh(points, {"quad": rows}, patches)
+    made = shapes.CAD(box, sizes, part, "a", "b")
+    new = np.array([2.5, 1.2, 1.3])
+    x = points[part.patch("a", "b")]
+    np.testing.assert_allclose(made(x, new), x / sizes * new, atol=1e-12)
 
 
 def test_an_extruded_polynomial_has_its_own_derivatives():

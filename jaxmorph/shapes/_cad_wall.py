@@ -14,6 +14,7 @@ from jaxmorph.extend import cad_model
 
 from ._arguments import shown_place
 from ._cad_cells import BorderPlaces, ParameterMesh, lengths_of
+from ._tolerances import SAME_LENGTH
 
 ON_MODEL = 0.01  # share of the shortest edge at a node by which it may be off the model
 OTHER_UNITS = (1e3, 1e-3, 25.4, 1 / 25.4, 100, 0.01, 304.8, 1 / 304.8)
@@ -154,7 +155,12 @@ def wall_on_model(
     np.minimum.at(shortest, faces, lengths)
     np.minimum.at(shortest, np.roll(faces, 1, axis=1), lengths)
     shortest[np.isinf(shortest)] = np.median(lengths)
-    allowed = ON_MODEL * shortest if tolerance is None else np.full(len(points), tolerance)
+    least = SAME_LENGTH * np.ptp(points, axis=0).max()  # two nodes may stand at one place
+    allowed = (
+        np.maximum(ON_MODEL * shortest, least)
+        if tolerance is None
+        else np.full(len(points), tolerance)
+    )
     located = model.locate(points, allowed)
     _check_distance(model, points, located.distance, allowed)
     scale = lengths_of(model)
