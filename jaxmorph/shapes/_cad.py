@@ -135,7 +135,7 @@ def _flat_plan(cells: ParameterMesh) -> Plan | None:
     count = len(cells.borders.use)
     if not (count and len(cells.inner)):
         return None
-    mesh = Mesh(cells.points, {"triangle": cells.cells})
+    mesh = Mesh(cells.points.astype(jnp.result_type(float)), {"triangle": cells.cells})
     free = np.arange(count, len(cells.points))
     return jm.prepare(mesh, np.arange(count), method=jm.LinearElasticity(), free=free)
 

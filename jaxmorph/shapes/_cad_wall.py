@@ -34,21 +34,29 @@ class Builder(NamedTuple):
     structure: Any
     shapes: Sequence[tuple[int, ...]]
 
-    def __call__(self, x: ndarray) -> Any:
-        """Builds the model at numbers (p,). Raises `ValueError` where there is none."""
+    def numbers(self, x: ndarray) -> Any:
         sizes = [int(np.prod(shape)) for shape in self.shapes]
         parts = np.split(x.astype(float), np.cumsum(sizes)[:-1])
         leaves = [
             part.reshape(shape) if shape else part.item()
             for part, shape in zip(parts, self.shapes, strict=True)
         ]
+        return jax.tree.unflatten(self.structure, leaves)
+
+    def told(self, x: ndarray) -> str:
+        """Numbers (p,) for a message, by their names if they have any."""
+        numbers = self.numbers(x)
+        return shown_place(x) if isinstance(numbers, ndarray | float) else str(numbers)
+
+    def __call__(self, x: ndarray) -> Any:
+        """Builds the model at numbers (p,). Raises `ValueError` where there is none."""
         try:
-            return cad_model(self.build(jax.tree.unflatten(self.structure, leaves)))
+            return cad_model(self.build(self.numbers(x)))
         except ImportError:
             raise
         except Exception as error:  # whatever the kernel of a user's model raises
             said = f"{type(error).__name__}: {error}"
-            raise ValueError(f"no model at x = {shown_place(x)}: {said}") from error
+            raise ValueError(f"no model at x = {self.told(x)}: {said}") from error
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,8 +83,8 @@ class WallOnModel:
         change = self.topology.change(model.topology)
         if change is not None:
             raise ValueError(
-                f"another topology at x = {shown_place(x)}: {change}. Nodes stay on faces and "
-                "edges that are there at `x0` too: keep x where the model has the same ones."
+                f"another topology at x = {self.builder.told(x)}: {change}. Nodes stay on faces "
+                "and edges that are there at `x0` too: keep x where the model has the same ones."
             )
         return model
 
