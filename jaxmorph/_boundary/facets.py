@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._host.cells.topology import DIMENSION
 from .._host.linear.products import cofactors, determinant, dot, dot_rows, normals, unit_rows
-from .._host.package.arguments import checked, finite_array
+from .._host.package.arguments import checked, finite_array, shown
 from .._host.rows import Rows, first_of_equals
 from .._host.surface.creases import Creased, cut_faces, with_extent
 from .._host.surface.gaps import closest
@@ -96,6 +96,8 @@ class Facets(Module):
         sides: Any = None,
         model: Any = None,
     ):
+        if model is not None and not hasattr(model, "edge_rows"):
+            raise ValueError(f"`model` must be that of io.read_facets, not {shown(model)}.")
         self.model = model
         known = finite_array("points", points, (None, 2), (None, 3))
         self.points = points if isinstance(points, jax.Array) else array(known)

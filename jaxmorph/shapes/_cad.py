@@ -110,11 +110,11 @@ class CAD(AbstractShape):
     def __call__(self, x: Any, parameters: Any = None) -> Positions:
         """Moves positions (m, 3). Of numbers alone it computes the displacement (m, 3)."""
         if parameters is None:
-            return self.displacement(x)
+            return self._displacement(x)
         x = positions(x, like=self.models.wall.points.shape)
-        return x + self.displacement(parameters).astype(x.dtype)
+        return x + self._displacement(parameters).astype(x.dtype)
 
-    def displacement(self, parameters: PyTree) -> Positions:
+    def _displacement(self, parameters: PyTree) -> Positions:
         """Computes the displacement (m, 3) of the wall's nodes. Traced."""
         parameters = _row_as_array(parameters)
         given, needed = (jax.tree.map(np.shape, tree) for tree in (parameters, self.x0))

@@ -136,7 +136,7 @@ class Onto(Module):
             _check_target(x, target)
             check_pairs(features)
             if not self.is_exact:
-                open_ends = np.asarray(target.points, float)[_border_of(target, planes, slack)]
+                open_ends = np.asarray(target.points, float)[_open_border(target, planes, slack)]
         nearest = target.closest if isinstance(target, Facets) else target
         self.turn, self.shift = _rigid(wall, target, nearest, planes, open_ends)
         start = x @ self.turn.T + self.shift
@@ -146,7 +146,7 @@ class Onto(Module):
             features = on_target(features, whole, self.clips)
             self.target = _turn_normals(target, wall.at(start))
             if not self.is_exact:
-                self.border = _border_of(self.target, planes, slack)
+                self.border = _open_border(self.target, planes, slack)
             if self.is_exact or features:  # edges of noise are none
                 self.guides = guides_of(wall.at(start), self.target, planes, features)
             nearest = target.closest
@@ -317,7 +317,7 @@ def _cut_off(
     return target, tuple(clips)
 
 
-def _border_of(target: Facets, planes: Sequence[Plane], slack: float) -> ndarray:
+def _open_border(target: Facets, planes: Sequence[Plane], slack: float) -> ndarray:
     """Edges (r, 2) of the border that lie in no plane; in 2-D a point twice."""
     rim = np.asarray(target.rim)
     points = np.asarray(target.points, float)[rim]
