@@ -9,7 +9,7 @@ from meshes import ball, grid, tetrahedra
 import jaxmorph as jm
 from jaxmorph._host.cells.first_lines import first_lines
 
-HEIGHT = 0.01
+HEIGHT = 0.006
 RATIO = 1.25
 """Height of the first cells at bodies, and its growth."""
 

@@ -11,6 +11,7 @@ from meshes import circle, gmsh_session, renumbered, turn
 from relays import around_sphere, layered, travel
 
 import jaxmorph as jm
+from benchmarks import faults
 from jaxmorph import cases, io, shapes
 from jaxmorph.cli import main
 
@@ -237,7 +238,7 @@ def test_a_relay_goes_on_where_one_plan_ends(tmp_path):
 
 
 ROUND = [
-    ("channel", (-3.5, 23.5, -4.0, 4.0), [1.0, 1.0], 0.8, 64, 9),
+    ("channel", (-3.5, 23.5, -4.0, 4.0), [1.0, 1.0], 0.8, 96, 11),
     ("ellipse", (-5.0, 5.0, -5.0, 5.0), [2.0, 1.0], 0.9, 96, 11),
 ]
 
@@ -260,6 +261,18 @@ def test_a_body_crosses_a_channel_and_an_ellipse_turns(name, sides, axes, spacin
     assert way.heights == pytest.approx((1, 1), abs=1e-9)
     assert way.gaps.min() >= 5
     assert 0 < max(way.replaced) < 0.3
+
+
+@pytest.mark.slow
+def test_a_valve_that_opens_is_refused_in_one_sentence():
+    """From 0.5 % of its lift: the cells that break are layers, which stay."""
+    mesh = faults.valve(lift=0.0005, layers=3)
+    plan = jm.prepare(
+        mesh, "valve", ("seat", "inlet", "outlet", "top"), symmetry="middle", method=jm.RBF()
+    )
+    path = [np.tile([0.0, 0.01 * k], (plan.n_moving, 1)) for k in range(1, 11)]
+    with pytest.raises(ValueError, match=r"^all \d+ worn cells belong to layers at walls[^.]*\.$"):
+        travel(jm.Relay(plan, mesh), mesh.patch("valve"), path)
 
 
 @pytest.mark.nightly
