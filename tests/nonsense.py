@@ -1,6 +1,8 @@
 """Nonsense for every argument of every public callable, made from signatures and from one good value of each argument."""
 
 import functools
+import importlib.util
+import functools
 import inspect
 import pathlib
 import re
@@ -32,6 +34,8 @@ jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.Remeshed jm.Smo
 jm.WallQuality shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
+if importlib.util.find_spec("OCP") is None:
+    BUILT.add("shapes.CAD")
 
 CONTRACT = words("""
 __call__ altered among apply at beside boxes carry carry_place check check_mesh check_surface chosen closest connect control correct

@@ -85,12 +85,18 @@ class CAD(AbstractShape):
         if mesh.points.shape[1] != 3:
             raise ValueError("a CAD model moves walls of meshes in 3-D; this mesh is in 2-D.")
         check_parameters(x0)
-        self.x0 = jax.tree.map(lambda leaf: np.array(leaf, float), _row_as_array(x0))
+        self.x0 = jax.tree.map(
+            lambda leaf: np.array(finite_array("x0", leaf, np.shape(leaf)), float),
+            _row_as_array(x0),
+        )
         leaves, structure = jax.tree.flatten(self.x0)
         start = finite_array("x0", np.concatenate([np.zeros(0), *map(np.ravel, leaves)]), (None,))
+        if not len(start):
+            raise ValueError("`x0` holds no numbers; a model is built from one or more.")
         builder = Builder(build, structure, tuple(map(np.shape, leaves)))
         step = STEP * np.where(start != 0, np.abs(start), 1) if step is None else step
-        step = finite_array("step", np.broadcast_to(step, start.shape), start.shape)
+        shape = start.shape if np.ndim(step) else ()
+        step = np.broadcast_to(finite_array("step", step, shape), start.shape)
         if (step <= 0).any():
             raise ValueError("`step` must be above 0.")
         points = np.asarray(mesh.points, float)[mesh.patch(*patches)]
@@ -105,7 +111,7 @@ class CAD(AbstractShape):
     def at(self, x: Numbers) -> Move:
         """Returns the function from numbers to displacements (m, 3), those of `x` (m, 3) too."""
         positions(x, like=self.models.wall.points.shape)
-        return self.displacement
+        return self._displacement
 
     def __call__(self, x: Any, parameters: Any = None) -> Positions:
         """Moves positions (m, 3). Of numbers alone it computes the displacement (m, 3)."""

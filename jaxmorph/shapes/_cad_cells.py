@@ -76,7 +76,7 @@ class ParameterMesh(NamedTuple):
             place = parts.beside(int(faces[row, corner]), face, middle[row], scale[face])
             keys[row, corner] = -1 - places.setdefault(place, len(places))
             at[row, corner] = model.uses[place[0]].at(place[1])
-        keys = keys[_is_sound(model, owner, at, points[faces], scale)]
+        keys = keys[_has_area(model, owner, at, points[faces], scale)]
         used = np.unique(-1 - keys[keys < 0])
         inner = np.unique(keys[keys >= 0])[: None if len(used) else 0]  # nothing carries them
         borders = BorderPlaces.of(model, [[*places][number] for number in used])
@@ -157,7 +157,7 @@ class _Parts:
         return number, float(np.clip((middle * scale - first) @ along / (along @ along), 0, 1))
 
 
-def _is_sound(model: Any, owner: ndarray, at: ndarray, corners: ndarray, scale: ndarray) -> ndarray:
+def _has_area(model: Any, owner: ndarray, at: ndarray, corners: ndarray, scale: ndarray) -> ndarray:
     """Marks triangles that are on the surface, not across a seam, and have an area."""
     there = model.on_faces(owner, at.mean(axis=1))[:, 0]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)

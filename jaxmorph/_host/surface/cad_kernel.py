@@ -43,6 +43,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
+from ..package.arguments import shown
 from ..tolerances import SAME
 
 DEFLECTION = 1e-3
@@ -121,8 +122,7 @@ class CadShape:
         self.shape = getattr(shape, "wrapped", shape)
         if not isinstance(self.shape, TopoDS_Shape) or self.shape.IsNull():
             raise ValueError(
-                "a shape of OpenCASCADE, CadQuery or build123d is expected, found "
-                f"{type(shape).__name__}."
+                f"a shape of OpenCASCADE, CadQuery or build123d is expected, found {shown(shape)}."
             )
         _, faces = _numbered_shapes(self.shape, TopAbs_FACE, "Face")
         numbers, self._edges = _numbered_shapes(self.shape, TopAbs_EDGE, "Edge")
