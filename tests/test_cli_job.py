@@ -142,7 +142,7 @@ deform ring.su2 out.su2 --decomposed --picture p.png
   --fixed far a.* --symmetry s --sliding t --sliding u --periodic v w --free x --set first.rotate=2 y=1,2
   --method published --sources 7 --dtype float32 --steps 2 --chunk 8 --max-aspect-ratio 9 --max-non-orthogonality 70
   --max-skewness 0.9 --max-face-skewness 4 --max-face-aspect-ratio 8 --min-jacobian-ratio 0.1 --preset checkmesh
-  --allow-inverted --no-dry-run --proven --zone 2 --tags facets.xdmf
+  --remesh --allow-inverted --no-dry-run --proven --zone 2 --tags facets.xdmf
 """
 
 
