@@ -2,7 +2,6 @@
 
 import functools
 import importlib.util
-import functools
 import inspect
 import pathlib
 import re
