@@ -47,8 +47,8 @@ def remesh(
     - `points`: the moved points (n, d), in the unit of the mesh.
     - `keep`: node ids or patches that stay, with the cells between them. Default: none.
     - `target`: share of quality below which a cell is worn, from 0 to 1. Default 0.2.
-    - `layers`: layers of cells around worn ones that are replaced, too, default 2. In 2-D cells of a
-      layer share edges; in 3-D they share nodes, and two layers count as one.
+    - `layers`: layers of cells around worn ones that are replaced, too, default 2. In 2-D they
+      share edges; in 3-D nodes, and two count as one.
     - `cells`: numbers of further worn cells, such as `jm.judge(...).bad` of a next step.
 
     **Returns:** a `Remeshed`; without worn cells with the moved mesh as it is. **Raises:**
