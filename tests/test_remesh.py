@@ -284,7 +284,8 @@ def test_a_sphere_crosses_a_channel():
     way = travel(jm.Relay(plan, mesh), mesh.patch("body"), path)
     assert way.inverted == 0
     assert way.heights == pytest.approx((1, 1), abs=1e-9)
-    assert way.state.count < 14
+    assert way.state.count <= 12
+    assert max(way.replaced) < 0.45
 
 
 @pytest.mark.slow

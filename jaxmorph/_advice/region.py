@@ -93,6 +93,10 @@ def region_of(mesh: Mesh, worn: ndarray, stays: Pair, layers: int) -> ndarray:
     nodes = incidence(mesh)
     chosen = worn & ~cells
     here, behind = inner_faces(mesh)
+    if mesh.points.shape[1] == 3:  # layers by faces are ragged: gmsh crowds points in them
+        for _ in range(max(1, layers // 2)):
+            chosen = (nodes @ (nodes.T @ chosen) > 0) & ~cells
+        layers = 0
     for _ in range(layers):
         grown = chosen.copy()
         grown[behind[chosen[here]]] = True

@@ -47,7 +47,8 @@ def remesh(
     - `points`: the moved points (n, d), in the unit of the mesh.
     - `keep`: node ids or patches that stay, with the cells between them. Default: none.
     - `target`: share of quality below which a cell is worn, from 0 to 1. Default 0.2.
-    - `layers`: layers of cells around worn ones that are replaced, too, by their faces. Default 2.
+    - `layers`: layers of cells around worn ones that are replaced, too, default 2. In 2-D they
+      share edges; in 3-D nodes, and two count as one.
     - `cells`: numbers of further worn cells, such as `jm.judge(...).bad` of a next step.
 
     **Returns:** a `Remeshed`; without worn cells with the moved mesh as it is. **Raises:**
@@ -121,7 +122,9 @@ class _Hole:
             shells[kind] = np.stack([part[cell], _behind(mesh, chosen, kind, ids)], axis=1)
         sizes = _mean_lengths(start, [simplices])
         on_border = _mean_lengths(x, faces.values())
-        return cls(moved, chosen, faces, shells, np.maximum(sizes, on_border))
+        if x.shape[1] == 2:
+            on_border = np.maximum(sizes, on_border)
+        return cls(moved, chosen, faces, shells, np.where(on_border > 0, on_border, sizes))
 
     def filled(self) -> Remeshed:
         """Fills the hole; lower pyramids are tried where gmsh finds no room."""
