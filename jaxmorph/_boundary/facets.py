@@ -86,6 +86,8 @@ class Facets(Module):
         sides: Any = None,
         model: Any = None,
     ):
+        if model is not None and not callable(getattr(model, "is_feature", None)):
+            raise ValueError(f"`model` must be a CAD model of `io.read_facets`, not {model!r}.")
         self.model = model
         known = finite_array("points", points, (None, 2), (None, 3))
         self.points = points if isinstance(points, jax.Array) else array(known)

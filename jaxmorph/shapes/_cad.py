@@ -19,7 +19,7 @@ import jaxmorph as jm
 from jaxmorph import Facets, Mesh, Plan
 from jaxmorph.extend import between, checked, finite_array, host_call, is_known, warn, whole
 
-from ._arguments import Numbers, Positions, check_parameters, positions
+from ._arguments import Numbers, Positions, positions
 from ._cad_cells import ParameterMesh
 from ._cad_wall import Builder, WallOnModel, wall_on_model
 from ._shape import AbstractShape, Move
@@ -84,13 +84,16 @@ class CAD(AbstractShape):
             between("tolerance", tolerance, 0)
         if mesh.points.shape[1] != 3:
             raise ValueError("a CAD model moves walls of meshes in 3-D; this mesh is in 2-D.")
-        check_parameters(x0)
+        for leaf in jax.tree.leaves(x0):
+            finite_array("x0", np.ravel(leaf), (None,))
         self.x0 = jax.tree.map(lambda leaf: np.array(leaf, float), _row_as_array(x0))
         leaves, structure = jax.tree.flatten(self.x0)
         start = finite_array("x0", np.concatenate([np.zeros(0), *map(np.ravel, leaves)]), (None,))
+        if not len(start):
+            raise ValueError("`x0` holds no numbers.")
         builder = Builder(build, structure, tuple(map(np.shape, leaves)))
         step = STEP * np.where(start != 0, np.abs(start), 1) if step is None else step
-        step = finite_array("step", np.broadcast_to(step, start.shape), start.shape)
+        step = finite_array("step", np.ravel(step), (1,), start.shape) + 0 * start
         if (step <= 0).any():
             raise ValueError("`step` must be above 0.")
         points = np.asarray(mesh.points, float)[mesh.patch(*patches)]
@@ -105,16 +108,16 @@ class CAD(AbstractShape):
     def at(self, x: Numbers) -> Move:
         """Returns the function from numbers to displacements (m, 3), those of `x` (m, 3) too."""
         positions(x, like=self.models.wall.points.shape)
-        return self.displacement
+        return self._displacement
 
     def __call__(self, x: Any, parameters: Any = None) -> Positions:
         """Moves positions (m, 3). Of numbers alone it computes the displacement (m, 3)."""
         if parameters is None:
-            return self.displacement(x)
+            return self._displacement(x)
         x = positions(x, like=self.models.wall.points.shape)
-        return x + self.displacement(parameters).astype(x.dtype)
+        return x + self._displacement(parameters).astype(x.dtype)
 
-    def displacement(self, parameters: PyTree) -> Positions:
+    def _displacement(self, parameters: PyTree) -> Positions:
         """Computes the displacement (m, 3) of the wall's nodes. Traced."""
         parameters = _row_as_array(parameters)
         given, needed = (jax.tree.map(np.shape, tree) for tree in (parameters, self.x0))
