@@ -212,6 +212,12 @@ def test_what_is_no_shape_is_refused():
         shapes.CAD(lambda x: 3, [1.0], mesh, "wall")
     with pytest.raises(ValueError, match="`step` must be above 0"):
         shapes.CAD(sphere, [1.0], mesh, "wall", step=0.0)
+    for nonsense in (None, "a", [], [1.0, "a"], [np.nan], [1j]):
+        with pytest.raises(ValueError, match="`x0`"):
+            shapes.CAD(sphere, nonsense, mesh, "wall")
+    for nonsense in ("a", [1.0, 2.0], np.nan, object()):
+        with pytest.raises(ValueError, match="`step`"):
+            shapes.CAD(sphere, [1.0], mesh, "wall", step=nonsense)
     with pytest.raises(ValueError, match="in 2-D"):
         shapes.CAD(
             sphere, [1.0], jm.Mesh(points[:, :2], {"triangle": faces}, {"wall": [0]}), "wall"

@@ -19,7 +19,7 @@ import jaxmorph as jm
 from jaxmorph import Facets, Mesh, Plan
 from jaxmorph.extend import between, checked, finite_array, host_call, is_known, warn, whole
 
-from ._arguments import Numbers, Positions, check_parameters, positions
+from ._arguments import Numbers, Positions, positions
 from ._cad_cells import ParameterMesh
 from ._cad_wall import Builder, WallOnModel, wall_on_model
 from ._shape import AbstractShape, Move
