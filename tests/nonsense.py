@@ -247,6 +247,7 @@ GOOD: dict[str, dict[str, Any]] = {
         "ids": np.arange(3),
         "values": np.zeros((3, 2)),
     },
+    "shapes.CAD": {"build": lambda x: None, "x0": np.ones(1), "mesh": BRICKS, "*": "floor"},
     "shapes.Chain": {"shapes": {"a": BOX}},
     "shapes.FreeForm": {
         "origin": np.zeros(2),

@@ -84,19 +84,16 @@ class CAD(AbstractShape):
             between("tolerance", tolerance, 0)
         if mesh.points.shape[1] != 3:
             raise ValueError("a CAD model moves walls of meshes in 3-D; this mesh is in 2-D.")
-        check_parameters(x0)
-        self.x0 = jax.tree.map(
-            lambda leaf: np.array(finite_array("x0", leaf, np.shape(leaf)), float),
-            _row_as_array(x0),
-        )
+        for leaf in jax.tree.leaves(x0):
+            finite_array("x0", np.ravel(leaf), (None,))
+        self.x0 = jax.tree.map(lambda leaf: np.array(leaf, float), _row_as_array(x0))
         leaves, structure = jax.tree.flatten(self.x0)
         start = finite_array("x0", np.concatenate([np.zeros(0), *map(np.ravel, leaves)]), (None,))
         if not len(start):
             raise ValueError("`x0` holds no numbers; a model is built from one or more.")
         builder = Builder(build, structure, tuple(map(np.shape, leaves)))
         step = STEP * np.where(start != 0, np.abs(start), 1) if step is None else step
-        shape = start.shape if np.ndim(step) else ()
-        step = np.broadcast_to(finite_array("step", step, shape), start.shape)
+        step = finite_array("step", np.ravel(step), (1,), start.shape) + 0 * start
         if (step <= 0).any():
             raise ValueError("`step` must be above 0.")
         points = np.asarray(mesh.points, float)[mesh.patch(*patches)]
