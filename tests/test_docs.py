@@ -26,7 +26,7 @@ WITH_CODE = sorted(
 )
 LONG = [page for page in WITH_CODE if pathlib.Path(page).stem not in ("openmdao", "mach", "jax")]
 EXAMPLES = sorted(path.stem for path in (ROOT / "docs" / "examples").glob("*.py"))
-NEEDED = {"formats": "vtk", "pictures": "pyvista"}
+NEEDED = {"remeshing": "gmsh", "formats": "vtk", "pictures": "pyvista"}
 """Packages without which an example is left out."""
 NUMBER = r"(?<![\w.])[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
 

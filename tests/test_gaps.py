@@ -11,7 +11,7 @@ import jaxmorph as jm
 from benchmarks import faults
 from jaxmorph import cases
 from jaxmorph._host.surface import gaps as gaps_module
-from jaxmorph._host.surface.gaps import closest, gaps, least_share_left
+from jaxmorph._host.surface.gaps import WallGaps, closest, least_share_left
 
 
 def closing(base, left, lift=0.1):
@@ -61,12 +61,12 @@ def test_gaps_are_distances_to_faces():
     floor = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
     nodes = np.array([[0.5, 0.5, 0.3], [1, -0.4, 0.3], [-0.3, -0.4, 1.2]])
     wall = np.array([0, 0, 0, 1, 1, 1])
-    found = gaps(np.concatenate([floor, nodes]), wall, np.array([[0, 1, 2]]), np.arange(6))
+    found = WallGaps(np.concatenate([floor, nodes]), wall, np.array([[0, 1, 2]])).at(np.arange(6))
     np.testing.assert_allclose(found[0][3:], [0.3, 0.5, 1.3])
     assert np.isinf(found[0][:3]).all()
     flat = np.array([[0.0, 0], [1, 0], [0.5, 0.2], [4, 4]])
     wall = np.array([0, 0, 1, 1])
-    above = gaps(flat, wall, np.array([[0, 1]]), np.array([3, 2]))[0]
+    above = WallGaps(flat, wall, np.array([[0, 1]])).at(np.array([3, 2]))[0]
     np.testing.assert_allclose(above, [5, 0.2])
 
 
@@ -94,8 +94,8 @@ def test_the_least_share_of_a_gap_is_that_of_all_rows(d, monkeypatch):
     for size in (0.01, 0.3):
         moved = points + size * rng.normal(size=points.shape)
         rows = np.arange(60)
-        first = gaps(points, wall, faces, rows)[0]
-        second, nearest = gaps(moved, wall, faces, rows)
+        first = WallGaps(points, wall, faces).at(rows)[0]
+        second, nearest = WallGaps(moved, wall, faces).at(rows)
         share = second / np.minimum(first, first[nearest].min(axis=1))
         left, row = least_share_left(points, moved, wall, faces, 0.0)
         assert left == pytest.approx(share.min(), rel=1e-14)

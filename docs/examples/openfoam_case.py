@@ -25,6 +25,7 @@ pathlib.Path("airFoil2D/system/decomposeParDict").write_text(dictionary)
 subprocess.run(["decomposePar", "-case", "airFoil2D"], check=True, stdout=subprocess.DEVNULL)
 
 whole = io.read("airFoil2D")
+print(io.patch_roles(whole))  # by pointDisplacement, which this case does not have
 plan = jm.prepare(whole, "walls", ("inlet", "outlet"))
 print([path.parent.parent.name for path in io.export_case("airFoil2D", whole, plan)])
 

@@ -30,7 +30,7 @@ SIMPLICES = numbers_by_name(
         "hexahedron": "0126 0236 0376 0746 0456 0516",
     }
 )
-TRIED = (16, 256)  # simplices nearest to a place among which it is sought
+SIMPLICES_TRIED = (16, 256)  # simplices nearest to a place among which it is sought
 AROUND = 16  # old cells whose centres give a linear field at a new one
 SAMPLES = 3  # steps of the lattice of samples in a simplex
 LINK = 1e-3  # share in corrections of cells that meet at a corner
@@ -200,7 +200,7 @@ class _Part:
         inverse = np.linalg.pinv(corners[:, 1:] - corners[:, :1])
         simplex = np.zeros(len(places), int)
         least = np.full(len(places), -np.inf)
-        for count in TRIED:
+        for count in SIMPLICES_TRIED:
             rows = np.flatnonzero(least < MISSED)
             for some in np.array_split(rows, 1 + len(rows) * count // PAIRS_AT_ONCE):
                 near = tree.query(places[some], k=range(1, 1 + min(count, len(corners))))[1]

@@ -161,9 +161,7 @@ class MotionFlags:
         choices=("position", "displacement"),
         default="position",
     )
-    onto: Path | None = flag(
-        "a surface to go onto: .stl, .obj, .npz, a mesh, .step, .iges, .brep", everyday=True
-    )
+    onto: Path | None = flag("a surface to go onto: .stl, .step, .obj, .npz, a mesh", everyday=True)
     onto_scale: float | None = flag(
         "factor of that surface's coordinates: 0.001 for millimetres where the mesh is in metres"
     )

@@ -100,7 +100,7 @@ def on_target(features: Sequence[Any], target: Facets, clips: Sequence[Clip] = (
     return found
 
 
-def staying(points: ndarray) -> str:
+def length_hint(points: ndarray) -> str:
     """An argument for a scan with noise, of a length that keeps the shape of a section."""
     return f"`length={NOISE * np.ptp(points, axis=0).max():.2g}`"
 
@@ -151,7 +151,7 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
         raise ValueError(
             f"the target ends {np.abs(height).min():.3g} before the symmetry plane through "
             f"{shown_place(plane.origin)}. Extend the target, or stay near it by "
-            f"{staying(points)}: what is beyond its border then follows the rest of the wall."
+            f"{length_hint(points)}: what is beyond its border then follows the rest of the wall."
         )
     clip = Clip(pairs, on, plane)
     cut = place.reshape(-1, width)
@@ -280,7 +280,7 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
             f"{len(shared)} corners of the wall share one of the target, at "
             f"{shown_place(places[shared[0]])}, one is "
             "node {node}. Name pairs in `features`, find fewer edges by the `angle` of `Facets`, "
-            f"or stay near a scan with noise by {staying(own.points)}.",
+            f"or stay near a scan with noise by {length_hint(own.points)}.",
             rows[shared],
         )
     return [Rail(rows=rows, beside=np.stack([rows, rows], axis=1), ids=ids)] if len(rows) else []

@@ -44,8 +44,8 @@ from ._features import (
     clipped,
     guides_of,
     height_of,
+    length_hint,
     on_target,
-    staying,
 )
 from ._smooth import stiffness_of
 from ._tolerances import ON_BORDER, ON_SYMMETRY, RESTED, SAME_LENGTH
@@ -563,6 +563,6 @@ def _check_one_to_one(made: Onto, x: ndarray, moved: ndarray) -> None:
             f"{many} of the wall {what}, at node {{node}} near {shown_place(x[bad[0, 0]])}: the "
             "way onto the target is not one to "
             "one there. Extend or repair the target, name pairs of curves in `features`, or stay "
-            f"near it by {staying(x)}.",
+            f"near it by {length_hint(x)}.",
             np.unique(bad),
         )

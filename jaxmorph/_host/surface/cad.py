@@ -10,7 +10,7 @@ from ..linear.products import cross_rows, dot_rows, normals, row_lengths, unit_r
 from ..package.rounding import Tree
 from ..tolerances import LEAST_DIVISOR, SAME, SMOOTH_SEAM
 from .cad_kernel import DEFLECTION, CadShape, Use
-from .gaps import closest, nearby
+from .gaps import FaceTrees, closest
 
 FARTHER = 2.0  # deflections by which a facet may be farther than that of the closest place
 AROUND_POLE = np.arange(8) / 8  # shares of the parameters there, where a search begins
@@ -166,7 +166,7 @@ class Model(CadShape):
         """Rows, faces and parameters of facets that are near, and the distance of each point."""
         facets = self.facets
         corners = facets.points[facets.triangles]
-        row, near = nearby(corners, x, FARTHER * DEFLECTION * self.size)
+        row, near = FaceTrees(corners).nearby(x, FARTHER * DEFLECTION * self.size)
         face = facets.face[near.face]
         weights = (1 - INWARD) * near.weights + INWARD / 3  # at a pole no step has a direction
         at = np.einsum("mc,mck->mk", weights, facets.at[near.face])

@@ -28,9 +28,12 @@ def least_share_left(
     # measured in the order of a lower bound of their shares, in larger and larger blocks, until
     # that of the next row is not below the least share so far.
     moves = (before != after).any(axis=1)
-    high = _bound_gaps(before, wall, faces)[1]
-    near = _bound_gaps(after, wall, faces[moves[faces].any(axis=1)])[0] < high
-    low = _bound_gaps(after, wall, faces)[0]
+    old = WallGaps(before, wall, faces)
+    new = WallGaps(after, wall, faces)
+    every = np.arange(len(wall))
+    high = old.bounds(every)[1]
+    near = WallGaps(after, wall, faces[moves[faces].any(axis=1)]).bounds(every)[0] < high
+    low = new.bounds(every)[0]
     is_gap = np.isfinite(low) & (high > touching)
     bound = np.where(is_gap & (moves | near), low / np.where(is_gap, high, 1), np.inf)
     order = np.argsort(bound)
@@ -40,9 +43,9 @@ def least_share_left(
     size = MEASURED_FIRST
     while begin < len(order) and bound[order[begin]] < least:
         rows = order[begin : begin + size]
-        distance, nearest = gaps(after, wall, faces, rows)
+        distance, nearest = new.at(rows)
         known, place = np.unique(np.column_stack([rows, nearest]), return_inverse=True)
-        narrowest = gaps(before, wall, faces, known)[0][place].reshape(len(rows), -1).min(axis=1)
+        narrowest = old.at(known)[0][place].reshape(len(rows), -1).min(axis=1)
         is_gap = np.isfinite(distance) & (narrowest > touching)
         share = np.where(is_gap, distance / np.where(is_gap, narrowest, 1), np.inf)
         if share.min() < least:
@@ -53,40 +56,44 @@ def least_share_left(
     return float(least), int(where)
 
 
-def gaps(points: ndarray, wall: ndarray, faces: ndarray, rows: ndarray) -> Pair:
-    """Distances (k,) of some points from other walls, else infinite, and the faces (k, d) there.
-    `wall` (b,) numbers the walls; `faces` are rows of `points`, segments (f, 2) or triangles
-    (f, 3). A face between two walls does not count.
+class WallGaps:
+    """Distances of points from other walls. `wall` (b,) numbers the walls; `faces` are rows of
+    `points`, segments (f, 2) or triangles (f, 3). A face between two walls does not count.
     """
-    distance = np.full(len(rows), np.inf)
-    nearest = np.repeat(rows[:, None], faces.shape[1], axis=1)
-    faces = _faces_within_walls(wall, faces)
-    for label in np.unique(wall[rows]):
-        here = np.flatnonzero(wall[rows] == label)
-        others = faces[wall[faces[:, 0]] != label]
-        if len(others):
-            simplex, _, distance[here] = closest(points[others], points[rows[here]])
-            nearest[here] = others[simplex]
-    return distance, nearest
 
+    def __init__(self, points: ndarray, wall: ndarray, faces: ndarray):
+        self.points = points
+        self.wall = wall
+        faces = faces[(wall[faces] == wall[faces[:, :1]]).all(axis=1)]
+        label = wall[faces[:, 0]]
+        self.walls = {number: faces[label == number] for number in np.unique(label).tolist()}
+        self.searches = {number: FaceTrees(points[faces]) for number, faces in self.walls.items()}
 
-def _bound_gaps(points: ndarray, wall: ndarray, faces: ndarray) -> Pair:
-    """Lower and upper bounds (b,) of all gaps: distances from the nearest middles of faces."""
-    low = np.full(len(points), np.inf)
-    high = np.full(len(points), np.inf)
-    faces = _faces_within_walls(wall, faces)
-    label = wall[faces[:, 0]]
-    for other in np.unique(label):
-        here = np.flatnonzero(wall != other)
-        for _, tree, radius in _trees_by_size(points[faces[label == other]]):
-            distance = tree.query(points[here])[0]
-            low[here] = np.minimum(low[here], np.maximum(distance - radius, 0))
-            high[here] = np.minimum(high[here], distance)
-    return low, high
+    def bounds(self, rows: ndarray) -> Pair:
+        """Lower and upper bounds (k,) of the gaps at some rows."""
+        low = np.full(len(rows), np.inf)
+        high = np.full(len(rows), np.inf)
+        for number, search in self.searches.items():
+            here = np.flatnonzero(self.wall[rows] != number)
+            least, most = search.bounds(self.points[rows[here]])
+            low[here] = np.minimum(low[here], least)
+            high[here] = np.minimum(high[here], most)
+        return low, high
 
-
-def _faces_within_walls(wall: ndarray, faces: ndarray) -> ndarray:
-    return faces[(wall[faces] == wall[faces[:, :1]]).all(axis=1)]
+    def at(self, rows: ndarray) -> Pair:
+        """Gaps (k,) at some rows, infinite without another wall, and the faces (k, d) there."""
+        distance = np.full(len(rows), np.inf)
+        nearest = np.repeat(rows[:, None], self.points.shape[1], axis=1)
+        high = self.bounds(rows)[1]
+        for number, search in self.searches.items():
+            x = self.points[rows]
+            here = np.flatnonzero(self.wall[rows] != number)
+            here = here[search.bounds(x[here])[0] <= high[here]]
+            found = search.closest(x[here])
+            closer = found.distance < distance[here]
+            distance[here[closer]] = found.distance[closer]
+            nearest[here[closer]] = self.walls[number][found.face[closer]]
+        return distance, nearest
 
 
 def fans(ids: ndarray, counts: ndarray) -> ndarray:
@@ -112,27 +119,44 @@ def closest(corners: ndarray, x: ndarray) -> Closest:
 
     Of equally near ones it is that whose middle comes first by place.
     """
-    row, near = nearby(corners, x, 0.0)
-    first = np.unique(row, return_index=True)[1]
-    return Closest(*(column[first] for column in near))
+    return FaceTrees(corners).closest(x)
 
 
-def nearby(corners: ndarray, x: ndarray, slack: float) -> tuple[ndarray, Closest]:
-    """Finds the simplices that are farther than the closest one by `slack` at most, that one first.
+class FaceTrees:
+    """Simplices of `corners` (t, c, d), searched by the places of their middles."""
 
-    Rows of `x` ascend, and come with each of their simplices.
-    """
-    # sorted by place, the first of equally near simplices is the one wanted
-    order = canonical_order(corners.mean(axis=1))
-    corners = corners[order]
-    trees = _trees_by_size(corners)
-    blocks = [
-        _near_of_block(trees, corners, x[at : at + POINTS_TOGETHER], slack)
-        for at in range(0, max(len(x), 1), POINTS_TOGETHER)
-    ]
-    row, simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
-    block = np.repeat(np.arange(len(blocks)), [len(block[0]) for block in blocks])
-    return row + POINTS_TOGETHER * block, Closest(order[simplex], weights, distance)
+    def __init__(self, corners: ndarray):
+        # sorted by place, the first of equally near simplices is the one wanted
+        self.order = canonical_order(corners.mean(axis=1))
+        self.corners = corners[self.order]
+        self.trees = _trees_by_size(self.corners)
+
+    def closest(self, x: ndarray) -> Closest:
+        row, near = self.nearby(x, 0.0)
+        first = np.unique(row, return_index=True)[1]
+        return Closest(*(column[first] for column in near))
+
+    def nearby(self, x: ndarray, slack: float) -> tuple[ndarray, Closest]:
+        """Finds the simplices that are farther than the closest one by `slack` at most, that one
+        first. Rows of `x` ascend, and come with each of their simplices.
+        """
+        blocks = [
+            _near_of_block(self.trees, self.corners, x[at : at + POINTS_TOGETHER], slack)
+            for at in range(0, max(len(x), 1), POINTS_TOGETHER)
+        ]
+        row, simplex, weights, distance = map(np.concatenate, zip(*blocks, strict=True))
+        block = np.repeat(np.arange(len(blocks)), [len(block[0]) for block in blocks])
+        return row + POINTS_TOGETHER * block, Closest(self.order[simplex], weights, distance)
+
+    def bounds(self, x: ndarray) -> Pair:
+        """Lower and upper bounds (m,) of the distances: from the nearest middles."""
+        low = np.full(len(x), np.inf)
+        high = np.full(len(x), np.inf)
+        for _, tree, radius in self.trees:
+            distance = tree.query(x)[0]
+            low = np.minimum(low, np.maximum(distance - radius, 0))
+            high = np.minimum(high, distance)
+        return low, high
 
 
 def _trees_by_size(corners: ndarray) -> list[tuple[ndarray, Tree, float]]:
