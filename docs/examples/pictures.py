@@ -23,6 +23,9 @@ plot.histogram({"before": jm.quality(mesh), "after": report}).figure.savefig("hi
 plot.sources(plan, window=plot.whole(plan.moving_points)).figure.savefig("sources.png")
 plot.graph(plan, u).figure.savefig("graph.png")
 plot.picture("picture.png", mesh, np.asarray(points))
+wall = jm.Facets.of(mesh, "airfoil")
+target = wall.at(1.02 * np.asarray(wall.points))
+plot.distances("distances.png", wall, target, shapes.onto(wall, target))
 
 history = shapes.History("run.jsonl")
 for step in range(3):
