@@ -182,3 +182,17 @@ with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     extend.warn("a warning names the line of the user's own code")
 assert len(caught) == 1
+
+
+@extend.by_place
+def shares(points, rows):
+    """Counts how often rows are named, and marks the first point: by NumPy, or compiled."""
+    xp = extend.namespace(points)
+    count = extend.add_at(xp.zeros(len(points)), rows, xp.ones(len(rows)))
+    return extend.put_at(count, xp.asarray([0]), xp.asarray([-1.0]))
+
+
+rows = np.array([1, 2, 2])
+for points in (np.asarray(wall), extend.as_jax(np.asarray(wall))):
+    assert np.array_equal(shares(points, rows)[:3], [-1, 1, 2])
+print(extend.cad_model.__name__, "makes the model of a CAD file, where OpenCASCADE is installed")
