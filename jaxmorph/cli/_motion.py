@@ -271,6 +271,7 @@ ONTO_WORDS = {
     "`length=(.*?)`": r"--onto-length \1",
     "`length`": "--onto-length",
     "Multiply its points by": "Give --onto-scale",
+    "Scale the CAD model by (.*?), or the mesh": r"Give --onto-scale \1",
 }
 """Words of `shapes.onto` for arguments, and those of the command line."""
 

@@ -354,7 +354,7 @@ def _check_target(x: ndarray, target: Facets) -> None:
     if off > FAR * own or in_unit < off / NEARER:
         cure = f"Multiply its points by {factor:.10g}."
         if target.model is not None:
-            cure = f"Scale the mesh by {1 / factor:.10g}, or write the CAD file in the mesh's unit."
+            cure = f"Scale the CAD model by {factor:.10g}, or the mesh."
         raise ValueError(
             f"the target is {other:.4g} long, the wall {own:.4g}: it seems to be in another unit. "
             f"{cure}"
