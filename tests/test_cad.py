@@ -275,6 +275,17 @@ def test_closest_places_are_those_of_open_cascade(number):
     assert np.mean(off.max(axis=1) < 1e-5) > 0.95
 
 
+def test_a_model_in_another_unit_is_told(tmp_path):
+    points, faces = ball(200)
+    BRepTools.Write_s(sphere([1100.0]), str(tmp_path / "a.brep"))
+    target = io.read_facets(tmp_path / "a.brep")
+    with pytest.raises(ValueError, match=r"another unit\. Scale the CAD model by 0\.001"):
+        shapes.Onto(jm.Facets(points, faces), target)
+    model = target.model.scaled(0.001)
+    x = 1.2 * points
+    np.testing.assert_allclose(model.closest(x).places, 1.1 * points, atol=1e-9)
+
+
 def test_files_keep_their_numbers(tmp_path):
     size = [1.0, 2.0, 3.0]
     for unit in ("MM", "M", "INCH"):
