@@ -164,3 +164,16 @@ def pytest_testnodedown(node):
 def pytest_terminal_summary(terminalreporter):
     each = ", ".join(f"{name} {memory / 1e9:.2f} GB" for name, memory in sorted(MEMORY.items()))
     terminalreporter.write_line(f"memory: {each}")
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """The figures of matplotlib that are saved."""
+    figure = pytest.importorskip("matplotlib.figure").Figure
+    saved, save = [], figure.savefig
+    monkeypatch.setattr(
+        figure,
+        "savefig",
+        lambda self, *args, **settings: saved.append(self) or save(self, *args, **settings),
+    )
+    return saved

@@ -10,7 +10,6 @@ matplotlib.use("Agg")
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from meshes import bricks, grid, write_ring
 from meshes import ring as ring_mesh
 from PIL import Image
@@ -114,18 +113,6 @@ def test_a_mesh_one_cell_wide_is_drawn_in_2d(tmp_path, lift):
     plot.picture(tmp_path / "flat.png", flat, moved, moving=flat.patch("wall"))
     pictures = [np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("slab", "flat")]
     assert np.array_equal(*pictures) == (lift == 0)
-
-
-@pytest.fixture
-def figures(monkeypatch):
-    """The figures that are saved."""
-    saved, save = [], Figure.savefig
-    monkeypatch.setattr(
-        Figure,
-        "savefig",
-        lambda self, *args, **settings: saved.append(self) or save(self, *args, **settings),
-    )
-    return saved
 
 
 def channel(columns=30):

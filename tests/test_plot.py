@@ -13,7 +13,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
 from meshes import ball, bricks, circle, grid, mixed
 from runs import runs
 from scipy.spatial import ConvexHull
@@ -28,18 +27,6 @@ pytestmark = pytest.mark.usefixtures("closed_figures")
 @pytest.fixture(scope="module")
 def airfoil():
     return cases.naca0015(points=600)
-
-
-@pytest.fixture
-def figures(monkeypatch):
-    """The figures that are saved."""
-    saved, save = [], Figure.savefig
-    monkeypatch.setattr(
-        Figure,
-        "savefig",
-        lambda self, *args, **settings: saved.append(self) or save(self, *args, **settings),
-    )
-    return saved
 
 
 def polygon(count):

@@ -88,7 +88,7 @@ class CAD(AbstractShape):
             finite_array("x0", np.ravel(leaf), (None,))
         self.x0 = jax.tree.map(lambda leaf: np.array(leaf, float), _row_as_array(x0))
         leaves, structure = jax.tree.flatten(self.x0)
-        start = finite_array("x0", np.concatenate([np.zeros(0), *map(np.ravel, leaves)]), (None,))
+        start = np.concatenate([np.zeros(0), *map(np.ravel, leaves)])
         if not len(start):
             raise ValueError("`x0` holds no numbers; a model is built from one or more.")
         builder = Builder(build, structure, tuple(map(np.shape, leaves)))

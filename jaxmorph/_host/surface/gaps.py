@@ -84,9 +84,9 @@ class WallGaps:
         """Gaps (k,) at some rows, infinite without another wall, and the faces (k, d) there."""
         distance = np.full(len(rows), np.inf)
         nearest = np.repeat(rows[:, None], self.points.shape[1], axis=1)
+        x = self.points[rows]
         high = self.bounds(rows)[1]
         for number, search in self.searches.items():
-            x = self.points[rows]
             here = np.flatnonzero(self.wall[rows] != number)
             here = here[search.bounds(x[here])[0] <= high[here]]
             found = search.closest(x[here])
