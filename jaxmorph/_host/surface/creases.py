@@ -159,7 +159,7 @@ def _on_features(
     sides: ndarray, points: ndarray, is_feature: Callable[[ndarray], ndarray]
 ) -> ndarray:
     """Marks sides (k, c, 2) of faces of which both ends, and the middle, are on sharp edges."""
-    found = is_feature(points)[sides].all(axis=2)
+    found = np.all(is_feature(points)[sides], axis=2)
     found[found] = is_feature(points[sides[found]].mean(axis=1))
     return found
 
