@@ -100,6 +100,9 @@ def test_the_least_share_of_a_gap_is_that_of_all_rows(d, monkeypatch):
         left, row = least_share_left(points, moved, wall, faces, 0.0)
         assert left == pytest.approx(share.min(), rel=1e-14)
         assert row == share.argmin()
+        for below in (0.9, 0.5, 0.1):
+            seen = least_share_left(points, moved, wall, faces, 0.0, below)
+            assert seen == ((left, row) if left < below else (below, 0))
 
 
 @pytest.mark.slow

@@ -49,15 +49,11 @@ class Inspection:
     - `crossings`: where moved walls cross another boundary or themselves; None without a mesh.
     - `is_hopeless`: whether walls cross, and not because they are torn from what they could slide
       along.
-    - `offset`: the largest displacement that the correction has to carry (eq. 5; 0 for a method
-      without one).
     - `overshoot`: the largest motion of a node off the surface over the largest motion of the
       surface. `overshoot_behind`: the same behind a thin body's part that rests while its other
       side moves (below an airfoil with a bump on its upper side).
     - `slope`: how steeply the displacement changes along the wall, per length and without its
       affine part. It is exceeded on 2 % of the edges.
-    - `gap_left`: the smallest share of a gap between walls that is left. It is 1 if no gap
-      becomes smaller; None without a mesh, or with one wall.
     - `missed`: residual of an interpolation of the displacement from the moving sources in 3-D,
       relative to the largest displacement.
     """
@@ -67,12 +63,26 @@ class Inspection:
     contradictions: np.ndarray
     crossings: Crossings | None
     is_hopeless: bool
-    offset: float
     overshoot: float
     overshoot_behind: float
     slope: float
-    gap_left: float | None
     missed: float
+    _motion: "_Motion" = dataclasses.field(repr=False)
+
+    @functools.cached_property
+    def offset(self) -> float:
+        """The largest displacement that the correction has to carry (eq. 5; 0 for a method without
+        one).
+        """
+        return float(row_lengths(np.asarray(self._motion.plan.offset(self._motion.u))).max())
+
+    @functools.cached_property
+    def gap_left(self) -> float | None:
+        """The smallest share of a gap between walls that is left. It is 1 if no gap becomes
+        smaller; None without a mesh, or with one wall. It is searched when it is asked for.
+        """
+        left = self._motion.least_gap(below=1.0)[0]
+        return left if np.isfinite(left) else None
 
     def __str__(self) -> str:
         return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
@@ -136,17 +146,16 @@ class _Motion:
             return self.rests
         return self.rests & share_faces(self.torn, self.faces, len(self.nodes))
 
-    @functools.cached_property
-    def gap(self) -> tuple[float, int] | None:
-        """The smallest share of a gap that is left, and the node there."""
-        if self.faces is None or not len(self.faces):
-            return None
+    def least_gap(self, below: float) -> tuple[float, int]:
+        """The smallest share of a gap that is left, where it is less than `below`, and the node."""
+        if self.faces is None:
+            return np.inf, 0
         before = self.points.astype(float)
         wall = walls(before, self.plan.n_moving, {"simplex": self.faces})
         scale = SAME * extent_of(before)
         after = before + self.vectors.astype(float)
-        share, row = least_share_left(before, after, wall, self.faces, scale)
-        return (share, int(self.nodes[row])) if np.isfinite(share) else None
+        share, row = least_share_left(before, after, wall, self.faces, scale, below)
+        return share, int(self.nodes[row])
 
     @functools.cached_property
     def missed(self) -> float:
@@ -208,9 +217,10 @@ class _Motion:
 
     def advice(self) -> Iterator[str]:
         """What may do better where the motion is large or steep for the plan's method."""
-        if self.gap is not None and self.gap[0] < NARROW:
+        left, node = self.least_gap(below=NARROW)
+        if left < NARROW:
             yield (
-                f"{100 * self.gap[0]:.2g} % of the gap between node {self.gap[1]} and another wall "
+                f"{100 * left:.2g} % of the gap between node {node} and another wall "
                 "is left. Go there in several steps, each of which leaves half of it or more: "
                 "`march(plan, path, rebuild=True)`."
             )
@@ -298,7 +308,6 @@ def inspect(
     ids = _ids_of_points(plan, mesh, nodes)
     whole = mesh if nodes is None else None
     motion = _Motion(plan, u, ids, mesh)
-    offset = row_lengths(np.asarray(plan.offset(u)))
     motion.check_finite()
     if moved is not None or whole is not None:
         moved = deform(plan, u) if moved is None else moved
@@ -317,12 +326,11 @@ def inspect(
         contradictions=motion.nodes[motion.torn].reshape(-1, 2),
         crossings=crossings,
         is_hopeless=hopeless,
-        offset=float(offset.max()),
         overshoot=anywhere,
         overshoot_behind=behind,
         slope=motion.slope,
-        gap_left=motion.gap and motion.gap[0],
         missed=motion.missed,
+        _motion=motion,
     )
 
 

@@ -5,6 +5,7 @@ import dataclasses
 import warnings
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from .._host.linear.products import row_lengths
 from .._host.package.arguments import checked, finite_array, whole
 from .._host.tolerances import ROUND_PATCH, SAME
+from .._kernels.values import Either
 
 # angle of a motion in radians from which on its path turns, and round patches may slide
 TURNS_FROM = 0.1
@@ -60,15 +62,16 @@ class Turn:
         centre = middle + np.linalg.lstsq(change, mean, rcond=SAME)[0]
         return Turn(u, points - centre, centre, vector / angle, angle)
 
-    def at(self, share: Any) -> Float[Array, "m d"]:
+    def at(self, share: Any) -> Float[Either, "m d"]:
         """Computes the displacement (m, d) after a share of the way, 0 to 1: the `motion` of
         `fewest_steps`. Traced. The rotation goes on evenly, the rest in proportion.
         """
         d = self.u.shape[1]
         across = np.cross(self.axis, self.arms)
         inward = np.cross(self.axis, across)
-        sine = jnp.sin(share * self.angle) - share * jnp.sin(self.angle)
-        versine = (1 - jnp.cos(share * self.angle)) - share * (1 - jnp.cos(self.angle))
+        xp = jnp if isinstance(share, jax.Array) else np
+        sine = xp.sin(share * self.angle) - share * np.sin(self.angle)
+        versine = (1 - xp.cos(share * self.angle)) - share * (1 - np.cos(self.angle))
         return share * self.u + (sine * across + versine * inward)[:, :d].astype(self.u.dtype)
 
     def path(self, steps: int) -> Float[Array, "k m d"]:

@@ -68,11 +68,16 @@ class PlacedPoints(FilePoints):
         points = self.in_file(points)
         done = 0
         for part in sorted(self.parts, key=lambda part: part.start):
-            values = points[part.rows].T if part.by_columns else points[part.rows]
+            old = self.points[part.rows]
+            values = points[part.rows]
+            if part.by_columns:
+                old = old.T
+                values = values.T
             if part.dtype is None:
                 yield from replace_numbers(
                     self.raw[done : part.stop],
                     slice(part.start - done, part.stop - done),
+                    old.ravel(),
                     values.ravel(),
                     at=part.at,
                     plain=self.plain,

@@ -78,15 +78,17 @@ class Plot3DContent(FilePoints):
 
     def moved(self, points: ndarray) -> Pieces:
         points = self.in_file(points)
-        numbers = _read_bytes(self.data, self.layout.is_text).copy()
+        old = _read_bytes(self.data, self.layout.is_text)
+        numbers = old.copy()
         first = 0
         for block in self.layout.coordinates(numbers):
             block[...] = points[first : first + block.shape[1]].T
             first += block.shape[1]
         if not self.layout.is_text:
             return iter([numbers.tobytes()])
+        whole = slice(0, len(self.data))
         return replace_numbers(
-            self.data, slice(0, len(self.data)), numbers.view(float), plain=_blank_commas
+            self.data, whole, old.view(float), numbers.view(float), plain=_blank_commas
         )
 
 

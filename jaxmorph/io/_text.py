@@ -245,6 +245,7 @@ def scan(chunk: bytes) -> tuple[ndarray, ndarray, ndarray]:
 def replace_numbers(
     text: bytes,
     part: slice,
+    old: ndarray,
     values: ndarray,
     *,
     at: ndarray | None = None,
@@ -252,7 +253,7 @@ def replace_numbers(
     form: Callable[[ndarray], bytes] = number_lines,
     columns: int = 0,
 ) -> Pieces:
-    """Yields the text, in pieces, with `values` in place of the numbers in a part of it.
+    """Yields the text, in pieces, with `values` in place of the `old` numbers in a part of it.
 
     `at` are the places of these numbers among all words of the part, ascending; None for all words.
     `plain` turns what stands between numbers into blanks, byte for byte. An unchanged number keeps
@@ -268,8 +269,9 @@ def replace_numbers(
         chosen = np.arange(len(starts))
         if at is not None:
             chosen = at[slice(*np.searchsorted(at, (words, words + len(starts))))] - words
-        new = values[done : done + len(chosen)]
-        changed = np.flatnonzero(new != parse(numbers, np.float64)[chosen].astype(new.dtype))
+        here = slice(done, done + len(chosen))
+        new = values[here]
+        changed = np.flatnonzero(new != old[here].astype(new.dtype))
         last = ends[chosen[changed]]
         first = np.minimum(starts[chosen[changed]], last - columns)
         yield splice(chunk, first, last, form(new[changed])) if len(changed) else chunk

@@ -149,8 +149,8 @@ class XDMFDocument:
                 found[each.get("Name", "array")] = values[:, 0] if is_column else values
         return found
 
-    def moved(self, item: ElementTree.Element, points: ndarray) -> Pieces:
-        """Yields the XML with all arrays in it, and other points in place of those of `item`."""
+    def moved(self, item: ElementTree.Element, old: ndarray, points: ndarray) -> Pieces:
+        """Yields the XML with all arrays in it, and other points in place of the old ones."""
         leaves = [each for each in self.root.iter("DataItem") if not len(each)]
         at = 0
         for leaf, found in zip(leaves, self.places, strict=True):
@@ -165,7 +165,8 @@ class XDMFDocument:
             elif leaf.get("Format", "XML").upper() == "HDF":
                 yield b">" + number_lines(points.ravel())
             else:
-                yield from replace_numbers(inner, slice(1, len(inner)), points.ravel())
+                whole = slice(1, len(inner))
+                yield from replace_numbers(inner, whole, old.ravel(), points.ravel())
             at = found.end(2)
         yield self.raw[at:]
 
@@ -181,7 +182,7 @@ class XDMFContent(FilePoints):
     arrays: tuple[str, ...] = ()
 
     def moved(self, points: ndarray) -> Pieces:
-        return self.document.moved(self.item, self.in_file(points))
+        return self.document.moved(self.item, self.points, self.in_file(points))
 
 
 def read(path: Path, tags: Path | None = None) -> Parts:

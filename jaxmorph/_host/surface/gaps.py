@@ -18,42 +18,68 @@ MEASURED_FIRST = 512  # rows whose share of a gap is measured before the others
 
 
 def least_share_left(
-    before: ndarray, after: ndarray, wall: ndarray, faces: ndarray, touching: float
+    before: ndarray,
+    after: ndarray,
+    wall: ndarray,
+    faces: ndarray,
+    touching: float,
+    below: float = 1.0,
 ) -> tuple[float, int]:
-    """Smallest share of a gap that a motion leaves, and its row; infinite without a gap. The gap
-    before is the smaller of those at the row and at the corners of the face that is nearest
-    afterwards: sliding walls keep their gap. Distances up to `touching` count as no gap.
+    """Smallest share of a gap that a motion leaves, and its row, where it is less than `below`;
+    else `below`, or infinite without another wall. The gap before is the smaller of those at the
+    row and at the corners of the face that is nearest afterwards: sliding walls keep their gap.
+    Distances up to `touching` count as no gap.
     """
-    # A row matters if it moves, or if a face that moves may be nearer than others were. Rows are
-    # measured in the order of a lower bound of their shares, in larger and larger blocks, until
-    # that of the next row is not below the least share so far.
+    # A row matters if it moves, or if a face that moves may be nearer than others were. A gap loses
+    # at most what its two sides move, so wide ones do not matter. Rows are measured in the order of
+    # a lower bound of their shares, in larger and larger blocks, until that of the next row is not
+    # below the least share so far.
+    if len(np.unique(wall)) < 2 or not len(faces):
+        return np.inf, 0
     moves = (before != after).any(axis=1)
     old = WallGaps(before, wall, faces)
     new = WallGaps(after, wall, faces)
-    every = np.arange(len(wall))
-    high = old.bounds(every)[1]
-    near = WallGaps(after, wall, faces[moves[faces].any(axis=1)]).bounds(every)[0] < high
-    low = new.bounds(every)[0]
-    is_gap = np.isfinite(low) & (high > touching)
-    bound = np.where(is_gap & (moves | near), low / np.where(is_gap, high, 1), np.inf)
+    lost = _lost_at_most(row_lengths(after - before), wall)
+    rows = np.flatnonzero(lost)
+    reach = lost[rows] / (1 - below) if below < 1 else np.full(len(rows), np.inf)
+    low, high = old.bounds(rows, reach.max(initial=0))
+    is_narrow = (low <= reach) & np.isfinite(high) & (high > touching)
+    rows = rows[is_narrow]
+    high = high[is_narrow]
+    within = below * high.max(initial=0)
+    moving = WallGaps(after, wall, faces[moves[faces].any(axis=1)])
+    is_near = moves[rows] | (moving.bounds(rows, within)[0] < high)
+    low = new.bounds(rows, within)[0]
+    bound = np.where(is_near, low / high, np.inf)
     order = np.argsort(bound)
-    least = 1.0 if is_gap.any() else np.inf
-    where = int(is_gap.argmax())
+    least = below
+    where = 0
     begin = 0
     size = MEASURED_FIRST
     while begin < len(order) and bound[order[begin]] < least:
-        rows = order[begin : begin + size]
-        distance, nearest = new.at(rows)
-        known, place = np.unique(np.column_stack([rows, nearest]), return_inverse=True)
-        narrowest = old.at(known)[0][place].reshape(len(rows), -1).min(axis=1)
+        block = rows[order[begin : begin + size]]
+        distance, nearest = new.at(block)
+        known, place = np.unique(np.column_stack([block, nearest]), return_inverse=True)
+        narrowest = old.at(known)[0][place].reshape(len(block), -1).min(axis=1)
         is_gap = np.isfinite(distance) & (narrowest > touching)
         share = np.where(is_gap, distance / np.where(is_gap, narrowest, 1), np.inf)
         if share.min() < least:
-            least = share.min()
-            where = rows[share.argmin()]
+            least = float(share.min())
+            where = int(block[share.argmin()])
         begin += size
         size *= 4
-    return float(least), int(where)
+    return least, where
+
+
+def _lost_at_most(size: ndarray, wall: ndarray) -> ndarray:
+    """What the gap at each row (b,) can lose: its own way, and the longest of other walls."""
+    number = np.unique(wall, return_inverse=True)[1]
+    longest = np.zeros(number.max() + 1)
+    np.maximum.at(longest, number, size)
+    first = longest.argmax()
+    others = np.full(len(longest), longest[first])
+    others[first] = np.delete(longest, first).max()
+    return size + others[number]
 
 
 class WallGaps:
@@ -69,13 +95,13 @@ class WallGaps:
         self.walls = {number: faces[label == number] for number in np.unique(label).tolist()}
         self.searches = {number: FaceTrees(points[faces]) for number, faces in self.walls.items()}
 
-    def bounds(self, rows: ndarray) -> Pair:
-        """Lower and upper bounds (k,) of the gaps at some rows."""
+    def bounds(self, rows: ndarray, within: float = np.inf) -> Pair:
+        """Lower and upper bounds (k,) of the gaps at some rows, infinite beyond a distance."""
         low = np.full(len(rows), np.inf)
         high = np.full(len(rows), np.inf)
         for number, search in self.searches.items():
             here = np.flatnonzero(self.wall[rows] != number)
-            least, most = search.bounds(self.points[rows[here]])
+            least, most = search.bounds(self.points[rows[here]], within)
             low[here] = np.minimum(low[here], least)
             high[here] = np.minimum(high[here], most)
         return low, high
@@ -148,12 +174,14 @@ class FaceTrees:
         block = np.repeat(np.arange(len(blocks)), [len(block[0]) for block in blocks])
         return row + POINTS_TOGETHER * block, Closest(self.order[simplex], weights, distance)
 
-    def bounds(self, x: ndarray) -> Pair:
-        """Lower and upper bounds (m,) of the distances: from the nearest middles."""
+    def bounds(self, x: ndarray, within: float = np.inf) -> Pair:
+        """Lower and upper bounds (m,) of the distances, from the nearest middles; infinite where
+        these are farther than what is `within` a distance.
+        """
         low = np.full(len(x), np.inf)
         high = np.full(len(x), np.inf)
         for _, tree, radius in self.trees:
-            distance = tree.query(x)[0]
+            distance = tree.query(x, distance_upper_bound=within + radius)[0]
             low = np.minimum(low, np.maximum(distance - radius, 0))
             high = np.minimum(high, distance)
         return low, high

@@ -23,7 +23,7 @@ from jaxmorph._mesh.faces import Faces, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of, own_source
-from .._text import replace_numbers
+from .._text import Pieces, replace_numbers
 from .file import PARENTHESES, Boundary, FoamFile, load_faces, load_file, read_patches
 from .plane import Front, check_cyclic, find_layer, find_sector, list_cyclic_pairs, make_front_cells
 
@@ -299,15 +299,16 @@ def _write_file(path: pathlib.Path, content: CaseContent, points: ndarray) -> No
         return
     with path.open("wb") as out:
         if path.suffix != ".gz":
-            out.writelines(_replace_points(file, points))
+            out.writelines(_replace_points(content, points))
             return
         with gzip.GzipFile(
             file.path.stem, "wb", 6, out
         ) as packed:  # it keeps a name: not the temporary one
-            packed.writelines(_replace_points(file, points))
+            packed.writelines(_replace_points(content, points))
 
 
-def _replace_points(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearray | memoryview]:
+def _replace_points(content: CaseContent, points: ndarray) -> Pieces:
+    file = content.file
     place = file.list_at(file.end)
     if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
@@ -317,7 +318,11 @@ def _replace_points(file: FoamFile, points: ndarray) -> Iterator[bytes | bytearr
     else:
         part = slice(place.start, file.end_of_text(place.start))
         yield from replace_numbers(
-            file.data, part, points.ravel(), plain=lambda text: text.translate(PARENTHESES)
+            file.data,
+            part,
+            content.points.ravel(),
+            points.ravel(),
+            plain=lambda text: text.translate(PARENTHESES),
         )
 
 
