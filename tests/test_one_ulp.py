@@ -13,7 +13,6 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.package.rounding import distinct_places, first_largest, nearest_few, ranked
 from jaxmorph._host.surface.graph import graph_of, locate
-from jaxmorph._methods.corrections import Extent, layer_width
 
 LEAST = 1e-9
 """The largest change of a point, relative to the motion."""
@@ -187,19 +186,6 @@ def test_derivatives_by_base_points_are_equal_on_both_sides():
     both = np.stack([ahead - here, here - behind]) / step
     slope = np.asarray(jax.jvp(moved, (points,), (along,))[1])
     assert np.abs(both - slope).max() < 1e-4 * np.abs(slope).max()
-
-
-@pytest.mark.slow
-def test_one_of_two_largest_gaps_decides_how_wide_the_layer_is():
-    """Two nodes are equally far from the source: the first one's distance is the width, and moves it either way."""
-    surface = jnp.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])
-    extent = Extent(*map(jnp.array, ([0, 0, 0], [[[1, 0], [1, 2]]], [0.0])))
-    slope = jax.jacfwd(lambda x: layer_width(None, extent, x)[0])(surface)
-    for step in (1e-8, -1e-8):
-        for node in (1, 2):
-            moved = layer_width(None, extent, surface.at[node, 1].add(step))[0]
-            change = (moved - layer_width(None, extent, surface)[0]) / step
-            np.testing.assert_allclose(change, slope[node, 1], atol=1e-6)
 
 
 def test_numbers_within_the_slack_have_one_rank():

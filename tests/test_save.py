@@ -189,7 +189,7 @@ def altered(path, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda h: h.update(version=1), "of version 1, but this jaxmorph reads 3: prepare the plan anew and save it"),
+        (lambda h: h.update(version=1), "of version 1, but this jaxmorph reads 4: prepare the plan anew and save it"),
         (lambda h: h.update(format="other"), "not a saved plan; its format is 'other'"),
         (lambda h: h.pop("tree"), "a damaged plan"),
         (lambda h: h["tree"].update({"class": "Popen"}), r"the class 'Popen' is unknown; pass your own class as load\(path, cl"),

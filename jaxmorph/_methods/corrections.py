@@ -247,17 +247,26 @@ class Extent(eqx.Module):
     # each wall's two ends, and its mean chord, relative to their distance
     ends: Int[Array, "w 2"]
     chord: Float[Array, " w"]
+
+    @classmethod
+    def seen(cls, surface: Surface) -> "Extent":
+        def found():
+            wall, ends, chord = surface.walls
+            return cls(**jax_arrays(wall=wall, ends=ends, chord=chord))
+
+        return surface.once("extent", found)
+
+
+class Missed(eqx.Module):
+    """How far walls are from the rows that are matched."""
+
     # each wall's row that is farthest from the matched ones, with the nearest of these
     pairs: Int[Array, "w 2"]
     # `chord` of a wall without matched rows, else 0
     share: Float[Array, " w"]
 
     @classmethod
-    def seen(cls, surface: Surface) -> "Extent":
-        return surface.once(("extent", digest(surface.matched)), lambda: cls._searched(surface))
-
-    @classmethod
-    def _searched(cls, surface: Surface) -> "Extent":
+    def searched(cls, surface: Surface) -> "Missed":
         wall, ends, chord = surface.walls
         share = chord.copy()
         points = surface.points
@@ -269,7 +278,7 @@ class Extent(eqx.Module):
             farthest = first_largest(np.linalg.norm(points[here] - points[matched], axis=1))
             pairs[label] = here[farthest], matched[farthest]
             share[label] = 0 if len(chosen) else share[label]
-        return cls(**jax_arrays(wall=wall, ends=ends, pairs=pairs, chord=chord, share=share))
+        return cls(**jax_arrays(pairs=pairs, share=share))
 
 
 def layer_width(
@@ -350,6 +359,7 @@ HALF = 0.5  # the radius at a wall without matched sources, relative to its mean
 
 class LocalIds(eqx.Module):
     extent: Extent
+    missed: Missed
     search: NodeSearch
 
 
@@ -382,12 +392,10 @@ class LocalCorrection(AbstractPlacing):
 
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
-        distance = (
-            SEARCHED
-            * self._radius(
-                jax.tree.map(np.asarray, extent), np.asarray(surface.points, float)
-            ).max()
-        )
+        missed = Missed.searched(surface)
+        walls, sources = jax.tree.map(np.asarray, (extent, missed))
+        places = np.asarray(surface.points, float)
+        distance = SEARCHED * self._radius(walls, sources, places).max()
         to_surface = Tree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
         reached = np.isfinite(to_surface)
         nodes = np.zeros(len(points), dtype=np.int32)
@@ -396,7 +404,7 @@ class LocalCorrection(AbstractPlacing):
         on_surface = rows < len(surface.points)
         nodes[on_surface] = rows[on_surface]
         search = NodeSearch(*as_jax((points, surface.points, np.asarray(distance))))
-        return LocalIds(extent, search), Reach(
+        return LocalIds(extent, missed, search), Reach(
             *as_jax((nodes[:, None], (reached | on_surface)[:, None]))
         )
 
@@ -404,7 +412,7 @@ class LocalCorrection(AbstractPlacing):
         return Control() if self.radius is None else Control(reach=float(self.radius))
 
     def fit(self, ids: LocalIds, surface, points):
-        radius = self._radius(ids.extent, surface)
+        radius = self._radius(ids.extent, ids.missed, surface)
         return LocalFactors(radius, ids.search.is_certain(radius.max(), surface, points))
 
     def carry(self, ids, factors, surface, points):
@@ -431,11 +439,11 @@ class LocalCorrection(AbstractPlacing):
     def field(self, ids, factors, surface, u):
         return InterpolatedField(u)
 
-    def _radius(self, extent: Extent, surface):
+    def _radius(self, extent: Extent, missed: Missed, surface):
         xp = namespace(surface)
         if self.radius is not None:
             return xp.full(len(surface), xp.asarray(self.radius, surface.dtype))
-        missed = norm(surface[extent.pairs[:, 0]] - surface[extent.pairs[:, 1]])
+        distance = norm(surface[missed.pairs[:, 0]] - surface[missed.pairs[:, 1]])
         span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
-        alone = HALF * extent.share.astype(surface.dtype) * span
-        return xp.maximum(missed, alone)[extent.wall]
+        alone = HALF * missed.share.astype(surface.dtype) * span
+        return xp.maximum(distance, alone)[extent.wall]

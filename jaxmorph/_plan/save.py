@@ -76,7 +76,7 @@ def _is_of(kind: Any, module: str) -> bool:
 
 
 FORMAT = "jaxmorph plan"
-VERSION = 3
+VERSION = 4
 _HEADER = "description"
 _UNREADABLE = (
     ValueError,
