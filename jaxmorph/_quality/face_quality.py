@@ -109,13 +109,15 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
 
 
 def measured(mesh: Mesh, sides: "Sides", points: Float[Any, "n d"] | None) -> FaceQuality:
-    base = np.asarray(mesh.points, dtype=float)
+    base = sides.base
     points = base if points is None else np.asarray(points, dtype=float)
     if points.shape != base.shape:
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {base.shape}.")
     with np.errstate(all="ignore"):  # points may be NaN
         shape = _shape_of(sides, points)
-        old = shape.volume if np.array_equal(points, base) else _shape_of(sides, base).volume
+        if np.array_equal(points, base):
+            vars(sides)["volume"] = shape.volume  # the property's value
+        old = sides.volume
         if mesh.polyhedra is None and mesh.between is None and (old < 0).any():
             # makes undeformed volumes positive, by neighbours: a motion may turn a part inside out
             sign = np.ones(len(old))
@@ -170,8 +172,11 @@ class FaceBlock:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sides:
+    """The faces of `total` cells of a mesh, and its undeformed points (n, d)."""
+
     blocks: tuple[FaceBlock, ...]
     total: int
+    base: FacePoints
 
     @classmethod
     def listed(cls, mesh: Mesh) -> "Sides":
@@ -196,7 +201,13 @@ class Sides:
         else:
             groups = _faces_of_polyhedra(mesh.polyhedra.faces)
             total = mesh.polyhedra.faces.count
-        return cls(tuple(_cut_into_blocks(groups, mesh.between)), total)
+        base = np.asarray(mesh.points, dtype=float)
+        return cls(tuple(_cut_into_blocks(groups, mesh.between)), total, base)
+
+    @functools.cached_property
+    def volume(self) -> FaceValues:
+        """The cells' volumes on the undeformed mesh, times its dimension."""
+        return _shape_of(self, self.base).volume
 
     def map(self, function: Callable[[FaceBlock], Result]) -> Iterator[tuple[FaceBlock, Result]]:
         """Yields all blocks in order, each with its `function`, which all cores compute."""
