@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ._advice.crossings import wall_crossings as wall_crossings
+from ._host.cells.adjacency import parts_of as parts_of
 from ._host.cells.lagrange import Lagrange as Lagrange, lagrange_types as lagrange_types
 from ._host.cells.topology import solid as solid
 from ._host.package.arguments import (
@@ -24,6 +25,7 @@ from ._host.package.files import (
 from ._host.package.ranks import Agreement as Agreement, Alone as Alone, together as together
 from ._host.package.rounding import Tree as Tree, spacing as spacing
 from ._host.package.text import decoded as decoded, patch_names as patch_names
+from ._host.rows import join_ids as join_ids
 from ._host.surface.cad_sources import cad_model as cad_model
 from ._host.surface.gaps import closest as closest, fans as fans
 from ._kernels.callback import host_call as host_call

@@ -149,6 +149,8 @@ assert extend.input_path("note.txt").exists()
 assert set(extend.solid(mesh.cells, 2)) == {"quad"}
 assert extend.spacing(wall).min() > 0
 assert extend.fans(np.arange(4), np.array([4])).shape == (2, 3)
+assert list(extend.join_ids(mesh.cells.values())) == list(mesh.cells["quad"].ravel())
+assert list(extend.parts_of(np.array([0]), np.array([2]), 3)) == [0, 1, 0]
 edges = wall[jnp.array([[0, 1], [1, 2]])]
 assert np.allclose(extend.norm(extend.area_vectors(edges)), extend.norm(edges[:, 1] - edges[:, 0]))
 near = extend.closest(np.array([[[0.0, 0], [1, 0]]]), np.array([[0.5, 1.0]]))

@@ -171,10 +171,7 @@ def crossings(
         passed = _join_passages(ways, faces, place, is_solid)
         is_known = True
     if is_held is not None:
-        sheet = _number_bodies(faces, len(nodes))
-        face = faces[passed.pairs[:, 1]]
-        follows = ~is_held[face].all(axis=1) & (sheet[face[:, 0]] == sheet[passed.nodes])
-        passed = passed.at(np.flatnonzero(~follows))
+        passed = _without_followers(passed, faces, is_held)
     crosses = len(pairs) > 0
     if crosses:
         single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
@@ -188,6 +185,14 @@ def crossings(
     first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
     facts = _facts_of(passed, faces, ways[-1]) | {"crosses": crosses, "is_known": is_known}
     return Crossings(nodes[both], tuple(zip(first, second, strict=True)), places, **facts)
+
+
+def _without_followers(passed: Passages, faces: np.ndarray, is_held: np.ndarray) -> Passages:
+    """Leaves out passages of faces that follow the wall that they are connected with."""
+    sheet = _number_bodies(faces, len(is_held))
+    face = faces[passed.pairs[:, 1]]
+    follows = ~is_held[face].all(axis=1) & (sheet[face[:, 0]] == sheet[passed.nodes])
+    return passed.at(np.flatnonzero(~follows))
 
 
 def _facts_of(passed: Passages, faces: np.ndarray, end: np.ndarray) -> dict[str, Any]:

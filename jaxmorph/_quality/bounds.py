@@ -50,8 +50,7 @@ def bounds(
     k = coefficients.shape[1]
     d = sum(m for m, _ in space)
     corners = bernstein.corners(space)
-    lower = np.full(k, np.inf)
-    upper = np.full(k, np.inf)
+    lower, upper = np.full((2, k), np.inf)
     at = np.zeros((d, k))
 
     def look(values: Float[np.ndarray, "n p"], cell: np.ndarray, path: Path) -> None:

@@ -230,26 +230,18 @@ def proof(
 def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
     """Bounds det J at one end or between two; folded pieces of polyhedra are unknown."""
     base = np.asarray(mesh.points, float)
-    signs = signs_of(mesh)
     has_time = len(ends) == 2
     counted = np.repeat(
         [DIMENSION[kind] == base.shape[1] for kind in mesh.cells],
         list(map(len, mesh.cells.values())),
     )
-    columns = {}
-    for kind, ids in solid(mesh.cells, base.shape[1]).items():
-        size = _cells_at_once(np, form_of(kind, has_time))
-        bound = functools.partial(_bounded, kind, base, ends, depth)
-        columns[kind] = in_blocks(
-            np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size
-        )
 
     def among_all(rows: Float[np.ndarray, "*n s"]) -> Float[np.ndarray, "*n k"]:
         result = np.full((*rows.shape[:-1], len(counted)), np.nan)
         result[..., counted] = rows
         return result
 
-    found = jax.tree.map(among_all, join_values(np, columns))
+    found = jax.tree.map(among_all, _bounded_cells(mesh, base, ends, depth))
     lower = found["lower"]
     upper = found["upper"]
     is_invalid = counted & ((found["value"] < 0) & (upper < 0) | np.isnan(upper))
@@ -271,6 +263,20 @@ def _proven(mesh: Mesh, ends: tuple[np.ndarray, ...], depth: int) -> Proof:
         types=tuple((kind, len(ids)) for kind, ids in mesh.cells.items()),
         depth=depth,
     )
+
+
+def _bounded_cells(
+    mesh: Mesh, base: np.ndarray, ends: tuple[np.ndarray, ...], depth: int
+) -> dict[str, np.ndarray]:
+    signs = signs_of(mesh)
+    columns = {}
+    for kind, ids in solid(mesh.cells, base.shape[1]).items():
+        size = _cells_at_once(np, form_of(kind, len(ends) == 2))
+        bound = functools.partial(_bounded, kind, base, ends, depth)
+        columns[kind] = in_blocks(
+            np, bound, np.asarray(ids).T, np.asarray(signs[kind], float), size=size
+        )
+    return join_values(np, columns)
 
 
 def _mean_jacobian(form: JacobianForm, points: Points, ids: Int[Either, "c k"]) -> PerCell:

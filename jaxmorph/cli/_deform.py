@@ -385,11 +385,14 @@ def _trials(attempt: Attempt) -> list[jm.Cure]:
 
 
 def _flags(attempt: Attempt, cure: jm.Cure) -> str:
-    flags = [f"--sliding {' '.join(cure.sliding)} in place of --fixed"] if cure.sliding else []
-    flags += [f"--method {cure.method}"] if cure.method else []
-    return " ".join(
-        [*flags, *([f"--steps {cure.steps}"] if cure.steps != attempt.request.step_count else [])]
-    )
+    flags = []
+    if cure.sliding:
+        flags.append(f"--sliding {' '.join(cure.sliding)} in place of --fixed")
+    if cure.method:
+        flags.append(f"--method {cure.method}")
+    if cure.steps != attempt.request.step_count:
+        flags.append(f"--steps {cure.steps}")
+    return " ".join(flags)
 
 
 def _works(attempt: Attempt, cure: jm.Cure) -> bool:

@@ -65,11 +65,7 @@ def run_modes(request: ModesRequest, out: Output) -> int:
     patches = _look_up_patches(request, out)
     limits = request.gates.limits
     mesh = patches.mesh
-    outputs = [request.output, *(case.output for case in cases)]
-    for output in outputs[1:]:
-        io.check_output(output, mesh)
-    inputs = [("IN", request.file), *(("--mode", file) for file in request.mode)]
-    check_apart(inputs, [("OUT", file) for file in outputs])
+    _check_cases(request, cases, mesh)
     with out.progress("reading the modes"):
         u = np.stack(
             [io.read_displacement(m, mesh, patches.nodes, is_position=False) for m in request.mode]
@@ -102,6 +98,14 @@ def run_modes(request: ModesRequest, out: Output) -> int:
             stage.done(case.number / len(cases))
     _end(request, good, len(cases), replaced, out)
     return int(bad > 0)
+
+
+def _check_cases(request: ModesRequest, cases: list[Case], mesh: jm.Mesh) -> None:
+    outputs = [("OUT", case.output) for case in cases]
+    for _, output in outputs:
+        io.check_output(output, mesh)
+    inputs = [("IN", request.file), *(("--mode", file) for file in request.mode)]
+    check_apart(inputs, [("OUT", request.output), *outputs])
 
 
 def _end(request: ModesRequest, good: list[Case], total: int, replaced: int, out: Output) -> None:

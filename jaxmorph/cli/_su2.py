@@ -102,9 +102,7 @@ def _move_by_config(request: SU2, config: su2.Config, out: Output) -> int:
         out.say(f"fixed    {', '.join(config.fixed) or 'no patch'}", fixed=list(config.fixed))
         if config.symmetry:
             out.say(f"symmetry {', '.join(config.symmetry)}", symmetry=list(config.symmetry))
-        text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
-        out.say(text, largest=config.largest, share=config.share)
-        warn_of_size(config.share, out)
+        _say_size(config, out)
         with out.progress(f"deforming in {plural(config.steps, 'step')}"):
             moved = mesh.moved(
                 np.asarray(jm.march(plan, config.path.astype(plan.points.dtype))[1], float)
@@ -128,6 +126,12 @@ def _move_by_config(request: SU2, config: su2.Config, out: Output) -> int:
             boxes=[box.name for box in config.boxes],
         )
     return finish(bad, request.allow_inverted, output, lambda: io.write(output, moved), out)
+
+
+def _say_size(config: su2.Config, out: Output) -> None:
+    text = f"largest  {config.largest:.6g}, {config.share:.3g} times the length of what moves"
+    out.say(text, largest=config.largest, share=config.share)
+    warn_of_size(config.share, out)
 
 
 def _write_derivatives(request: SU2, config: su2.Config, out: Output) -> int:

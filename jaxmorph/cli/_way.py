@@ -59,16 +59,14 @@ class Way:
         before: jm.Verdict | None = None,
         part: int | None = None,
     ) -> jm.Verdict:
-        steps = self.ends[:-1]
-        is_straight = self.is_straight
         return jm.judge(
             self.mesh,
             self.stored,
             limits,
             before=before,
             part=part,
-            steps=steps,
-            is_straight=is_straight,
+            steps=self.ends[:-1],
+            is_straight=self.is_straight,
         )
 
     def write(self, verdict: jm.Verdict) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 import jaxmorph as jm
-from jaxmorph.extend import solid, together
+from jaxmorph.extend import join_ids, solid, together
 
 
 def check_comm(comm: Any) -> None:
@@ -138,7 +138,7 @@ def gather_surface(
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
     # a plane holds nodes to a share of the whole mesh's size
     extent = np.concatenate([x, *comm.allgather(x[ends])])
-    guided = np.isin(ids, np.concatenate([ids[:0], *map(np.ravel, (faces or {}).values())]))
+    guided = np.isin(ids, join_ids((faces or {}).values()))
     for plane in _parallel(planes):
         guided |= plane.holds(extent)[: len(x)]
     shares = comm.allgather(

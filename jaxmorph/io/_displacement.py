@@ -109,7 +109,12 @@ def read_facets(
     """
     path = input_path(path)
     if path.suffix.lower() in CAD_ENDINGS:
-        return _read_model(path, d)
+        with faults_of(path):
+            if d != 3:
+                message = "a CAD model has surfaces in 3-D; in 2-D take lines of .obj or .npz."
+                raise ValueError(message)
+            model = cad_model(path)
+        return Facets(model.facets.points, model.facets.triangles, model=model)
     if path.suffix.lower() not in READERS:
         return Facets.of(read(path), smooth=smooth, angle=angle)
     shape = read_shape(path)
@@ -119,14 +124,6 @@ def read_facets(
             f"{path}: {'lines' if d == 2 else 'triangles'} in {d}-D are expected, found {found}."
         )
     return Facets(shape.points[:, :d], shape.simplices, smooth=smooth, angle=angle)
-
-
-def _read_model(path: Path, d: int) -> Facets:
-    with faults_of(path):
-        if d != 3:
-            raise ValueError("a CAD model has surfaces in 3-D; in 2-D take lines of .obj or .npz.")
-        model = cad_model(path)
-        return Facets(model.facets.points, model.facets.triangles, model=model)
 
 
 def _interpolate_motion(before: Path, after: Path, x: ndarray) -> ndarray:

@@ -62,8 +62,9 @@ UNREAD_SETS = {
     "num_edge_sets": "edge sets",
     "num_face_sets": "face sets",
     "num_elem_sets": "element sets",
+    "num_ed_blk": "blocks of edges",
+    "num_fa_blk": "blocks of faces",
 }
-UNREAD_SETS |= {"num_ed_blk": "blocks of edges", "num_fa_blk": "blocks of faces"}
 
 
 class _Block(NamedTuple):

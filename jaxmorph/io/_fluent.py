@@ -234,8 +234,11 @@ def make_mesh_of_faces(
     faces = _orient_faces(table, points)
     blocks, whole = cells_of_faces(faces, points) if points.shape[1] == 3 else _join_edges(faces)
     blocks = sorted(blocks, key=lambda block: block[0])  # as JAX sorts types
-    patches, notes = distinct(_list_zone_patches(faces, zones))
-    kinds = {zone.name: zone.kind for zone in zones if zone.kind != ZONE_KINDS[INTERIOR]}
+    outer = [zone for zone in zones if zone.kind != ZONE_KINDS[INTERIOR]]
+    patches, notes = distinct(
+        Patch(zone.name, f"zone_{zone.number}", faces.rows.take(zone.rows).values) for zone in outer
+    )
+    kinds = {zone.name: zone.kind for zone in outer}
     source = dataclasses.replace(
         source,
         polyhedra=whole if len(whole.cut) else None,
@@ -247,12 +250,6 @@ def make_mesh_of_faces(
     )
     cells = gathered(block[:2] for block in blocks)
     return checked_parts(points.copy(), cells, patches, source)
-
-
-def _list_zone_patches(faces: Faces, zones: list[FaceZone]) -> Iterator[Patch]:
-    for number, name, kind, rows in zones:
-        if kind != ZONE_KINDS[INTERIOR]:
-            yield Patch(name, f"zone_{number}", faces.rows.take(rows).values)
 
 
 def _note_unpaired(kinds: dict[str, str], regions: list[str]) -> Iterator[str]:

@@ -327,8 +327,7 @@ def _read_nodes_of_entity(stream: Stream) -> TaggedNodes:
     if stream.version < 4.1:
         return _read_records(stream, count, parameters)
     tags = stream.take("n", count)
-    width = stream.width(f"ddd{parameters}")
-    return tags, stream.skip(count, f"ddd{parameters}") + width * np.arange(count)
+    return tags, stream.places(count, f"ddd{parameters}")
 
 
 def _read_records(stream: Stream, count: int, parameters: str = "") -> TaggedNodes:

@@ -4,8 +4,10 @@ A dataset stands between lines of -1, its number first. Nodes are in 2411 and 78
 groups in eight datasets, systems of coordinates in 2420 (SDRC's "Universal Dataset Number ...").
 """
 
+import collections
 import dataclasses
 import functools
+import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,19 +56,17 @@ def read(path: Path) -> Parts:
     Without groups the numbers of properties name patches, `patch_3`.
     """
     text = path.read_bytes()
-    sections = list(_read_datasets(path, text))
-    old = [f"{OLD_DATASETS[n]} of dataset {n}" for n, _ in sections if n in OLD_DATASETS]
+    sections: dict[int, list[Section]] = collections.defaultdict(list)
+    for n, section in _read_datasets(path, text):
+        sections[n].append(section)
+    old = [f"{OLD_DATASETS[n]} of dataset {n}" for n in sections if n in OLD_DATASETS]
     if old:
         raise ValueError(f"{', '.join(old)} are not read; those of 2411, 2412 and 2420 are.")
-    content, nodes = _read_node_tables(
-        text, [section for n, section in sections if n in (2411, 781)]
-    )
-    _check_systems(nodes[:, 1], [section for n, section in sections if n == 2420])
-    elements = [
-        each for n, section in sections if n == 2412 for each in _read_element_blocks(section)
-    ]
+    content, nodes = _read_node_tables(text, sections[2411] + sections[781])
+    _check_systems(nodes[:, 1], sections[2420])
+    elements = [*itertools.chain(*map(_read_element_blocks, sections[2412]))]
     groups = [
-        each for n, section in sections if n in GROUP_DATASETS for each in _read_groups(section, n)
+        each for n in GROUP_DATASETS for section in sections[n] for each in _read_groups(section, n)
     ]
     sets = {
         what: gathered((name, ids[ids[:, 0] == code, 1]) for name, ids in groups)
@@ -81,8 +81,7 @@ def read(path: Path) -> Parts:
             grid, cell_data={"patch": [properties for _, properties in elements]}
         )
     known = (2411, 781, 2412, 2420, *GROUP_DATASETS, *QUIET_DATASETS)
-    left = dict.fromkeys(str(n) for n, _ in sections if n not in known)
-    notes += note_unread("datasets ", left)
+    notes += note_unread("datasets ", (str(n) for n in sections if n not in known))
     if others := sum(int((~np.isin(ids[:, 0], (7, 8))).sum()) for _, ids in groups):
         notes += (f"{others} members of groups are no nodes or elements, and are not read.",)
     return of_grid(path, NAME, content, grid, notes=notes, labels=nodes[:, 0])

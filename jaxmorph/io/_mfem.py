@@ -159,9 +159,6 @@ def read(path: Path) -> Parts:
         ]
         node = _sort_as_file(cells, tables)
     content = space.content(text, node, total)
-    points = content.points[np.unique(node, return_index=True)[1]]
-    if points.shape[1] > DIMENSION[cells[0].kind] and not np.ptp(points[:, 2]):
-        points = points[:, :2]
     patches = _gather_attributes(sides, ids[len(cells) :])
     source = Source(
         path,
@@ -171,8 +168,7 @@ def read(path: Path) -> Parts:
         groups=_group_patches(parts.get("boundary_attribute_sets"), patches),
         notes=tuple(_note_regions(cells, parts)),
     )
-    # a caller may change the mesh's points in place, and the file's must stay
-    return checked_parts(points.copy(), nodes, patches, source)
+    return checked_parts(content.in_mesh(content.points), nodes, patches, source)
 
 
 _blank_hash_lines = functools.partial(blank_out, rb"(?m)^[ \t]*#[^\r\n]*")

@@ -261,10 +261,7 @@ def make_labelled_grid(
         "elements": Labels(np.concatenate([block.labels for block in cells]), "elements"),
         "nodes": Labels(labels, "nodes"),
     }
-    rows = {
-        what: {name: known[what].rows.of(ids) for name, ids in sets[what].items()} for what in known
-    }
-    lost = {(what, name): (ids < 0).sum() for what in known for name, ids in rows[what].items()}
+    rows = {what: known[what].rows.renumbered(sets[what]) for what in known}
     starts = np.cumsum([0, *(len(block.labels) for block in cells)])
     grid = Grid(
         points,
@@ -279,8 +276,9 @@ def make_labelled_grid(
         own=("elements", "nodes"),
     )
     notes = (
-        f"{count} {what} of the set {name} are not in the mesh."
-        for (what, name), count in lost.items()
-        if count
+        f"{(ids < 0).sum()} {what} of the set {name} are not in the mesh."
+        for what in known
+        for name, ids in rows[what].items()
+        if (ids < 0).any()
     )
     return grid, tuple(notes)

@@ -64,10 +64,9 @@ class FileLayout(NamedTuple):
         """Returns views (nodes,) of each block's IBLANK, behind its coordinates."""
         if self.blank is None:
             return []
-        ends = zip(self.coordinates(numbers), self.starts, strict=True)
         return [
             ndarray(block.shape[1], self.blank, numbers.data, int(start) + block.nbytes)
-            for block, start in ends
+            for block, start in zip(self.coordinates(numbers), self.starts, strict=True)
         ]
 
 

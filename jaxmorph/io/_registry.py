@@ -315,12 +315,11 @@ def check_output(path: PathLike, mesh: Mesh | PathLike) -> bool:
     return _check_path(path, mesh).holds_arrays
 
 
-def _source_unread(path: Path) -> Source:
-    return Source(path, format_of(path).name, None)
-
-
 def _check_path(name: PathLike, mesh: Mesh | PathLike) -> Format:
-    source = mesh.source if isinstance(mesh, Mesh) else _source_unread(Path(mesh))
+    if isinstance(mesh, Mesh):
+        source = mesh.source
+    else:
+        source = Source(Path(mesh), format_of(Path(mesh)).name, None)
     chosen = format_to_write(Path(name), source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and files.is_same(path, source.path):

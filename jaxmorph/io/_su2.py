@@ -16,6 +16,7 @@ from jaxmorph._host.cells.pieces import outer_pieces
 from jaxmorph._host.cells.topology import CORNERS, VTK
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
+from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from ._format import ArraysByName, MeshLike, Source, faults_of, patch_faces, source_of
@@ -119,8 +120,7 @@ def make_zone_mesh(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     content = PlacedPoints(points.copy(), text, [part], blank_comments)
     patches = _read_marker_nodes(keywords, len(points))
     if not patches:
-        outer = outer_pieces(cells, len(points)).values()
-        patches = {"boundary": np.concatenate([corners.ravel() for corners in outer])}
+        patches = {"boundary": join_ids(outer_pieces(cells, len(points)).values())}
     return checked_parts(
         points,
         cells,
@@ -209,14 +209,10 @@ def _read_marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
         tag, *rest = keywords[at : at + 3]
         if not rest or rest[0].name != "MARKER_ELEMS":
             raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
-        section = rest[
-            -1 if rest[-1].name == "SEND_TO" else 0
-        ].section  # of SEND_RECEIVE, it stands before the rows
+        # SEND_TO of SEND_RECEIVE stands before the rows
+        section = rest[-1 if rest[-1].name == "SEND_TO" else 0].section
         tables = _read_element_tables(rest[0], section, n, f"elements of marker {tag.value!r}")
-        found += [
-            (tag.value, np.zeros(0, np.int64)),
-            *((tag.value, corners.ravel()) for _, corners in tables),
-        ]
+        found.append((tag.value, join_ids(corners for _, corners in tables)))
     stated = _find_only(keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(

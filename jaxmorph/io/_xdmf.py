@@ -70,14 +70,14 @@ class XDMFDocument:
         items = element.findall("DataItem")
         if len(items) != 1:
             raise ValueError(f"{what} with {len(items)} arrays; one is read.")
-        item = items[0]
-        place = item.text if item.get("Reference") == "XML" else item.get("Reference")
-        if place is not None and item.get("Reference"):
-            found = self.root.find(re.sub("^/+Xdmf", ".", place.strip()))
-            if found is None:
-                raise ValueError(f"{what} refers to {place.strip()[:80]}, which is not there.")
-            item = found
-        return item
+        reference = items[0].get("Reference")
+        if not reference:
+            return items[0]
+        place = (items[0].text or "" if reference == "XML" else reference).strip()
+        found = self.root.find(re.sub("^/+Xdmf", ".", place))
+        if found is None:
+            raise ValueError(f"{what} refers to {place[:80]}, which is not there.")
+        return found
 
     def values(self, item: ElementTree.Element) -> ndarray:
         """Reads an array, of the shape that the XML gives it."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, complete, output_path, rows_of
+from jaxmorph.extend import checked, complete, join_ids, output_path, rows_of
 
 from . import _plane
 from ._plane import Figure, plt
@@ -195,7 +195,7 @@ def _average(mesh: jm.Mesh, values: PlotColumn) -> PlotColumn:
     cell = np.repeat(
         np.arange(len(values)), np.concatenate([np.full(len(ids), ids.shape[1]) for ids in kinds])
     )
-    node = np.concatenate([ids.ravel() for ids in kinds])
+    node = join_ids(kinds)
     counts = np.isfinite(values)
     weights, sums = (
         np.bincount(node, part[cell], len(mesh.points))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, lagrange_types
+from jaxmorph.extend import checked, join_ids, lagrange_types
 
 from ._plane import FIGURE_ROOM, TextPath, findfont, plt, round_numbers
 from ._style import (
@@ -382,10 +382,6 @@ def pyvista() -> Any:
     return pyvista
 
 
-def lines_of(points: Any, ids: ndarray) -> Any:
-    return pyvista().PolyData(points, lines=np.insert(ids, 0, 2, axis=1).ravel())
-
-
 def outlines(section: Any) -> Any:
     cells = section.cast_to_unstructured_grid().GetCells()
     labels, starts = (
@@ -397,7 +393,8 @@ def outlines(section: Any) -> Any:
     owner = np.repeat(section.cell_data["whole"], np.diff(starts))
     pairs = np.column_stack([np.minimum(labels, after), np.maximum(labels, after), owner])
     edges, counts = np.unique(pairs, axis=0, return_counts=True)
-    return lines_of(section.points, np.unique(edges[counts == 1, :2], axis=0))
+    ends = np.unique(edges[counts == 1, :2], axis=0)
+    return pyvista().PolyData(section.points, lines=np.insert(ends, 0, 2, axis=1).ravel())
 
 
 def select_patches(mesh: jm.Mesh, patch: str | None) -> Sequence[str]:
@@ -426,7 +423,7 @@ def _skin(mesh: jm.Mesh, places: ndarray, values: Any, patches: Sequence[str]) -
     if not len(owner):
         return pyvista().PolyData()
     # a camera takes the points of no face for what is to be seen
-    nodes = np.unique(np.concatenate([ids.ravel() for ids in surface.cells.values()]))
+    nodes = np.unique(join_ids(surface.cells.values()))
     cells = {kind: np.searchsorted(nodes, ids) for kind, ids in surface.cells.items()}
     grid, face = _as_grid(jm.Mesh(surface.points[nodes], cells), mesh, values, owner)
     if mesh.is_curved:

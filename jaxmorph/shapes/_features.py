@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from jaxmorph import Facets, MeshError, Plane
-from jaxmorph.extend import Either, Module, namespace, norm, put_at
+from jaxmorph.extend import Either, Module, join_ids, namespace, norm, parts_of, put_at
 
 from ._arguments import rows_like, shown_place
 from ._tolerances import ON_SYMMETRY
@@ -212,8 +210,7 @@ class Curves:
         # a corner joins no edges
         own = len(self.points) + np.arange(edges.size).reshape(edges.shape)
         ends = np.where(np.isin(edges, self.corners), own, edges)
-        links = coo_array((np.ones(len(ends)), tuple(ends.T)), (len(self.points) + edges.size,) * 2)
-        part = connected_components(links, directed=False)[1][ends[:, 0]]
+        part = parts_of(ends[:, 0], ends[:, 1], len(self.points) + edges.size)[ends[:, 0]]
         return [edges[part == number] for number in np.unique(part)]
 
 
@@ -258,7 +255,7 @@ def guides_of(
     guides = [
         guide for code in np.unique(own.codes).tolist() for guide in _on_points(own, other, code)
     ]
-    taken = np.concatenate([np.zeros(0, int), *(guide.rows for guide in guides)])
+    taken = join_ids(guide.rows for guide in guides)
     kinds = range(own.kinds.max(initial=0) + 1)
     return (*(guide for kind in kinds for guide in _on_curves(own, other, kind, taken)), *guides)
 

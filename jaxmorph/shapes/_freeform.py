@@ -14,10 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy import ndarray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from jaxmorph.extend import between, checked, is_known, whole
+from jaxmorph.extend import between, checked, is_known, parts_of, whole
 
 from ._arguments import (
     Column,
@@ -308,8 +306,7 @@ def _link_matrix(
     opposite = np.where(sign < 0, count, 0)
     rows = np.concatenate([a, a + count])
     columns = np.concatenate([b + opposite, b + count - opposite])
-    links = coo_array((np.ones(len(rows), bool), (rows, columns)), (2 * count, 2 * count))
-    itself, other = connected_components(links, directed=False)[1].reshape(2, count)
+    itself, other = parts_of(rows, columns, 2 * count).reshape(2, count)
     moves = (itself != other) & ~np.isin(itself, [itself[~free.ravel()], other[~free.ravel()]])
     parts, column = np.unique(np.minimum(itself, other)[moves], return_inverse=True)
     matrix = np.zeros((count, len(parts)))

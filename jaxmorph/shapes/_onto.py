@@ -48,7 +48,7 @@ from ._features import (
     on_target,
 )
 from ._smooth import stiffness_of
-from ._tolerances import ON_BORDER, ON_SYMMETRY, RESTED, SAME_LENGTH
+from ._tolerances import ON_BORDER, ON_SYMMETRY, RESTED, SAME_LENGTH, UNIT_FACTORS
 
 Places = Float[Either, "m d"]
 Masses = Float[Either, " m"]
@@ -328,11 +328,10 @@ def _open_border(target: Facets, planes: Sequence[Plane], slack: float) -> ndarr
     return np.broadcast_to(rim, (len(rim), 2))
 
 
-UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
 CLOSE_UNIT = 1.3
 NEARER = 4.0
-"""Ratios of units in use; factor by which a part of a body may be smaller; factor by which
-distances fall in the right unit."""
+"""Factor by which a part of a body may be smaller; factor by which distances fall in the right
+unit."""
 
 
 def _check_target(x: ndarray, target: Facets) -> None:
@@ -343,11 +342,10 @@ def _check_target(x: ndarray, target: Facets) -> None:
         )
     points = np.asarray(target.points)[np.unique(target.faces)]
     own, other = (float(np.ptp(places, axis=0).max()) for places in (x, points))
-    apart = abs(np.log(other / own))
-    unit = min(UNIT_RATIOS, key=lambda unit: abs(apart - np.log(unit)))
-    if abs(apart - np.log(unit)) > np.log(CLOSE_UNIT):
+    longer = np.log(other / own)
+    factor = min(UNIT_FACTORS, key=lambda factor: abs(longer + np.log(factor)))
+    if abs(longer + np.log(factor)) > np.log(CLOSE_UNIT):
         return
-    factor = 1 / unit if other > own else unit
     some = x[:: 1 + len(x) // SAMPLE]
     off = np.median(target.distance(some))
     in_unit = factor * np.median(target.distance(some / factor))

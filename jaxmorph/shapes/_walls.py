@@ -111,8 +111,7 @@ def area(x: Numbers, loop: Any) -> Scalar:
 
     **Raises:** `ValueError` for other shapes.
     """
-    a, b = _ends_of_loop(x, loop)
-    return 0.5 * jnp.sum(_cross_2d(a, b))
+    return 0.5 * jnp.sum(jnp.cross(*_ends_of_loop(x, loop)))
 
 
 @checked
@@ -123,7 +122,7 @@ def centroid(x: Numbers, loop: Any) -> Vector:
     origin = a[0]
     a = a - origin[None, :]
     b = b - origin[None, :]
-    twice = _cross_2d(a, b)
+    twice = jnp.cross(a, b)
     return origin + jnp.sum((a + b) * twice[:, None], axis=0) / (3 * jnp.sum(twice))
 
 
@@ -218,23 +217,14 @@ def _frustums(x: Numbers, faces: Any, axis: Plane) -> tuple[Float[Array, "k 2"],
     return jnp.matmul(ends, along, precision="highest"), height
 
 
-def _cross_2d(a: Float[Array, "*k 2"], b: Float[Array, "*k 2"]) -> Float[Array, "*k"]:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
 def _ends_of_loop(x: Numbers, loop: Any) -> tuple[Positions, Positions]:
-    x, loop = _loop_in(x, loop)
-    return x[loop], x[np.roll(loop, -1)]
-
-
-def _loop_in(x: Numbers, loop: Any) -> tuple[Float[Array, "n 2"], Int[ndarray, " k"]]:
     x = positions(x)
     if x.shape[1] != 2:
         raise ValueError(f"`x` has shape {x.shape}; expected (n, 2).")
     loop = rows_like("loop", loop, len(x))
     if loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"`loop` has shape {loop.shape}; expected three nodes or more.")
-    return x, loop
+    return x[loop], x[np.roll(loop, -1)]
 
 
 def _check_closed(x: Positions, triangles: Int[ndarray, "k 3"], plane: Vector | None) -> None:

@@ -46,8 +46,7 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
         closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
         np.minimum.at(distance, near[closer], gap[closer])
         closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
-        # the first of equals is written last
-        closer = closer[np.argsort(-node[closer], kind="stable")]
+        closer = closer[np.argsort(-node[closer], kind="stable")]  # the first of equals is last
         nearest[near[closer]] = node[closer]
 
     approach(*_pair_equals(images[rank]))
@@ -71,7 +70,7 @@ def farthest_first(points: ndarray, earlier: ndarray, images: ndarray) -> Pair:
         node, near = tree.within(ordered[picked], (1 - SAME) * radius[picked])
         approach(near, picked[node])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
-    order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
+    order = np.argsort(-radius, kind="stable")[: np.count_nonzero(radius)]
     return rank[order], rank[nearest[place]]
 
 

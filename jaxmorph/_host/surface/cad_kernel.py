@@ -139,8 +139,7 @@ class CadShape:
             for edge, is_point in zip(self._edges, self.is_point, strict=True)
         ]
         self.ranges = np.array([BRep_Tool.Range_s(edge) for edge in self._edges]).reshape(-1, 2)
-        self.vertices = np.array([BRep_Tool.Pnt_s(vertex).Coord() for vertex in vertices])
-        self.vertices = self.vertices.reshape(-1, 3)
+        self.vertices = np.reshape([BRep_Tool.Pnt_s(point).Coord() for point in vertices], (-1, 3))
         self.uses = _uses(self._faces, numbers)
         self.uses_of: list[list[Use]] = [[] for _ in self._edges]
         edges: list[list[int]] = [[] for _ in self._faces]
@@ -272,11 +271,7 @@ def _tessellation_of(model: CadShape, faces: list[Any], edges: list[Any]) -> Tes
         for edge in model.topology.edges[number]:
             line = BRep_Tool.PolygonOnTriangulation_s(edges[edge], mesh, location)
             if line is not None and not model.is_point[edge]:
-                count = range(1, line.NbNodes() + 1)
-                lines[edge] = (
-                    [own[line.Node(k) - 1] for k in count],
-                    [line.Parameter(k) for k in count],
-                )
+                lines[edge] = _places_on_line(line, own)
     if not triangles:
         raise ValueError("OpenCASCADE finds no facets on this model: are its faces damaged?")
     segments, along = (
@@ -294,6 +289,12 @@ def _tessellation_of(model: CadShape, faces: list[Any], edges: list[Any]) -> Tes
         along=np.concatenate([np.zeros((0, 2)), *along]),
         edge=np.repeat([*lines], [len(part) for part in along]).astype(int),
     )
+
+
+def _places_on_line(line: Any, points: list[Any]) -> tuple[list[Any], list[float]]:
+    """Lists the points of an edge, of those of a face, and the parameter of each."""
+    count = range(1, line.NbNodes() + 1)
+    return [points[line.Node(k) - 1] for k in count], [line.Parameter(k) for k in count]
 
 
 def _turned_at_poles(model: CadShape, face: ndarray, at: ndarray) -> ndarray:

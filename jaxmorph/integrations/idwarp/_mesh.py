@@ -10,7 +10,7 @@ from jaxtyping import Complex
 from numpy import ndarray
 
 import jaxmorph as jm
-from jaxmorph.extend import float64_mode, together
+from jaxmorph.extend import float64_mode, join_ids, together
 
 from .. import mpi
 from ._grid import (
@@ -358,12 +358,8 @@ class USMesh:
             names = together(self.comm, lambda: None if outside is None else self._walls(outside))
             names = self.comm.bcast(names)
             mesh = self._grid.mesh
-            patches = (
-                []
-                if mesh is None
-                else [np.asarray(mesh.patches[name]) for name in names if name in mesh.patches]
-            )
-            rows = np.unique(np.concatenate([np.zeros(0, int), *patches]))
+            patches = {} if mesh is None else mesh.patches
+            rows = np.unique(join_ids(patches[name] for name in names if name in patches))
             points = np.zeros((0, 3)) if mesh is None else np.asarray(mesh.points, float)[rows]
             self._define(points, np.zeros(0, int), np.zeros(0, int), is_own=True)
         assert self._surface is not None

@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.extend import Tree, closest, fans, float64_mode, spacing
+from jaxmorph.extend import Tree, closest, fans, float64_mode, join_ids, parts_of, spacing
 
 from .. import mpi
 from ._grid import GridPoints
@@ -50,11 +49,8 @@ class Definition:
         returned: each node's distance (k,) from the surface, and the largest distance (k,) of a
         node on it.
         """
-        same = Tree(self.points).query_pairs(
-            SAME_PLACE * np.ptp(self.points, axis=0).max(), output_type="ndarray"
-        )
-        graph = csr_array((np.ones(len(same)), same.T), (len(self.points), len(self.points)))
-        at = connected_components(graph, directed=False)[1]
+        same = Tree(self.points).close_pairs(SAME_PLACE * np.ptp(self.points, axis=0).max())
+        at = parts_of(same[:, 0], same[:, 1], len(self.points))
         place = self.points[np.unique(at, return_index=True)[1]]
         if len(self.triangles):
             corners = at[self.triangles]
@@ -86,7 +82,10 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
         if options[option] is not None:
             found[kind] = _patches_named(mesh, options[option], option)
     if options["symmetryPlanes"] is not None:
-        found["symmetry"] = _patches_in(mesh, _read_planes(mesh, options))
+        on = np.zeros(len(mesh.points), bool)
+        for plane in _read_planes(mesh, options):
+            on |= plane.holds(_find_places(mesh))
+        found["symmetry"] = [name for name, nodes in mesh.patches.items() if on[nodes].all()]
     walls = found.pop("wall")
     others = {
         kind: tuple(name for name in names if name not in walls)
@@ -94,13 +93,6 @@ def patches_by_kind(mesh: jm.Mesh, options: Mapping[str, Any]) -> dict[str, tupl
         if kind
     }
     return others | {"wall": tuple(walls)}
-
-
-def _patches_in(mesh: jm.Mesh, planes: Sequence[jm.Plane]) -> list[str]:
-    on = np.logical_or.reduce(
-        [np.zeros(len(mesh.points), bool), *(plane.holds(_find_places(mesh)) for plane in planes)]
-    )
-    return [name for name, nodes in mesh.patches.items() if on[np.asarray(nodes)].all()]
 
 
 def _find_places(mesh: jm.Mesh) -> ndarray:
@@ -176,7 +168,7 @@ def _on_surface(
             if is_on.mean() >= PART:
                 found.append(nodes[is_on])
         if found:
-            return np.unique(np.concatenate(found))
+            return np.unique(join_ids(found))
     low = np.round(surface.points.min(axis=0), 6).tolist()
     high = np.round(surface.points.max(axis=0), 6).tolist()
     raise ValueError(

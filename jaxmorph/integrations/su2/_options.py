@@ -353,16 +353,13 @@ def _check_alone(options: Options, listed: list[Variable]) -> None:
             )
     kinds = sorted({variable.kind for variable in listed if variable.sort != "flow"})
     for start in ("FFD_", "HICKS_HENNE_CAMBER"):
-        _check_sort(options, kinds, start)
-
-
-def _check_sort(options: Options, kinds: Words, start: str) -> None:
-    own = [kind for kind in kinds if kind.startswith(start)]
-    others = [kind for kind in kinds if kind not in own]
-    if own and others:
-        raise ValueError(
-            f"{options.path}: {', '.join(own)} beside {', '.join(others)}: SU2 moves by one sort."
-        )
+        own = [kind for kind in kinds if kind.startswith(start)]
+        others = [kind for kind in kinds if kind not in own]
+        if own and others:
+            raise ValueError(
+                f"{options.path}: {', '.join(own)} beside {', '.join(others)}: SU2 moves by one "
+                "sort."
+            )
 
 
 def _fault(kind: str, numbers: tuple[float, ...]) -> str | None:

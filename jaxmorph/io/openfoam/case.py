@@ -176,8 +176,11 @@ def _describe_patches(boundary: Boundary, mesh: Parts, plane: Front | None) -> d
     if plane is not None and plane.on_axis.any():
         symmetry = [*symmetry, "axis"]
         kinds = kinds | {"axis": "axis"}
+    groups = dict.fromkeys(name for patch in own for name in patch.groups)
     return {
-        "groups": _list_groups(own),
+        "groups": {
+            group: tuple(patch.name for patch in own if group in patch.groups) for group in groups
+        },
         "periodic": _list_periodic(boundary, own),
         "symmetry": tuple(symmetry),
         "kinds": kinds,
@@ -187,18 +190,8 @@ def _describe_patches(boundary: Boundary, mesh: Parts, plane: Front | None) -> d
 def _list_periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     """Lists the cyclic pairs, unless partners of their faces are on another processor."""
     is_cut = any(patch.refers and patch.size for patch in boundary)
-    return (
-        ()
-        if is_cut
-        else tuple(
-            Periodic(a.name, b.name) for a, b in list_cyclic_pairs(own) if a.size == b.size > 0
-        )
-    )
-
-
-def _list_groups(own: Boundary) -> dict[str, tuple[str, ...]]:
-    groups = dict.fromkeys(name for patch in own for name in patch.groups)
-    return {name: tuple(patch.name for patch in own if name in patch.groups) for name in groups}
+    pairs = () if is_cut else list_cyclic_pairs(own)
+    return tuple(Periodic(a.name, b.name) for a, b in pairs if a.size == b.size > 0)
 
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
