@@ -197,10 +197,8 @@ def _colours_of(part: Any, limits: Limits | None) -> tuple[dict[str, Any], dict[
     colours, limits, is_below, is_above = scale_of(values, sizes, limits)
     style = {"scalars": "values", "cmap": colours, "clim": limits, "lighting": False}
     ends = {}
-    for is_beyond, side, share, mark in (
-        (is_below, "below", 0.0, "<"),
-        (is_above, "above", 1.0, ">"),
-    ):
+    beyond = ((is_below, "below", 0.0, "<"), (is_above, "above", 1.0, ">"))
+    for is_beyond, side, share, mark in beyond:
         if is_beyond:
             style[f"{side}_color"] = plt.get_cmap(colours)(share)
             ends[f"{side}_label"] = mark
@@ -366,10 +364,9 @@ def add_legend(plotter: Any, entries: Sequence[tuple[str, str]]) -> None:
     place = EDGE
     for k, (name, colour) in enumerate(entries):
         text = plotter.add_text(
-            name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.0)
+            name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.985)
         )
         text.prop.SetVerticalJustificationToTop()
-        text.SetPosition(place, 0.985)
         _in_font(text.prop)
         place += (TextPath((0, 0), name, size=LETTERS).get_extents().width + LETTERS) / WINDOW[0]
 
