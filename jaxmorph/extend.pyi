@@ -18,6 +18,7 @@ from ._host.package.arguments import (
 )
 from ._host.package.errors import warn as warn
 from ._host.package.files import (
+    PathLike as PathLike,
     complete as complete,
     input_path as input_path,
     output_path as output_path,

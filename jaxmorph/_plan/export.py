@@ -1,7 +1,6 @@
 """Plans in files for programs without JAX: `native/jmplan.h` moves a mesh by them."""
 
 import dataclasses
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from scipy.sparse import eye_array
 from .._boundary.images import Images
 from .._boundary.periodic import Pairing
 from .._host.package.arguments import checked, rows_of, shown
-from .._host.package.files import complete, output_path
+from .._host.package.files import PathLike, complete, output_path
 from .._methods.blocks import without_tables
 from .._methods.tape import POINTS, Field, Places, SurfaceRows, Tape, U, record
 from .plan import Guide, Plan, VolumePart
@@ -50,7 +49,7 @@ class Layer:
 @checked
 def export(
     plan: Plan,
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
     nodes: Integer[np.ndarray, " k"] | Sequence[int] | None = None,
     layer: Layer | None = None,

@@ -12,7 +12,6 @@ import hashlib
 import importlib
 import json
 import math
-import os
 import pkgutil
 import sys
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._host.package.arguments import checked
-from .._host.package.files import complete, input_path, output_path, read_arrays
+from .._host.package.files import PathLike, complete, input_path, output_path, read_arrays
 from .._host.sources.reduction import AbstractReduction, AbstractSearchPoints
 from .halves import SurfaceHalf
 from .plan import Plan
@@ -90,7 +89,7 @@ _UNREADABLE = (
 
 
 @checked
-def save(path: str | os.PathLike[str], plan: Plan | SurfaceHalf | Sequence[Any]) -> None:
+def save(path: PathLike, plan: Plan | SurfaceHalf | Sequence[Any]) -> None:
     """Writes a plan, the plans of a `march`, or a `SurfaceHalf`, to a file that `load` reads.
 
     All arrays keep their bits. Besides arrays, fields may hold None, booleans, numbers, strings,
@@ -117,7 +116,7 @@ def save(path: str | os.PathLike[str], plan: Plan | SurfaceHalf | Sequence[Any])
 
 
 @checked
-def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
+def load(path: PathLike, classes: Sequence[type] = ()) -> Any:
     """Reads what `save` wrote. Arrays go to JAX's default device.
 
     `classes` are your own classes that the plan may hold: a basis, a method and its factors, a

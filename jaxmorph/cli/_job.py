@@ -31,6 +31,7 @@ from ._requests import (
     MotionFlags,
     SensitivityRequest,
     Speech,
+    Table,
 )
 
 Keys = Mapping[str, dataclasses.Field]
@@ -53,7 +54,7 @@ class JobParser(Parser):
     def error(self, message: str) -> NoReturn:
         raise ValueError(f"{self.path}: {message.rstrip('.')}.")
 
-    def values(self, job: dict[str, Any]) -> argparse.Namespace:
+    def values(self, job: Table) -> argparse.Namespace:
         groups = job.pop("moving", [])
         changes = job.pop("set", {})
         if not isinstance(groups, list) or not all(isinstance(group, dict) for group in groups):
@@ -69,7 +70,7 @@ class JobParser(Parser):
             words += self.group(check_keys(self.path, "[[moving]]", group, MOTION_KEYS))
         return self.parse_args(words)
 
-    def group(self, group: dict[str, Any]) -> list[str]:
+    def group(self, group: Table) -> list[str]:
         patches = group.pop("patches", None) or self.error("a [[moving]] without patches")
         values = {"patches": patches, **group}
         return [
@@ -152,7 +153,7 @@ def read_job(path: Path) -> tuple[argparse.Namespace, dict[str, str]]:
     return values, files
 
 
-def check_keys(path: Path, what: str, table: dict[str, Any], names: Any) -> dict[str, Any]:
+def check_keys(path: Path, what: str, table: Table, names: Any) -> Table:
     table = {key.replace("-", "_"): value for key, value in table.items()}
     foreign = next((key for key in table if key not in names), None)
     if foreign is not None:

@@ -25,6 +25,9 @@ ConfigFile = NewType("ConfigFile", Path)
 
 FILES = (Path, MeshFile, NewMesh, Written, Picture, Folder, ConfigFile)
 
+Settings = dict[str, Any]
+"""Settings of a flag, as argparse takes them."""
+
 Fields = type[Any]
 """A dataclass whose fields are made by `flag`, `positional`, `switch` and `nest`."""
 
@@ -57,7 +60,7 @@ def positive(word: str) -> int:
     return int(word)
 
 
-SETTINGS: dict[Any, dict[str, Any]] = {
+SETTINGS: dict[Any, Settings] = {
     **{kind: {"type": Path, "metavar": "FILE"} for kind in FILES},
     int: {"type": positive, "metavar": "N"},
     float: {"type": number, "metavar": "X"},
@@ -125,7 +128,7 @@ def values_of(request: Any) -> Iterator[tuple[dataclasses.Field, Any]]:
             yield field, value
 
 
-def settings_of(field: dataclasses.Field) -> dict[str, Any]:
+def settings_of(field: dataclasses.Field) -> Settings:
     kind = next((kind for kind in SETTINGS if field.type in (kind, kind | None)), None)
     return SETTINGS.get(kind, {}) | field.metadata["settings"]
 
@@ -135,7 +138,7 @@ def kind_of(field: dataclasses.Field) -> Any:
     return next((kind for kind in FILES if kind in (field.type, *get_args(field.type))), None)
 
 
-def is_switch(settings: dict[str, Any]) -> bool:
+def is_switch(settings: Settings) -> bool:
     return str(settings.get("action")).startswith("store_")
 
 
@@ -176,7 +179,7 @@ class Parser(argparse.ArgumentParser):
             field: field.metadata["section"] or getattr(owner, "SECTION", "")
             for field, owner in flags_of(fields)
         }
-        groups: dict[str, Any] = {"": self}
+        groups: Settings = {"": self}
         for field, owner in sorted(
             flags_of(fields), key=lambda flag: SECTIONS.index(sections[flag[0]])
         ):

@@ -22,6 +22,7 @@ from ._parser import (
     MeshFile,
     NewMesh,
     Picture,
+    Settings,
     Written,
     flag,
     nest,
@@ -43,8 +44,8 @@ BY_SKEWNESS = "draw the mesh by its skewness: .png"
 
 AUTO = "auto"  # as many steps as it takes
 OUTPUT = ("--output", "-o")
-SHAPE_FLAGS: dict[str, Any] = {"section": "shapes", "everyday": True}
-SEVERAL: dict[str, Any] = {"default": (), "nargs": "+", "action": "extend"}
+SHAPE_FLAGS: Settings = {"section": "shapes", "everyday": True}
+SEVERAL: Settings = {"default": (), "nargs": "+", "action": "extend"}
 
 Table = dict[str, Any]
 Ids = tuple[int, ...]
@@ -109,7 +110,7 @@ def _change(word: str) -> Change:
         ) from None
 
 
-TABLE: dict[str, Any] = {"type": table, "metavar": "FILE"}
+TABLE: Settings = {"type": table, "metavar": "FILE"}
 CHANGES = SEVERAL | {"metavar": "NAME=NUMBER[,...]", "type": _change}
 CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0.1'"
 

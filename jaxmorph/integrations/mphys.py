@@ -128,7 +128,7 @@ class Volume(MovedMesh):
     def setup(self) -> None:
         super().setup()
         points: Any = np.asarray(self.options["plan"].points, float)
-        wall = points[np.asarray(self.options["plan"].moving)]
+        wall: Any = np.asarray(self.options["plan"].moving_points, float)
         tags = ["mphys_coupling"]
         self.add_input(
             SURFACE.COORDINATES,

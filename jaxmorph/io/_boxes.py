@@ -15,14 +15,14 @@ from numpy import ndarray
 import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array
-from jaxmorph._host.package.files import complete, input_path, output_path
+from jaxmorph._host.package.files import PathLike, complete, input_path, output_path
 from jaxmorph._host.package.text import LATTICES, parse_toml
 from jaxmorph._mesh import vtk
 from jaxmorph._mesh.exchange import gathered
 
 from ._format import Source, faults_of, source_of
 from ._su2 import NAME, Keyword, find_all, split_zones
-from ._text import PathLike, Section, decoded
+from ._text import Section, decoded
 from ._vtk import Encoding, file_bytes
 
 ControlPoints = Float[ndarray, "..."]

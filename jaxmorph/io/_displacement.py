@@ -13,14 +13,14 @@ from numpy import ndarray
 
 from jaxmorph import Facets, Mesh
 from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.files import input_path, read_arrays, real_values
+from jaxmorph._host.package.files import PathLike, input_path, read_arrays, real_values
 from jaxmorph._host.rows import Rows
 from jaxmorph._host.surface.cad_sources import CAD_ENDINGS, cad_model
 from jaxmorph._host.surface.gaps import closest, fans
 
 from ._format import faults_of
 from ._registry import read
-from ._text import PathLike, Section, decoded, parse, scan
+from ._text import Section, decoded, parse, scan
 
 NodeIds = Int[ndarray, " m"]
 RowsOfNodes = Float[ndarray, "m d"]

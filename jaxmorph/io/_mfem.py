@@ -36,8 +36,11 @@ class AttributedCells(NamedTuple):
     attributes: ndarray
 
 
+Elements = list[AttributedCells]
+
+
 def number_nodes(
-    cells: list[AttributedCells], sides: list[AttributedCells], order: int, count: int
+    cells: Elements, sides: Elements, order: int, count: int
 ) -> tuple[list[ndarray], int]:
     """Numbers the nodes as H1 does: vertices, edges, faces, inside of cells, in the file's order.
 
@@ -80,7 +83,7 @@ def _list_levels(cells: AttributedCells, new: ndarray) -> list[ndarray]:
     return np.split(listed, [edges, listed.shape[1] - inside], axis=1)
 
 
-def _sort_as_file(cells: list[AttributedCells], tables: Iterable[ndarray]) -> ndarray:
+def _sort_as_file(cells: Elements, tables: Iterable[ndarray]) -> ndarray:
     """Joins the rows (k, m) of several types, as these take turns in the file."""
     tables = list(tables)
     rows = [np.repeat(each.rows, table.shape[1]) for each, table in zip(cells, tables, strict=True)]
@@ -192,7 +195,7 @@ def _name_sections(path: Path, text: bytes) -> dict[str, Section]:
     return parts
 
 
-def _read_attributed(section: Section, count: int) -> list[AttributedCells]:
+def _read_attributed(section: Section, count: int) -> Elements:
     """Reads rows of attribute, type and corners, type by type; points of a boundary are none."""
     message = "a number of elements expected, and as many rows of attribute, type and corners."
     rows = section.rows(np.int64).behind_count(message)
@@ -231,7 +234,7 @@ def _read_space(parts: dict[str, Section]) -> Space:
     return Space(numbers, count, int(known[2]), int(head[2]), by_nodes=by_nodes, is_torn=is_torn)
 
 
-def _gather_attributes(sides: list[AttributedCells], nodes: list[ndarray]) -> ArraysByName:
+def _gather_attributes(sides: Elements, nodes: list[ndarray]) -> ArraysByName:
     found = gathered(
         (attribute, ids[each.attributes == attribute].ravel())
         for each, ids in zip(sides, nodes, strict=True)
@@ -257,7 +260,7 @@ def _read_named_sets(section: Section | None) -> list[tuple[str, list[str]]]:
     return [(name, words.split()[1:]) for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)]
 
 
-def _note_regions(cells: list[AttributedCells], parts: dict[str, Section]) -> Iterator[str]:
+def _note_regions(cells: Elements, parts: dict[str, Section]) -> Iterator[str]:
     attributes = np.unique(np.concatenate([each.attributes for each in cells])).tolist()
     names = [name for name, _ in _read_named_sets(parts.get("attribute_sets"))]
     if len(attributes) > 1 or names:

@@ -18,11 +18,10 @@ from jaxmorph._host.cells.topology import HIGH_ORDER
 from jaxmorph._host.package import files
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.errors import check_all_finite, place_of, warn
-from jaxmorph._host.package.files import complete, output_path
+from jaxmorph._host.package.files import PathLike, complete, output_path
 from jaxmorph._mesh.exchange import Parts, numbers_of_cells
 
 from ._format import Source, faults_of, only_of, own_source, source_of, warn_of_loss
-from ._text import PathLike
 from .kinds import FOREIGN, FORMATS, Format, ending, is_folder, plugin
 
 FIRST_BYTES = 4096

@@ -14,12 +14,11 @@ from numpy import ndarray
 import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
-from jaxmorph._host.package.files import complete, input_path, output_path
+from jaxmorph._host.package.files import PathLike, complete, input_path, output_path
 from jaxmorph._host.package.text import GRADIENTS, SENSITIVITIES
 
 from ._displacement import read_named, read_table, sort_by_id, take_labels
 from ._format import faults_of, source_of
-from ._text import PathLike
 from .openfoam.case import NAME
 from .openfoam.file import load_file
 

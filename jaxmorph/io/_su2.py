@@ -15,14 +15,14 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.pieces import outer_pieces
 from jaxmorph._host.cells.topology import CORNERS, VTK
 from jaxmorph._host.package.arguments import checked
-from jaxmorph._host.package.files import complete, input_path
+from jaxmorph._host.package.files import PathLike, complete, input_path
 from jaxmorph._host.rows import join_ids
 from jaxmorph._mesh.exchange import Parts, checked_parts, gathered
 
 from ._format import ArraysByName, MeshLike, Source, faults_of, patch_faces, source_of
 from ._places import CoordinatePart, PlacedPoints
 from ._registry import check_nodes, check_output
-from ._text import PathLike, Pieces, Section, blank_out, decoded
+from ._text import Pieces, Section, blank_out, decoded
 
 NAME = "SU2"
 SU2_TYPES = {number: kind for kind, number in VTK.items()}
@@ -53,6 +53,9 @@ class Keyword(NamedTuple):
         return int(words[0])
 
 
+Keywords = list[Keyword]
+
+
 def read(path: Path) -> Parts:
     """Reads points in the order of the file; `patches` are the markers, joined by name.
 
@@ -72,7 +75,7 @@ def read(path: Path) -> Parts:
     return make_zone_mesh(path, text, zones[0])
 
 
-def split_zones(path: Path, text: bytes) -> list[list[Keyword]]:
+def split_zones(path: Path, text: bytes) -> list[Keywords]:
     """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
     keywords = list(_read_keywords(path, blank_comments(text)))
     cuts = find_all(keywords, "IZONE")
@@ -90,7 +93,7 @@ def find_all(keywords: Sequence[Keyword], name: str) -> list[int]:
     return [place for place, keyword in enumerate(keywords) if keyword.name == name]
 
 
-def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
+def _check_zones(head: Keywords, zones: list[Keywords]) -> None:
     for keyword in head:
         if keyword.name == "NZONE" and keyword.number(least=1) != max(len(zones), 1):
             raise keyword.section.error(
@@ -103,7 +106,7 @@ def _check_zones(head: list[Keyword], zones: list[list[Keyword]]) -> None:
         )
 
 
-def make_zone_mesh(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
+def make_zone_mesh(path: Path, text: bytes, keywords: Keywords) -> Parts:
     dimension, rows = (_find_only(keywords, name) for name in ("NDIME", "NPOIN"))
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
@@ -129,7 +132,7 @@ def make_zone_mesh(path: Path, text: bytes, keywords: list[Keyword]) -> Parts:
     )
 
 
-def _note_shared_tags(keywords: list[Keyword]) -> Iterator[str]:
+def _note_shared_tags(keywords: Keywords) -> Iterator[str]:
     tags = collections.Counter(
         keyword.value for keyword in keywords if keyword.name == "MARKER_TAG"
     )
@@ -172,7 +175,7 @@ def _read_keywords(path: Path, text: bytes) -> Iterator[Keyword]:
         yield Keyword(name, value, Section(path, text, end, stop))
 
 
-def _find_only(keywords: list[Keyword], name: str) -> Keyword:
+def _find_only(keywords: Keywords, name: str) -> Keyword:
     matches = [keyword for keyword in keywords if keyword.name == name]
     if not matches:
         small = any(keyword.name.upper() == name for keyword in keywords)
@@ -202,7 +205,7 @@ def _read_points(keyword: Keyword, d: int) -> ndarray:
     return table
 
 
-def _read_marker_nodes(keywords: list[Keyword], n: int) -> ArraysByName:
+def _read_marker_nodes(keywords: Keywords, n: int) -> ArraysByName:
     tags = find_all(keywords, "MARKER_TAG")
     found = []
     for at in tags:

@@ -1,7 +1,6 @@
 """Numbers in large text files: read in bulk, rounded correctly, and replaced where they stand."""
 
 import io
-import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -14,8 +13,6 @@ from numpy import ndarray
 from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.text import decoded as decoded
 
-PathLike = str | os.PathLike[str]
-"""The name of a file, as users give it."""
 Pieces = Iterator[bytes | bytearray | memoryview]
 """A file, piece by piece."""
 

@@ -1,6 +1,5 @@
 """A file with a picture of how far a wall is from its target, before and after its motion."""
 
-import os
 import pathlib
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, complete, finite_array, output_path
+from jaxmorph.extend import PathLike, checked, complete, finite_array, output_path
 
 from ._plane import Figure, LineCollection, MaxNLocator, plt, show, whole
 from ._space import add_legend, aim, new_plotter, surface, viewer_of
@@ -21,7 +20,7 @@ WALL_ROOM = 0.1  # round a wall in 2-D, over its extent
 
 @checked
 def distances(
-    path: str | os.PathLike[str],
+    path: PathLike,
     wall: jm.Facets,
     target: jm.Facets,
     points: Float[Any, "m d"],

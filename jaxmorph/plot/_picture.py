@@ -1,7 +1,6 @@
 """A file with a picture of a mesh, or of what became of it."""
 
 import dataclasses
-import os
 import pathlib
 from typing import Any
 
@@ -10,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 import jaxmorph as jm
-from jaxmorph.extend import checked, complete, join_ids, output_path, rows_of
+from jaxmorph.extend import PathLike, checked, complete, join_ids, output_path, rows_of
 
 from . import _plane
 from ._plane import Figure, plt
@@ -35,7 +34,7 @@ PAD = 0.05  # inches round what is drawn
 
 @checked
 def picture(
-    path: str | os.PathLike[str],
+    path: PathLike,
     before: jm.Mesh,
     points: Float[Any, "n d"] | None = None,
     *,

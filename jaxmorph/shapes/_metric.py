@@ -13,7 +13,7 @@ from jaxmorph.extend import checked
 from ._arguments import Column, Numbers, rows_like, vector
 from ._features import Borders, Planes, borders_of, normals_beside
 from ._shape import AbstractLinearShape, Move
-from ._smooth import Smoother, matrix_of, solve_along, symmetric_factors
+from ._smooth import Smoother, matrix_of, solve_along, sparse_product, symmetric_factors
 
 
 class SobolevMetric(AbstractLinearShape):
@@ -76,10 +76,9 @@ class SobolevMetric(AbstractLinearShape):
     def heights(self, q: Numbers) -> Column:
         """Computes the heights (m,) of variables (v,)."""
         q = vector("q", q, jnp.asarray(self.wall.points), self.neutral().shape)
-        spread = jnp.zeros_like(q).at[self.rows].add(self.values.astype(q.dtype) * q[self.columns])
-        free = self.smoother.free.astype(q.dtype)
-        h = free * solve_along(self.smoother, free[:, None] * spread[:, None])[:, 0]
-        return h[self.vertex_of]
+        free = self.smoother.free.astype(q.dtype)[:, None]
+        h = free * solve_along(self.smoother, free * sparse_product(self, q[:, None]))
+        return h[self.vertex_of, 0]
 
 
 def _root_of(matrix: Any) -> Any:

@@ -21,6 +21,7 @@ from numpy import ndarray
 from jaxmorph import DesignedMesh
 from jaxmorph.extend import (
     Module,
+    PathLike,
     between,
     checked,
     finite_array,
@@ -195,7 +196,7 @@ class History:
     """
 
     @checked
-    def __init__(self, path: str | os.PathLike[str]):
+    def __init__(self, path: PathLike):
         self.path = output_path(path)
         self.rows: list[dict[str, Any]] = []
         self._end = 0

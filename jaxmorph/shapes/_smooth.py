@@ -2,6 +2,7 @@
 its normals, as far as its sides leave room.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -117,20 +118,20 @@ def matrix_of(smoother: Smoother) -> Any:
     return sparse.coo_matrix((smoother.values, (smoother.rows, smoother.columns)))
 
 
+def sparse_product(matrix: Any, v: Float[Array, "m k"]) -> Float[Array, "m k"]:
+    """Multiplies the matrix of `values` at `rows` and `columns` by columns `v`."""
+    terms = matrix.values.astype(v.dtype)[:, None] * v[matrix.columns]
+    return jnp.zeros_like(v).at[matrix.rows].add(terms)
+
+
 def solve_along(smoother: Smoother, right: Float[Array, "m k"]) -> Float[Array, "m k"]:
     """Solves (M + length^2 K) v = right."""
-
-    def product(v):
-        return (
-            jnp.zeros_like(v)
-            .at[smoother.rows]
-            .add(smoother.values.astype(v.dtype)[:, None] * v[smoother.columns])
-        )
 
     def solve(_, b):
         in_double = lambda right: smoother.solve(np.asarray(right, float))  # noqa: E731
         return host_call(in_double, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
 
+    product = functools.partial(sparse_product, smoother)
     return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
 

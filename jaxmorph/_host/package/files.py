@@ -16,8 +16,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy import ndarray
 
+PathLike = str | os.PathLike[str]
+"""The name of a file, as users give it."""
 
-def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
+
+def input_path(path: PathLike) -> pathlib.Path:
     """Returns a path to read. Raises `ValueError` for a device, a pipe, or a null byte."""
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
@@ -28,13 +31,13 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
     return path
 
 
-def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
+def _without_null(path: PathLike) -> pathlib.Path:
     if "\0" in os.fspath(path):
         raise ValueError(f"{os.fspath(path)!r}: a name of a file holds no null byte.")
     return pathlib.Path(path)
 
 
-def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
+def output_path(path: PathLike, *endings: str, folder: bool = False) -> pathlib.Path:
     """Checks the path of a file, or of a folder, to write, before any work. Raises `ValueError` for
     a name without one of the `endings`, if there are any, without a parent folder, and for a
     folder, a device or a pipe.

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import os
 import pathlib
 import re
 from collections.abc import Collection, Iterable, Sequence
@@ -15,6 +14,7 @@ from numpy import ndarray
 
 from jaxmorph import Mesh, io, shapes
 from jaxmorph.extend import (
+    PathLike,
     as_jax,
     checked,
     complete,
@@ -155,9 +155,7 @@ class Config:
 
 
 @checked
-def read_config(
-    path: str | os.PathLike[str], *, definition: bool = False, zone: int | None = None
-) -> Config:
+def read_config(path: PathLike, *, definition: bool = False, zone: int | None = None) -> Config:
     """Reads a config file of SU2, and the mesh that it names.
 
         config = su2.read_config("inv_NACA0012.cfg")
@@ -349,7 +347,7 @@ class Sensitivity:
 
 
 @checked
-def read_sensitivity(config: Config, path: str | os.PathLike[str] | None = None) -> Sensitivity:
+def read_sensitivity(config: Config, path: PathLike | None = None) -> Sensitivity:
     """Reads the sensitivities that a config file is about.
 
         sensitivity = su2.read_sensitivity(su2.read_config("config.cfg"))
@@ -453,9 +451,7 @@ def _by_angle(file: pathlib.Path) -> float | None:
 
 
 @checked
-def write_gradient(
-    path: str | os.PathLike[str], gradient: Float[ndarray, " n"], objective: str = "DRAG"
-) -> None:
+def write_gradient(path: PathLike, gradient: Float[ndarray, " n"], objective: str = "DRAG") -> None:
     """Writes a derivative a line below a line with the name of the objective: `of_grad.dat`.
 
     **Arguments:**

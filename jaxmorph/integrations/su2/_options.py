@@ -2,7 +2,6 @@
 
 import dataclasses
 import difflib
-import os
 import pathlib
 import re
 from collections.abc import Mapping
@@ -10,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmorph.extend import input_path, warn
+from jaxmorph.extend import PathLike, input_path, warn
 
 Words = list[str]
 
@@ -207,7 +206,7 @@ def split_values(text: str) -> Words:
     return [word for word in SEPARATORS.split(text) if word]
 
 
-def read_options(path: str | os.PathLike[str]) -> Options:
+def read_options(path: PathLike) -> Options:
     """Reads a config file alone, without the mesh that it names.
 
     **Raises:** `ValueError` for a line that is no option, and for duplicates.

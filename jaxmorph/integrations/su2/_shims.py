@@ -6,7 +6,7 @@ import shlex
 import shutil
 import sys
 
-from jaxmorph.extend import checked, complete
+from jaxmorph.extend import PathLike, checked, complete
 
 ACTIONS = {"SU2_DEF": "def", "SU2_DOT": "dot", "SU2_DOT_AD": "dot"}
 """The programs that jaxmorph stands in for, and its own commands."""
@@ -41,9 +41,7 @@ exit $status
 
 
 @checked
-def write_shims(
-    folder: str | os.PathLike[str], *, programs: str | os.PathLike[str] | None = None
-) -> tuple[str, ...]:
+def write_shims(folder: PathLike, *, programs: PathLike | None = None) -> tuple[str, ...]:
     """Writes a folder for `SU2_RUN`, with which SU2's own scripts move meshes by jaxmorph.
 
     It holds SU2_DEF, SU2_DOT and SU2_DOT_AD, and links to all else in SU2's folder.
@@ -87,9 +85,7 @@ def write_shims(
     return tuple(file.name for file in links if file.name.startswith("SU2_"))
 
 
-def _find_programs(
-    folder: pathlib.Path, programs: str | os.PathLike[str] | None
-) -> pathlib.Path | None:
+def _find_programs(folder: pathlib.Path, programs: PathLike | None) -> pathlib.Path | None:
     if programs is not None:
         source = pathlib.Path(programs).absolute()
         if not source.is_dir():

@@ -14,13 +14,12 @@ from numpy import ndarray
 from jaxmorph import Layer, Mesh, Periodic, Plan, export
 from jaxmorph._host.cells.topology import Pair
 from jaxmorph._host.package.arguments import checked, shown
-from jaxmorph._host.package.files import complete, name_errors_by, output_path
+from jaxmorph._host.package.files import PathLike, complete, name_errors_by, output_path
 from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
 from jaxmorph._host.rows import Rows, first_of_equals, join_ids
 from jaxmorph._mesh.exchange import gathered
 
 from .._format import Source, content_of
-from .._text import PathLike
 from .case import (
     NAME,
     check_new_folder,
