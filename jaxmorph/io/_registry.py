@@ -361,7 +361,7 @@ def losses(path: PathLike, mesh: Mesh) -> tuple[str, ...]:
     names = {
         "kinds of patches": dict.fromkeys(mesh.kinds.values()),
         "groups of patches": mesh.groups,
-        "periodic pairs of patches": [str(len(source.periodic))][: len(source.periodic)],
+        "periodic pairs of patches": source.periodic and [str(len(source.periodic))],
         "arrays": getattr(source.content, "arrays", ()),
     }
     told = [f"{what} are lost: {', '.join(lost)}." for what, lost in names.items() if lost]

@@ -297,7 +297,7 @@ def read_zones(path: PathLike) -> tuple[Mesh, ...]:
         meshes = [make_zone_mesh(path, text, zone) for zone in split_zones(path, text)]
     for mesh in meshes:
         check_nodes(path, mesh)
-    return tuple(Mesh(*mesh) for mesh in meshes)
+    return tuple(itertools.starmap(Mesh, meshes))
 
 
 @checked

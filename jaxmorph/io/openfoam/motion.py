@@ -131,7 +131,7 @@ def _find_entry(entries: list[FoamEntry], name: str, groups: list[str]) -> FoamE
     for key in (name, *reversed(groups)):
         if key in by_name:
             return by_name[key]
-    patterns = [entry for key, entry in by_name.items() if entry.key.startswith('"')]
+    patterns = [entry for entry in by_name.values() if entry.key.startswith('"')]
     return next((entry for entry in reversed(patterns) if _fits(entry.key, name)), None)
 
 
