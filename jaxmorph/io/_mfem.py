@@ -162,6 +162,8 @@ def read(path: Path) -> Parts:
         ]
         node = _sort_as_file(cells, tables)
     content = space.content(text, node, total)
+    is_flat = content.is_flat and DIMENSION[cells[0].kind] == 2
+    points = content.points[np.unique(node, return_index=True)[1], : 2 if is_flat else 3]
     patches = _gather_attributes(sides, ids[len(cells) :])
     source = Source(
         path,
@@ -171,7 +173,7 @@ def read(path: Path) -> Parts:
         groups=_group_patches(parts.get("boundary_attribute_sets"), patches),
         notes=tuple(_note_regions(cells, parts)),
     )
-    return checked_parts(content.in_mesh(content.points), nodes, patches, source)
+    return checked_parts(points, nodes, patches, source)
 
 
 _blank_hash_lines = functools.partial(blank_out, rb"(?m)^[ \t]*#[^\r\n]*")
