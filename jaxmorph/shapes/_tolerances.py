@@ -20,6 +20,7 @@ ALONG_FACE = 1e-14
 # Changes of a rigid motion, in radians and arms, that end its steps.
 RESTED = 1e-6
 
-_LENGTHS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
-# Factors from one unit of length to another: millimetres, centimetres, inches, feet and metres.
+_LENGTHS = (1000, 25.4, 100, 304.8, 1 / 0.0254, 10, 12)
+# Factors from one unit of length to another, of millimetres, centimetres, inches, feet and metres;
+# the most frequent come first.
 UNIT_FACTORS = (*_LENGTHS, *(1 / ratio for ratio in _LENGTHS))
