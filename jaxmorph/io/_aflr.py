@@ -1,7 +1,7 @@
 """AFLR3's .ugrid, which FUN3D reads: text, plain binary or Fortran's records, as its name says."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -58,15 +58,14 @@ def read(path: Path) -> Parts:
         for k, rows in zip((*UGRID_FACES, *UGRID_CELLS), [*faces, *cells], strict=True)
     ]
     grid = Grid(content.points, blocks, {}, {"ugrid:ref": numbers})
-    return of_grid(path, NAME, content, grid, notes=_note_rest(stream, sizes[2]))
-
-
-def _note_rest(stream: Stream, tets: int) -> Iterator[str]:
-    """Yields a note on what may follow the cells: the number of tetrahedra in layers, and more."""
-    if stream.at < stream.stop:
-        if not 0 <= stream.one("n") <= tets:
+    notes = []
+    if stream.at < stream.stop:  # the number of tetrahedra in layers, and more
+        if not 0 <= stream.one("n") <= sizes[2]:
             raise ValueError("more numbers than the seven counts in front announce.")
-        yield "what follows the cells (tetrahedra of boundary layers) is not read, and stays."
+        notes.append(
+            "what follows the cells (tetrahedra of boundary layers) is not read, and stays."
+        )
+    return of_grid(path, NAME, content, grid, notes=notes)
 
 
 def check(path: Path, mesh: MeshLike) -> None:

@@ -366,9 +366,7 @@ def sort_by_id(
     return values[Rows(ids).of(wanted)]
 
 
-def _read_restart(
-    content: bytes, wanted: tuple[str, ...]
-) -> tuple[Int[ndarray, " n"], Float[ndarray, "n d"]]:
+def _read_restart(content: bytes, wanted: tuple[str, ...]) -> IdsAndRows:
     """Reads columns of a binary restart, which has a row for each node in the order of the mesh."""
     order = MAGICS[content[:4]]
     begin = 20  # five numbers: 535532, counts of columns and nodes, two zeros
