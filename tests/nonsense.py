@@ -631,9 +631,9 @@ def public() -> Iterator[str]:
             if f"{module}.{name}" not in BUILT:
                 yield f"{module}.{name}"
             for member, value in vars(each).items() if inspect.isclass(each) else ():
-                is_routine = isinstance(value, staticmethod | classmethod) or inspect.isroutine(
-                    value
-                )
+                is_bound = isinstance(value, staticmethod | classmethod)
+                is_value = isinstance(value, functools.cached_property)
+                is_routine = is_bound or (inspect.isroutine(value) and not is_value)
                 if (
                     (is_routine or hasattr(value, "method"))
                     and not member.startswith("_")
