@@ -109,7 +109,7 @@ def test_messages_are_in_the_words_of_the_caller(here, capsys):
     refused(
         capsys,
         [*ONTO, "--onto-features", "[[[3], [99]]]"],
-        r"1 ids in onto_features of a job are not in 0 to 59",
+        r"1 ids in --onto-features are not in 0 to 59",
     )
     quarter = circle(60)[:16]
     np.savez("cut.npz", points=quarter, lines=polygon(16)[:-1])

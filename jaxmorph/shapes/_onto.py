@@ -330,7 +330,7 @@ def _open_border(target: Facets, planes: Sequence[Plane], slack: float) -> ndarr
 
 UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
 CLOSE_UNIT = 1.3
-NEARER = 4.0
+NEARER = 2.0
 """Ratios of units in use; factor by which a part of a body may be smaller; factor by which
 distances fall in the right unit."""
 
