@@ -14,12 +14,9 @@ from jaxmorph.extend import cad_model
 
 from ._arguments import shown_place
 from ._cad_cells import BorderPlaces, ParameterMesh, lengths_of
-from ._tolerances import SAME_LENGTH
+from ._tolerances import SAME_LENGTH, UNIT_RATIOS
 
 ON_MODEL = 0.01  # share of the shortest edge at a node by which it may be off the model
-OTHER_UNITS = (1e3, 1e-3, 25.4, 1 / 25.4, 100, 0.01, 304.8, 1 / 304.8)
-"""What a mesh in another unit than its model is multiplied by."""
-
 TRIED = 50
 MOST = 0.9
 """Nodes that are tried, and the share of them that lie on the model then."""
@@ -198,7 +195,7 @@ def _check_distance(model: Any, points: ndarray, distance: ndarray, allowed: nda
     high = corners.max(axis=0) + ON_MODEL * model.size
     some = slice(None, None, max(1, len(points) // TRIED))
     hints = []
-    for factor in OTHER_UNITS:
+    for factor in (*UNIT_RATIOS, *(1 / ratio for ratio in UNIT_RATIOS)):
         places = factor * points[some]
         if ((places >= low) & (places <= high)).all():
             is_on = model.closest(places).distance <= factor * allowed[some]

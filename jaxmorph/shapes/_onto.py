@@ -48,7 +48,7 @@ from ._features import (
     on_target,
 )
 from ._smooth import stiffness_of
-from ._tolerances import ON_BORDER, ON_SYMMETRY, RESTED, SAME_LENGTH
+from ._tolerances import ON_BORDER, ON_SYMMETRY, RESTED, SAME_LENGTH, UNIT_RATIOS
 
 Places = Float[Either, "m d"]
 Masses = Float[Either, " m"]
@@ -328,11 +328,9 @@ def _open_border(target: Facets, planes: Sequence[Plane], slack: float) -> ndarr
     return np.broadcast_to(rim, (len(rim), 2))
 
 
-UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
 CLOSE_UNIT = 1.3
 NEARER = 2.0
-"""Ratios of units in use; factor by which a part of a body may be smaller; factor by which
-distances fall in the right unit."""
+"""Factors by which a part of a body may be smaller, and distances fall in the right unit."""
 
 
 def _check_target(x: ndarray, target: Facets) -> None:
