@@ -171,6 +171,22 @@ def test_both_edges_of_a_flat_tip_go_onto_their_own():
     assert np.abs(x - bent(points)).max() < 0.03
 
 
+def test_nodes_of_a_cusp_stay_at_their_stations():
+    """Normals of its sides cancel there: which way it looks is noise."""
+    points, quads = capped(25, np.linspace(0, 1, 11))
+    other, faces = capped(41, np.linspace(0, 1, 21))
+    points, other = (
+        x * np.column_stack([np.ones(len(x)), 1 - x[:, 0], np.ones(len(x))])
+        for x in (points, other)
+    )
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(other))
+    other[:, 1] += noise * (np.abs(other[:, 2] - 0.5) < 0.49)
+    x = points + shapes.onto(jm.Facets(points, quads), jm.Facets(other, faces), symmetry=Z[:1])
+    tail = points[:, 0] > 1 - 1e-9
+    assert tail.sum() == 11
+    assert np.abs(x - points)[tail, 2].max() < 0.02
+
+
 def test_a_bent_wing_in_inches_from_the_same_origin_is_told():
     points, quads = capped(25, np.linspace(0, 3, 11))
     scan = jm.Facets(bent(points, by=0.09) / 0.0254, quads)

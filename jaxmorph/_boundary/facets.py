@@ -346,11 +346,14 @@ def _find_faces(
 def _find_alike(
     face: np.ndarray, x: np.ndarray, facing: np.ndarray, corners: np.ndarray, unit: np.ndarray
 ) -> np.ndarray:
-    """Takes the closest segment that looks alike, where the closest of all does not."""
-    away = np.flatnonzero(dot_rows(unit[face], facing) < ALIKE)
+    """Takes the closest segment that looks alike, where the closest of all does not. One of no
+    direction looks like any.
+    """
+    is_known = np.asarray(unit.any(axis=1))
+    away = np.flatnonzero((dot_rows(unit[face], facing) < ALIKE) & is_known[face])
     step = max(PAIRS_OF_BLOCK // len(unit), 1)
     for rows in [away[at : at + step] for at in range(0, len(away), step)]:
-        row, segment = np.nonzero(facing[rows] @ unit.T >= ALIKE)
+        row, segment = np.nonzero((facing[rows] @ unit.T >= ALIKE) | ~is_known)
         off = norm(on_simplices(x[rows[row]], corners[segment]) - x[rows[row]])
         order = np.lexsort((segment, off, row))
         found, first = np.unique(row[order], return_index=True)

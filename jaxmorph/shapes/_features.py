@@ -25,6 +25,8 @@ Borders = tuple[tuple[Plane, NodeIds], ...]
 FARTHEST = 0.25
 # share of the extent of waves that are noise, as errors suggest it
 NOISE = 0.05
+# length of the mean of unit normals at a node from which on it looks one way: none at a sharp tail
+CLEAR = 0.3
 
 
 class Rail(Module):
@@ -164,10 +166,12 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
 class Curves:
     """Edges (s, 2) of a surface, in 2-D points (s, 1), by `kinds`: 0 for sharp ones, k for those on
     the border in the k-th plane, then named ones. At `corners` kinds meet, the bits of `codes`.
+    Where normals of both sides cancel, a point is not `clear`.
     """
 
     points: ndarray
     normals: ndarray
+    clear: ndarray
     edges: ndarray
     kinds: ndarray
     corners: ndarray
@@ -197,6 +201,7 @@ class Curves:
         return cls(
             points=points,
             normals=normals,
+            clear=_are_clear(facets, faces),
             edges=edges,
             kinds=kinds,
             corners=corners,
@@ -215,6 +220,16 @@ class Curves:
         links = coo_array((np.ones(len(ends)), tuple(ends.T)), (len(self.points) + edges.size,) * 2)
         part = connected_components(links, directed=False)[1][ends[:, 0]]
         return [edges[part == number] for number in np.unique(part)]
+
+
+def _are_clear(facets: Facets, faces: ndarray) -> ndarray:
+    """Marks points (n,) at which faces, with corners (k, c) by vertex, look about one way."""
+    areas = np.asarray(facets.areas(), float)
+    unit = areas / np.linalg.norm(areas, axis=1, keepdims=True)
+    total = np.zeros(np.shape(facets.points))
+    np.add.at(total, faces, unit[:, None])
+    count = np.bincount(faces.ravel(), minlength=len(total))
+    return np.linalg.norm(total, axis=1) >= CLEAR * np.maximum(count, 1)
 
 
 def _meeting_points(
@@ -307,10 +322,11 @@ def _on_curves(own: Curves, other: Curves, kind: int, taken: ndarray) -> list[Ra
         if near.any():
             onto = np.concatenate([chains[number] for number in np.unique(best[near])])
             rows = rows[near]
+            is_clear = np.asarray(other.clear[onto].all(axis=1) | (kind > 0))
             curve = Facets(
                 other.points,
                 onto,
-                sides=other.normals[onto].mean(axis=1),
+                sides=other.normals[onto].mean(axis=1) * is_clear[:, None],
                 model=other.model if kind == 0 else None,
             )
             guides.append(Rail(rows=rows, beside=_neighbours_along(rows, edges), curve=curve))
