@@ -2,6 +2,7 @@
 distances, differences.
 """
 
+import copy
 import pathlib
 import pickle
 import subprocess
@@ -194,6 +195,8 @@ def test_nodes_off_the_model_are_told():
         match=r"200 of 200 nodes are off the CAD model .* Times 1000 the nodes lie on it",
     ):
         shapes.CAD(sphere, [1000.0], mesh, "wall")
+    with pytest.raises(jm.MeshError, match=r"Times 39\.3701 the nodes lie on it"):
+        shapes.CAD(sphere, [1 / 0.0254], mesh, "wall")  # in inches
     away = points.copy()
     away[7] *= 1.1
     with pytest.raises(jm.MeshError, match=r"1 of 200 nodes are off .* at most by 0.1, row 7"):
@@ -284,6 +287,21 @@ def test_a_model_in_another_unit_is_told(tmp_path):
     model = target.model.scaled(0.001)
     x = 1.2 * points
     np.testing.assert_allclose(model.closest(x).places, 1.1 * points, atol=1e-9)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+def test_copies_are_the_same_function(copied, tmp_path):
+    points, faces = ball(200)
+    wall = shapes.CAD(sphere, [1.0], walled(points, faces), "wall")
+    x = jnp.array([1.2])
+    other = copied(wall)
+    np.testing.assert_array_equal(other(x), wall(x))
+    np.testing.assert_array_equal(jax.jacfwd(other)(x), jax.jacfwd(wall)(x))
+    BRepTools.Write_s(filleted([2.0, 0.3]), str(tmp_path / "a.brep"))
+    target = io.read_facets(tmp_path / "a.brep")
+    own = copied(target)
+    np.testing.assert_array_equal(own.closest(points), target.closest(points))
+    assert own.model.topology == target.model.topology
 
 
 def test_files_keep_their_numbers(tmp_path):

@@ -146,6 +146,54 @@ def test_the_sharp_edge_of_an_airfoil_goes_onto_the_sharp_edge():
     assert np.abs(np.log(growth[1:] / growth[:-1])).max() < 0.03  # spacing
 
 
+def capped(count, heights):
+    """An extruded section, open at its first end, with ribs from side to side at its last."""
+    ring, edges = section(0.0, 0.12, count)
+    points, quads = extruded(ring, edges, heights)
+    last = len(points) - len(ring)
+    upper = np.arange(count)
+    lower = -upper % len(ring)
+    ribs = np.stack([upper[:-1], lower[:-1], lower[1:], upper[1:]], axis=1)
+    return points, np.concatenate([quads, last + ribs])
+
+
+def bent(points, by=0.12):
+    """By the thickness of the section at the end of the span."""
+    return points + np.outer(by * points[:, 2] ** 2, [0, 1, 0])
+
+
+def test_both_edges_of_a_flat_tip_go_onto_their_own():
+    points, quads = capped(25, np.linspace(0, 1, 11))
+    other, faces = capped(41, np.linspace(0, 1, 21))
+    onto = jm.Facets(bent(other), faces)
+    x = points + shapes.onto(jm.Facets(points, quads), onto, symmetry=Z[:1])
+    assert float(onto.distance(x).max()) < 1e-12
+    assert np.abs(x - bent(points)).max() < 0.03
+
+
+def test_nodes_of_a_cusp_stay_at_their_stations():
+    """Normals of its sides cancel there: which way it looks is noise."""
+    points, quads = capped(25, np.linspace(0, 1, 11))
+    other, faces = capped(41, np.linspace(0, 1, 21))
+    points, other = (
+        x * np.column_stack([np.ones(len(x)), 1 - x[:, 0], np.ones(len(x))])
+        for x in (points, other)
+    )
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(other))
+    other[:, 1] += noise * (np.abs(other[:, 2] - 0.5) < 0.49)
+    x = points + shapes.onto(jm.Facets(points, quads), jm.Facets(other, faces), symmetry=Z[:1])
+    tail = points[:, 0] > 1 - 1e-9
+    assert tail.sum() == 11
+    assert np.abs(x - points)[tail, 2].max() < 0.02
+
+
+def test_a_bent_wing_in_inches_from_the_same_origin_is_told():
+    points, quads = capped(25, np.linspace(0, 3, 11))
+    scan = jm.Facets(bent(points, by=0.09) / 0.0254, quads)
+    with pytest.raises(ValueError, match=r"Multiply its points by 0\.0254\.$"):
+        shapes.onto(jm.Facets(points, quads), scan, symmetry=Z[:1])
+
+
 @pytest.mark.slow
 def test_curves_that_are_named_go_onto_each_other():
     """The tails as if no angle told them; in 3-D the nose's line too, which is not sharp."""

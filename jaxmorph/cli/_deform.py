@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -58,8 +58,31 @@ PATIENCE = 120.0
 """Seconds of an attempt after which no other is tried."""
 
 MeasureRow = tuple[str, int, float, str]
-DistanceRow = tuple[float, float, str]
-"""Rows of the table of measures: label, before, after and place; a distance without label."""
+"""A row of the table of measures: label, before, after and place."""
+
+
+class Distances(NamedTuple):
+    """How far nodes (m,) of a wall are from its target, before and after. At `place` is the
+    farthest; it is empty where all are on the target.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    place: str
+
+    def rows(self, target: str) -> list[tuple[str, float, float, str]]:
+        told = self.facts()
+        largest = (f"distance from {target}", told["before"], told["after"], self.place)
+        middle = ("median distance", told["median_before"], told["median_after"], "")
+        return [largest, middle] if self.place else [largest]
+
+    def facts(self) -> dict[str, float]:
+        return {
+            "before": float(self.before.max()),
+            "after": float(self.after.max()),
+            "median_before": float(np.median(self.before)),
+            "median_after": float(np.median(self.after)),
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,7 +202,7 @@ def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, 
     with out.progress("judging the cells"):
         stored = way.stored
         judging = in_background(attempt.judge, way)
-        off = _distance_rows(attempt, stored)
+        off = _measure_distances(attempt, stored)
     with out.progress("inspecting the motion"):
         is_known = request.step_count == 1 and plan.points.dtype == stored.dtype
         points = stored[nodes] if is_known else None
@@ -256,7 +279,7 @@ def _say_measures(
     verdict: jm.Verdict,
     inspection: jm.Inspection,
     wall: list[MeasureRow],
-    off: dict[str, DistanceRow],
+    off: dict[str, Distances],
     out: Output,
 ) -> None:
     overshoots = {name: getattr(inspection, name) for name in ("overshoot", "overshoot_behind")}
@@ -264,7 +287,7 @@ def _say_measures(
         *wall,
         ("overshoot", "-", inspection.overshoot, OVERSHOOT if inspection.overshoot > 1 else ""),
         ("overshoot behind", "-", inspection.overshoot_behind, ""),
-        *((f"distance from {file}", *row) for file, row in off.items()),
+        *(row for file, each in off.items() for row in each.rows(file)),
     ]
     table = [
         f"{label:<23}{start if isinstance(start, str) else f'{start:.5g}':>12}{end:>12.5g}{place}"
@@ -276,18 +299,17 @@ def _say_measures(
     names = [re.sub("[ -]", "_", label) for label, *_ in wall]
     starts, ends = (dict(zip(names, (row[k] for row in wall), strict=True)) for k in (1, 2))
     out.say(before=attempt.before.facts | starts, after=verdict.facts | ends, **overshoots)
-    out.say(distance={file: {"before": row[0], "after": row[1]} for file, row in off.items()})
+    out.say(distance={file: each.facts() for file, each in off.items()})
 
 
-def _distance_rows(attempt: Attempt, points: np.ndarray) -> dict[str, DistanceRow]:
-    """The largest distance of each wall from its target, before and after, and where."""
+def _measure_distances(attempt: Attempt, points: np.ndarray) -> dict[str, Distances]:
     found = {}
     for name, (nodes, wall) in attempt.motion.walls.items():
         before, after = (np.asarray(wall.target.distance(x[nodes])) for x in (attempt.base, points))
         worst = nodes[after.argmax()]
         is_off = after.max() > ON_TARGET * np.ptp(points[nodes], axis=0).max()
         place = f"   node {worst} near {format_place(points[worst])}" if is_off else ""
-        found[name] = (float(before.max()), float(after.max()), place)
+        found[name] = Distances(before, after, place)
     return found
 
 

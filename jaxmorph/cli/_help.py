@@ -106,8 +106,8 @@ and it is above 1.
 
 --onto takes the patches onto a surface, such as a scan: sharp edges go onto
 sharp edges, the border in a symmetry patch onto the surface's section, and the
-table tells the distance before and after. Each --moving may have its own. Pairs
-of curves that belong together are a job's onto_features, lists of node ids and
+table tells the distance before and after. Each --moving may have its own.
+--onto-features has pairs of curves that belong together, lists of node ids and
 of the surface's points: [[[0, 1], [5, 6]], ...].
 
 examples:

@@ -266,7 +266,7 @@ def _scaled_target(target: jm.Facets, factor: float) -> jm.Facets:
 
 
 ONTO_WORDS = {
-    "`features`": "onto_features of a job",
+    "`features`": "--onto-features",
     "the `angle` of `Facets`": "--onto-angle",
     "`length=(.*?)`": r"--onto-length \1",
     "`length`": "--onto-length",

@@ -166,6 +166,9 @@ class ModelsByNumbers:
         self.processes = processes
         self.built = functools.lru_cache(KEPT)(lambda data: wall.build(np.frombuffer(data)))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ModelsByNumbers, (self.wall, self.step, self.processes)
+
     def model(self, x: ndarray) -> Any:
         return self.built(np.ascontiguousarray(x, float).tobytes())
 

@@ -23,6 +23,8 @@ Borders = tuple[tuple[Plane, NodeIds], ...]
 FARTHEST = 0.25
 # share of the extent of waves that are noise, as errors suggest it
 NOISE = 0.05
+# length of the mean of unit normals at a node from which on it looks one way: none at a sharp tail
+CLEAR = 0.3
 
 
 class Rail(Module):
@@ -162,10 +164,12 @@ def clipped(target: Facets, plane: Plane, side: float, slack: float) -> tuple[Cl
 class Curves:
     """Edges (s, 2) of a surface, in 2-D points (s, 1), by `kinds`: 0 for sharp ones, k for those on
     the border in the k-th plane, then named ones. At `corners` kinds meet, the bits of `codes`.
+    Where normals of both sides cancel, a point is not `clear`.
     """
 
     points: ndarray
     normals: ndarray
+    clear: ndarray
     edges: ndarray
     kinds: ndarray
     corners: ndarray
@@ -195,6 +199,7 @@ class Curves:
         return cls(
             points=points,
             normals=normals,
+            clear=_are_clear(facets, faces),
             edges=edges,
             kinds=kinds,
             corners=corners,
@@ -212,6 +217,16 @@ class Curves:
         ends = np.where(np.isin(edges, self.corners), own, edges)
         part = parts_of(ends[:, 0], ends[:, 1], len(self.points) + edges.size)[ends[:, 0]]
         return [edges[part == number] for number in np.unique(part)]
+
+
+def _are_clear(facets: Facets, faces: ndarray) -> ndarray:
+    """Marks points (n,) at which faces, with corners (k, c) by vertex, look about one way."""
+    areas = np.asarray(facets.areas(), float)
+    unit = areas / np.linalg.norm(areas, axis=1, keepdims=True)
+    total = np.zeros(np.shape(facets.points))
+    np.add.at(total, faces, unit[:, None])
+    count = np.bincount(faces.ravel(), minlength=len(total))
+    return np.linalg.norm(total, axis=1) >= CLEAR * np.maximum(count, 1)
 
 
 def _meeting_points(
@@ -265,7 +280,8 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
     rows, ids = (side.corners[side.codes == code] for side in (own, other))
     if not len(ids):
         return []
-    away, chosen = _best(own, rows, other.points[ids], other.normals[ids])
+    off = np.linalg.norm(own.points[rows][:, None] - other.points[ids], axis=2)
+    away, chosen = _best(own, rows, off, other.normals[ids])
     away |= code > 1  # a plane or a name leaves no choice
     rows = rows[away]
     ids = ids[chosen][away]
@@ -283,10 +299,9 @@ def _on_points(own: Curves, other: Curves, code: int) -> list[Rail]:
     return [Rail(rows=rows, beside=np.stack([rows, rows], axis=1), ids=ids)] if len(rows) else []
 
 
-def _best(own: Curves, rows: ndarray, places: ndarray, looks: ndarray) -> tuple[ndarray, ndarray]:
-    """Whether each node has a candidate (q, d) or (c, q, d) within reach, and the best one."""
+def _best(own: Curves, rows: ndarray, away: ndarray, looks: ndarray) -> tuple[ndarray, ndarray]:
+    """Whether each node has one of q candidates `away` (c, q) within reach, and the best one."""
     reach = FARTHEST * np.ptp(own.points, axis=0).max()
-    away = np.linalg.norm(own.points[rows][:, None] - places, axis=2)
     turned = np.linalg.norm(own.normals[rows][:, None] - looks, axis=2)
     best = (away + reach * turned).argmin(axis=1)
     return away[np.arange(len(rows)), best] <= reach, best
@@ -296,25 +311,37 @@ def _on_curves(own: Curves, other: Curves, kind: int, taken: ndarray) -> list[Ra
     """A chain goes onto the chains of its kind that are closest to its nodes, and look alike."""
     guides = []
     chains = other.chains(kind)
-    curves = [Facets(other.points, edges, sides=np.zeros((len(edges), 3))) for edges in chains]
     for edges in own.chains(kind) if chains else []:
         rows = np.setdiff1d(edges, taken)
-        places = np.stack([np.asarray(curve.closest(own.points[rows])) for curve in curves], axis=1)
-        near, best = _best(
-            own, rows, places, np.stack([other.normals[ids].mean(axis=(0, 1)) for ids in chains])
-        )
+        looks = np.stack([other.normals[ids].mean(axis=(0, 1)) for ids in chains])
+        near, best = _best(own, rows, _off_chains(own.points[rows], other.points, chains), looks)
         near |= kind > 0  # a plane or a name leaves no choice
         if near.any():
             onto = np.concatenate([chains[number] for number in np.unique(best[near])])
             rows = rows[near]
+            is_clear = np.asarray(other.clear[onto].all(axis=1) | (kind > 0))
             curve = Facets(
                 other.points,
                 onto,
-                sides=other.normals[onto].mean(axis=1) * (kind > 0),
+                sides=other.normals[onto].mean(axis=1) * is_clear[:, None],
                 model=other.model if kind == 0 else None,
             )
             guides.append(Rail(rows=rows, beside=_neighbours_along(rows, edges), curve=curve))
     return guides
+
+
+def _off_chains(x: ndarray, points: ndarray, chains: Sequence[ndarray]) -> ndarray:
+    """Distances (c, q) of places from chains, of which noise makes thousands."""
+    start, end = points[np.concatenate(chains)].transpose(1, 0, 2)
+    along = end - start
+    squared = np.sum(along**2, axis=1)
+    first = np.cumsum([0, *map(len, chains)])[:-1]
+    rows = []
+    for place in x:
+        share = np.clip(np.sum((place - start) * along, axis=1) / squared, 0, 1)
+        off = np.linalg.norm(start + share[:, None] * along - place, axis=1)
+        rows.append(np.minimum.reduceat(off, first))
+    return np.stack(rows)
 
 
 def _neighbours_along(rows: ndarray, edges: ndarray) -> ndarray:

@@ -329,9 +329,8 @@ def _open_border(target: Facets, planes: Sequence[Plane], slack: float) -> ndarr
 
 
 CLOSE_UNIT = 1.3
-NEARER = 4.0
-"""Factor by which a part of a body may be smaller; factor by which distances fall in the right
-unit."""
+NEARER = 2.0
+"""Factors by which a part of a body may be smaller, and distances fall in the right unit."""
 
 
 def _check_target(x: ndarray, target: Facets) -> None:

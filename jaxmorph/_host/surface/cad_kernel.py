@@ -3,6 +3,7 @@
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 
 try:
+    from OCP.BinTools import BinTools
     from OCP.Bnd import Bnd_Box
     from OCP.BRep import BRep_Builder, BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Curve, BRepAdaptor_Curve2d, BRepAdaptor_Surface
@@ -37,6 +38,7 @@ except ImportError:  # before version 8
     from OCP.TopTools import TopTools_IndexedMapOfShape as ShapeMap
 
 import functools
+import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -173,6 +175,11 @@ class CadShape:
             raise ValueError("not a CAD model, or a damaged one.")
         return cls(shape)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        data = io.BytesIO()
+        BinTools.Write_s(self.shape, data)  # in OpenCASCADE's own format, which keeps the order
+        return _unpickled, (type(self), data.getvalue())
+
     def scaled(self, factor: float) -> Any:
         """Makes the shape with coordinates times a factor."""
         change = gp_Trsf()
@@ -224,6 +231,12 @@ class CadShape:
     @functools.cached_property
     def _classifiers(self) -> Any:
         return functools.cache(lambda number: IntTools_FClass2d(self._faces[number], SAME))
+
+
+def _unpickled(kind: type[CadShape], data: bytes) -> CadShape:
+    shape = TopoDS_Shape()
+    BinTools.Read_s(shape, io.BytesIO(data))
+    return kind(shape)
 
 
 def _typed_shape(kind: str, shape: Any) -> Any:
