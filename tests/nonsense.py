@@ -631,6 +631,8 @@ def public() -> Iterator[str]:
             if f"{module}.{name}" not in BUILT:
                 yield f"{module}.{name}"
             for member, value in vars(each).items() if inspect.isclass(each) else ():
+                if isinstance(value, functools.cached_property):
+                    continue
                 is_routine = isinstance(value, staticmethod | classmethod) or inspect.isroutine(
                     value
                 )
