@@ -7,7 +7,7 @@ import foam
 import numpy as np
 import pytest
 from foam import HEXAHEDRON, PATCHES, mixed, split
-from meshes import unit_box
+from meshes import grid, sides, unit_box
 
 import jaxmorph as jm
 from benchmarks import faults
@@ -137,6 +137,29 @@ def left_of(mesh, moving, fixed, symmetry=()):
     left = jm.Boundary(mesh, moving, fixed, symmetry=symmetry).left
     assert left is not None
     return left
+
+
+@pytest.mark.parametrize("layers", [1, 2])
+def test_a_slab_has_the_free_faces_of_its_plane_mesh(layers):
+    """Nodes of a patch that no list names stand in planes or in pairs, but leave the patch along them."""
+    steps = np.linspace(0, 1, 5)
+    slab = grid(steps, steps, np.linspace(0, 0.3, layers + 1))
+    points = np.asarray(slab.points)
+    slab = jm.Mesh(
+        points, slab.cells, sides(points) | {"roof": np.flatnonzero(points[:, 2] > 0.29)}
+    )
+    flat = grid(steps, steps)
+    flat = jm.Mesh(flat.points, flat.cells, sides(np.asarray(flat.points)))
+    pair = jm.Periodic("z0", "roof")
+    for fixed in ("x1", ("x1", "y0"), ("x1", "y0", "y1")):
+        expected = left_of(flat, "x0", fixed)
+        for between in ({"symmetry": ("z0", "roof")}, {"periodic": pair}):
+            left = jm.Boundary(slab, "x0", fixed, **between).left
+            assert left is not None
+            assert left.patches == {name: layers * n for name, n in expected.patches.items()}
+        across = {"periodic": pair, "symmetry": ("y0", "y1")}
+        left = jm.Boundary(slab, "x0", "x1", **across).left
+        assert not left
 
 
 @pytest.mark.parametrize("shape", [mixed, split])

@@ -140,6 +140,9 @@ def test_cases_in_2d_move_both_planes_alike(tmp_path, normal):
         "triangle": 2,
     }
     assert {name: len(nodes) for name, nodes in mesh.patches.items()} == {"far": 14, "hole": 14}
+    (plane,) = [name for name, kind, _ in patches if kind == "empty"]
+    with pytest.raises(ValueError, match=f"'{plane}' .empty. is no patch, for the mesh is in 2-D"):
+        mesh.patch("hole", plane)
     np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.patch("hole")], axis=1), 1)
     area = np.asarray(jm.quality(mesh).area)
     assert area.min() > 0

@@ -165,5 +165,5 @@ def test_export_asks_what_moves(case, capsys):
     status, said = exported(case, capsys)
     assert status == 2
     assert "preCICE" in said
-    assert "x0, x1, y0, y1, z0, z1" in said
+    assert "no patch moves: fixed x0 x1 y0 y1 z0 z1. Give the wall a type" in said
     assert exported(case, capsys, "--moving", "x0")[0] == 0

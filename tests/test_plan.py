@@ -75,8 +75,9 @@ def test_shapes_are_compared_first():
     for shape in ((m - 1, 2), (m + 1, 2), (m, 3), (2 * m,), (1, m, 2), ()):
         text = re.escape(f"`u` has shape {shape}; this plan moves {m} points in 2 dimensions.")
         for function in (jm.deform, jax.jit(jm.deform)):
-            with pytest.raises(ValueError, match=text):
+            with pytest.raises(ValueError, match=text) as told:
                 function(plan, np.zeros(shape))
+            assert ("jax.vmap" in str(told.value)) == (len(shape) == 3)
     with pytest.raises(ValueError, match=r"`cotangent` has shape \(31, 2\)"):
         jm.pullback(plan, np.zeros((m, 2)), np.zeros((m, 2)))
     with pytest.raises(

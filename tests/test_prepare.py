@@ -199,6 +199,16 @@ test_first_mistakes = refusals(
     (lambda: jm.prepare(MESH.points, "body", "far"), r"prepare\(mesh, \.\.\.\)"),
     (lambda: jm.prepare("mesh.su2", "body", "far"), r"prepare\(mesh, "),
     (lambda: jm.prepare(MESH, "wing", "far"), "this mesh has: 'body'"),
+    (
+        lambda: jax.grad(lambda x: jm.prepare(MESH.moved(x), "body", "far").points.sum())(
+            MESH.points
+        ),
+        r"ids are found on the host: call `prepare` outside, and `refit\(plan, points\)` inside",
+    ),
+    (
+        lambda: jm.Mesh(MESH.points, patches={"body": MESH.points[:, 0] > 0}),
+        "'body' takes ids, whole numbers, not bool; for a mask use np.flatnonzero",
+    ),
     (lambda: jm.prepare(MESH, MESH, "far"), "`moving` must be node ids or names"),
     (
         lambda: jm.prepare(np.asarray(MESH.points) * 1e300, MESH.patch("body"), MESH.patch("far")),

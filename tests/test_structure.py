@@ -402,6 +402,17 @@ else:
     run_silently(code)
 
 
+def test_completion_offers_public_names_alone():
+    import jaxmorph as jm
+
+    for room in (jm, jm.io, jm.shapes, jm.cases, jm.integrations, jm.extend):
+        private = [name for name in dir(room) if name.startswith("_")]
+        assert set(private) <= {"__version__"}, room
+    folder = pathlib.Path(jm.integrations.__path__[0])
+    modules = {path.stem for path in folder.iterdir() if not path.name.startswith("_")}
+    assert set(dir(jm.integrations)) == modules
+
+
 def test_every_public_name_is_documented():
     import jaxmorph as jm
 

@@ -446,6 +446,23 @@ def test_positions_from_a_file(folder, option):
     np.testing.assert_allclose(case.path[1], (target - x) * 2 / 3, atol=1e-16)
 
 
+def test_a_motion_that_inverts_cells_names_the_option_for_more_steps(folder, tmp_path, capsys):
+    """What is said works: a turn by 160 degrees, in 4 steps."""
+    more = f"MESH_OUT_FILENAME= {tmp_path}/out.su2\n"
+    config(folder, "ROTATION", "(0.5, 0, 0, 0.5, 0, 1)", "160", more)
+    command = ["su2", "def", str(folder / "case.cfg"), "--method", "rbf"]
+    assert main(command) == 1
+    (said,) = re.findall("such as (DEFORM_NONLINEAR_ITER= 4)", capsys.readouterr().err)
+    assert not (tmp_path / "out.su2").exists()
+    config(folder, "ROTATION", "(0.5, 0, 0, 0.5, 0, 1)", "160", f"{more}{said}\n")
+    assert main(command) == 0
+    assert "DEFORM_NONLINEAR_ITER" not in capsys.readouterr().err
+    with pytest.raises(
+        FileNotFoundError, match=r"case\.cfg: MESH_FILENAME= there is no file .*none"
+    ):
+        config(folder, "ROTATION", "(0, 0, 0, 0, 0, 1)", "1", mesh="none")
+
+
 def test_how_options_are_written(folder):
     text = """% made by hand, DV_KIND= NONSENSE
 MESH_FILENAME=airfoil.su2   % the mesh

@@ -25,7 +25,7 @@ from .._mesh.mesh import Mesh
 from .._methods.rbf.fitted import FittedRBF
 from .._plan.deform import deform
 from .._plan.judge import ended, ends
-from .._plan.plan import Plan
+from .._plan.plan import Plan, extended
 from .._quality.verdict import judge
 from .crossings import Crossings, names_of, simplices, wall_crossings
 from .cures import advice_on_folds
@@ -305,6 +305,7 @@ def inspect(
     that is not (m, d) or not finite, and for a mesh with another number of points than the plan.
     """
     plan.check_surface("inspect")
+    extended(plan, u)  # checks the shape
     ids = _ids_of_points(plan, mesh, nodes)
     whole = mesh if nodes is None else None
     motion = _Motion(plan, u, ids, mesh)

@@ -115,14 +115,25 @@ class Conditions:
     def with_faces(self, outer: OuterFaces, **of_cells: Any) -> "Conditions":
         """Returns the conditions with these boundary faces."""
         n = len(self.points)
-        is_listed = mark(n, self.nodes, np.flatnonzero(self.on.any(axis=1)))
         patches = {} if self.mesh is None else self.mesh.patches
+        tracks = [track.rows for track in self.tracks]
+        is_named = mark(n, self.moving, self.fixed, self.free, *tracks)
+        is_listed = mark(n, self.nodes) | self.on.any(axis=1)
         return self.altered(
             faces=outer.corners,
-            left=free_faces(patches, outer, is_listed | mark(n, self.free)),
+            left=free_faces(patches, outer, is_named, self._sides()),
             is_open=has_free_faces(self.points, outer.corners, is_listed),
             **of_cells,
         )
+
+    def _sides(self) -> list[Bool[np.ndarray, " n"]]:
+        """Marks the nodes of each plane, and of either side of periodic pairs."""
+        sides = [
+            mark(len(self.points), side, pairing.alone)
+            for pairing in self.pairings
+            for side in (pairing.first, pairing.second)
+        ]
+        return [*self.on.T, *sides]
 
     def part(self, nodes: np.ndarray) -> "Conditions":
         """Restricts the conditions to nodes (k,) in this order, those of the surface among them."""

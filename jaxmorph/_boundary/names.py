@@ -12,6 +12,7 @@ from jaxtyping import Int, Integer
 
 from .._host.package.arguments import real_array, rows_of, shown
 from .._host.package.errors import MeshError, check_all_finite, check_none, warn
+from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from .outer_faces import Ids
 from .periodic import Periodic
@@ -111,6 +112,11 @@ def nothing_in(*lists: Any) -> bool:
 def checked_points(points: Any) -> np.ndarray:
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
+    if not is_known(points):
+        raise ValueError(
+            "the points are traced, inside of jit, grad or vmap, but ids are found on the host: "
+            "call `prepare` outside, and `refit(plan, points)` inside."
+        )
     array = real_array("points", points, (None, 2), (None, 3))
     if array.dtype not in (np.float32, np.float64):
         array = array.astype(np.float64)

@@ -1,11 +1,11 @@
 """The boundary faces of a mesh, and the free faces among them."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from .._host.package.arguments import checked
 from .._host.rows import Rows, join_ids, mark
@@ -66,8 +66,17 @@ class FreeFaces:
         )
 
 
-def free_faces(patches: Faces, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
-    """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
+def free_faces(
+    patches: Faces,
+    faces: OuterFaces,
+    is_listed: Bool[np.ndarray, " n"],
+    sides: Sequence[Bool[np.ndarray, " n"]],
+) -> FreeFaces:
+    """Finds the faces with a node that is not listed, but for those within one of the `sides`.
+
+    A face from one side to another, as at the rim of a slab, is free: its nodes leave it along the
+    sides.
+    """
     ids = join_ids(faces.ids.values())
 
     def inside(is_in: np.ndarray) -> np.ndarray:
@@ -79,6 +88,8 @@ def free_faces(patches: Faces, faces: OuterFaces, is_listed: np.ndarray) -> Free
         return len(np.unique(ids[chosen]))
 
     free = ~inside(is_listed)
+    for side in sides:
+        free &= ~inside(is_listed | side)
     counts = {}
     unnamed = free.copy()
     for name, nodes in patches.items() if free.any() else ():

@@ -416,9 +416,11 @@ def checked_parts(
         if canonical in names:
             twice = ", ".join(sorted((kind, names[canonical])))
             raise ValueError(f"cells of one type have several names ({twice}): join them.")
-        ids[canonical] = freeze(ids_of(corners))
+        ids[canonical] = freeze(ids_of(kind, corners))
         names[canonical] = kind
-    nodes = {name: freeze(np.unique(ids_of(members))) for name, members in (patches or {}).items()}
+    nodes = {
+        name: freeze(np.unique(ids_of(name, members))) for name, members in (patches or {}).items()
+    }
     _check_parts(points, ids, nodes)
     return Parts(points, ids, nodes, source)
 
@@ -451,10 +453,11 @@ def floats(points) -> Any:
     return points.astype(float) if points.dtype.kind in "iu" else points
 
 
-def ids_of(values) -> np.ndarray:
+def ids_of(name: str, values: Any) -> np.ndarray:
     ids = np.asarray(values)
     if ids.size == 0:
         return ids.astype(np.int64)
     if ids.dtype.kind not in "iu":
-        raise ValueError(f"ids must be integers, not {ids.dtype}.")
+        mask = "; for a mask use np.flatnonzero" if ids.dtype == bool else ""
+        raise ValueError(f"{name!r} takes ids, whole numbers, not {ids.dtype}{mask}.")
     return native_order(ids) if ids.dtype.kind == "i" else ids.astype(np.int64)

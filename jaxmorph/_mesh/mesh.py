@@ -14,7 +14,7 @@ from .._host.cells.lagrange import ORDERS, node_keys, of_order
 from .._host.cells.pieces import linear_cells, places_of, steps_of
 from .._host.cells.topology import CORNERS, DIMENSION, SHAPES
 from .._host.package.arguments import check_value, checked, shown, whole
-from .._host.package.text import patch_names
+from .._host.package.text import list_names, patch_names
 from .._host.rows import Rows, first_of_equals, join_ids
 from .._kernels.module import Module
 from .._kernels.values import is_known
@@ -82,6 +82,14 @@ class Mesh(Module):
     @checked
     def patch_names(self, *names: str) -> tuple[str, ...]:
         """Lists the patches of names, as `patch` takes names."""
+        is_flat = self.points.shape[1] == 2
+        for name in names if is_flat else ():
+            kind = getattr(self.source, "kinds", {}).get(name)
+            if kind and name not in self.patches:
+                raise ValueError(
+                    f"{name!r} ({kind}) is no patch, for the mesh is in 2-D and lies in it: leave "
+                    f"it out; {list_names(self.patches, self.groups)}."
+                )
         return patch_names(names, self.patches, self.groups)
 
     @property

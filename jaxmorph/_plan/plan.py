@@ -290,7 +290,10 @@ def extended(plan: Plan, u: Any) -> Own:
             f"`u` holds {u.dtype}; a displacement is real numbers of shape ({m}, {d})."
         )
     if u.shape != (m, d):
-        raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
+        several = " For several displacements, jax.vmap." if u.shape[1:] == (m, d) else ""
+        raise ValueError(
+            f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.{several}"
+        )
     dtype = plan.points.dtype
     count = len(plan.surface.nodes) - m
     if isinstance(u, np.ndarray):

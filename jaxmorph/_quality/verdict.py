@@ -169,9 +169,8 @@ class Verdict:
             start = f"{'-':>12}" if row in RATIOS else start
             where = "" if row[0] == "mean" else f"   {number.name} near {number.place}"
             lines.append(f"{row[0] + ' ' + label(row[1]):<23}{start}{_column(number.value)}{where}")
-        if self.before is not None:
-            lines.append(f"{'inverted cells':<23}{self.before.inverted:>12}{self.inverted:>12}")
-        return lines
+        start = "" if self.before is None else f"{self.before.inverted:>12}"
+        return [*lines, f"{'inverted cells':<23}{start}{self.inverted:>12}"]
 
     def __str__(self) -> str:
         said = filter(None, [self.note, *self.faults()])

@@ -45,7 +45,7 @@ MOST_TRIED = 16
 ON_TARGET = 1e-9
 """Distance from a target, over the wall's extent, of nodes that are on it."""
 
-OVERSHOOT = "   wider beyond a wall that turns"
+OVERSHOOT = "   farther than the wall moves"
 """Beside an overshoot above 1."""
 
 REMESHED_MOVES = 20

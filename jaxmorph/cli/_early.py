@@ -93,8 +93,8 @@ def _paths(value: Any) -> list[Path]:
 
 
 def _check_mesh(path: Path) -> None:
-    if not input_path(path).is_file() and is_folder(path) and not path.is_dir():
-        raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
+    if not input_path(path).is_file():
+        is_folder(path)  # raises for an unknown ending
     path.stat()
 
 

@@ -190,7 +190,7 @@ jaxmorph sensitivity --help-all""",
     ),
     "export": Page(
         "write a plan that moves the mesh inside a running solver",
-        """MESH OUT --moving NAME ... --fixed NAME ...
+        """IN OUT --moving NAME ... --fixed NAME ...
            [--symmetry NAME ...] [METHOD ...]
        jaxmorph export CASE [--moving NAME ...] [--fixed NAME ...]""",
         """\

@@ -197,13 +197,14 @@ class Parser(argparse.ArgumentParser):
             groups[sections[field]].add_argument(*names, **settings).completer = completer
 
     def check_flags(self, words: Sequence[str]) -> None:
-        for word in itertools.takewhile(lambda word: word != "--", words):
+        of_flags = itertools.takewhile(lambda word: word != "--", words)
+        for before, word in itertools.pairwise(("", *of_flags)):
             name = word.partition("=")[0]
             if name.startswith("--") and name not in self.flags:
-                hint = (
-                    guess_meant(name, self.flags)
-                    or f"; a patch of this name is written with =, as in --moving={name}"
-                )
+                flags = [flag.lstrip("-") for flag in self.flags]
+                hint = guess_meant(name.lstrip("-"), flags, "--")
+                if not hint and before.startswith("--"):
+                    hint = f"; a patch of this name is written with =, as in --moving={name}"
                 self.error(f"there is no flag {name}{hint}")
             if f"-{name}" in self.flags:
                 hint = f"did you mean -{name}? The patch {name} is written --moving={name}"
@@ -223,6 +224,6 @@ def flag_of(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def guess_meant(word: str, known: Iterable[str]) -> str:
+def guess_meant(word: str, known: Iterable[str], dashes: str = "") -> str:
     near = similar(word, known)
-    return f"; did you mean {near}?" if near else ""
+    return f"; did you mean {dashes}{near}?" if near else ""

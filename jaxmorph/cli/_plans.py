@@ -291,13 +291,13 @@ def _add_roles(request: ExportRequest, mesh: jm.Mesh, out: Output) -> ExportRequ
         return request
     added = {role: [name for name in roles if roles[name] == role] for role in set(roles.values())}
     moving = (*request.moving, *added.get("moving", ()))
+    said = "; ".join(f"{role} {' '.join(names)}" for role, names in sorted(added.items()))
     if not moving:
         raise ValueError(
-            f"{request.file}: by its pointDisplacement no patch moves; fixedValue zero is fixed. "
-            "--moving names the patches that something else moves, such as preCICE or "
-            f"rigidBodyMotionSolver. There are: {', '.join(mesh.patches)}."
+            f"{request.file}: by its pointDisplacement no patch moves: {said}. Give the wall a "
+            "type there that moves it, such as sixDoFRigidBodyDisplacement; or name it by --moving "
+            "where something else moves it, such as preCICE or rigidBodyMotionSolver."
         )
-    said = "; ".join(f"{role} {' '.join(names)}" for role, names in sorted(added.items()))
     out.say(f"patches  {said}, by pointDisplacement", roles=roles)
     added.pop("moving", None)
     lists = {role: (*getattr(flags, role), *names) for role, names in added.items()}

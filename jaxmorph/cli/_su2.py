@@ -115,6 +115,8 @@ def _move_by_config(request: SU2, config: su2.Config, out: Output) -> int:
             verdict = Way(output, mesh, (np.asarray(moved.points),)).judge()
         say_verdict(verdict, out)
         bad = faults(verdict)
+        if verdict.spoilt and config.steps == 1:
+            bad[0] += " More steps may invert none, such as DEFORM_NONLINEAR_ITER= 4."
     draw(
         request.picture, mesh, out, moved.points, moving=mesh.patch(*config.moving), verdict=verdict
     )

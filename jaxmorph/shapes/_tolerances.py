@@ -17,8 +17,6 @@ NO_VOLUME = 1e-12
 ON_BORDER = 1e-5
 # Determinant of a line and a face's edges, over the largest entry: the line is along the face.
 ALONG_FACE = 1e-14
-# Ratios of units of length in use, by which a target or a CAD model may be off.
-UNIT_RATIOS = (10, 12, 25.4, 1 / 0.0254, 100, 304.8, 1000)
 # Changes of a rigid motion, in radians and arms, that end its steps.
 RESTED = 1e-6
 

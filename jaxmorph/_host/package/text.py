@@ -59,7 +59,7 @@ def patch_names(
             with contextlib.suppress(re.error):
                 found = [patch for patch in patches if re.fullmatch(name, patch)]
             if not found:
-                known = _known(patches, groups)
+                known = list_names(patches, groups)
                 raise ValueError(
                     f"no patch is called {name!r}{_suggest(name, [*patches, *groups])}; {known}."
                 )
@@ -79,7 +79,7 @@ def _suggest(name: str, known: Sequence[str]) -> str:
     return f" (did you mean {near!r}?)" if near else ""
 
 
-def _known(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:
+def list_names(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:
     names = [repr(name) for name in patches]
     more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
     of_groups = f", and the groups {', '.join(map(repr, groups))}" if groups else ""

@@ -214,6 +214,9 @@ def read_config(path: PathLike, *, definition: bool = False, zone: int | None = 
 
 
 def _read_mesh(options: Options, zone: int | None) -> Mesh:
+    if not options.mesh_file.exists():
+        told = options.error("MESH_FILENAME", f"there is no file {options.mesh_file}")
+        raise FileNotFoundError(str(told))
     if zone is None:
         return io.read(options.mesh_file)
     zones = io.read_zones(options.mesh_file)
