@@ -335,6 +335,7 @@ def _off_chains(x: ndarray, points: ndarray, chains: Sequence[ndarray]) -> ndarr
     start, end = points[np.concatenate(chains)].transpose(1, 0, 2)
     along = end - start
     squared = np.sum(along**2, axis=1)
+    squared[squared == 0] = 1  # an edge of no length: its start
     first = np.cumsum([0, *map(len, chains)])[:-1]
     rows = []
     for place in x:
