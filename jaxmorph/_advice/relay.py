@@ -23,8 +23,8 @@ from .remesh import with_new_cells, worn_cells
 from .transfer import Remeshed
 from .turn import Turn
 
-AHEAD = 3  # moves like the last one, within which an old cell that breaks is replaced
-REACH = 5  # moves like the last one that new cells should last
+MOVES_AHEAD = 3  # moves like the last one, within which an old cell that breaks is replaced
+MOVES_TO_LAST = 5  # moves like the last one that new cells should last
 TRIES = ((2, 0.3), (2, 0.25), (2, 0.35), (2, 0.4))  # layers around worn cells, growth of sizes
 
 
@@ -38,15 +38,15 @@ class Relay:
             if state.remeshed is not None:
                 field = state.remeshed.transfer(field)
 
-    Each move is tried first. Where it would break a limit, new cells are made on the points before
-    it, as by `remesh`, in the place of all that would break within three moves like it. Then a plan
-    is prepared for them, and the move goes on from there. Displacements
+    Each move is tried first. Where it would break a limit, `remesh` makes new cells on the points
+    before it. They take the place of all that would break within three moves like it. Other sizes
+    are tried until the new ones last for five. The move then goes on from there. Displacements
     are total ones, of the first mesh's moving nodes in their order: so are design variables.
     Derivatives are exact on one mesh (`points_at`); across a hand-over they begin anew.
 
     - `plan`, `mesh`: of the mesh that moves now; its first mesh's to begin with.
     - `limits`: of every move, relative to that mesh. Default: a Jacobian ratio of 0.3.
-    - `keep`, `target`: as `remesh` takes them.
+    - `keep`, `target`: as `remesh` takes them; the default of `target` is 0.1.
     - `start` (m, d): the displacement at which `mesh` took over. Default: none.
     - `u` (m, d), `points` (n, d): the last displacement, and the points there.
     - `verdict`: of these points; None before the first move.
@@ -62,7 +62,7 @@ class Relay:
         default_factory=lambda: Limits(min_jacobian_ratio=0.3), kw_only=True
     )
     keep: Nodes = dataclasses.field(default=(), kw_only=True)
-    target: float = dataclasses.field(default=0.2, kw_only=True)
+    target: float = dataclasses.field(default=0.1, kw_only=True)
     start: Any = dataclasses.field(init=False)
     u: Any = dataclasses.field(init=False)
     points: Any = dataclasses.field(init=False)
@@ -146,7 +146,7 @@ class Relay:
     def _handed_over(self, u: np.ndarray) -> "Relay":
         """Takes new cells that last for some moves like that to `u`, or else the best tried."""
         step = Turn.of(np.asarray(self.points)[np.asarray(self.plan.moving)], u - self.u)
-        bad = np.union1d(self._breaking(step, 1), self._breaking(step, AHEAD))
+        bad = np.union1d(self._breaking(step, 1), self._breaking(step, MOVES_AHEAD))
         best: Relay | None = None
         least = np.inf
         failure = ValueError()
@@ -156,7 +156,7 @@ class Relay:
             except ValueError as error:
                 failure = error
                 continue
-            left = new._breaking(step, REACH)
+            left = new._breaking(step, MOVES_TO_LAST)
             if len(left) < least:
                 best = new
                 least = len(left)

@@ -15,25 +15,25 @@ from ._output import Output, plural
 from ._requests import Deform
 from ._way import draw, faults, finish
 
-MOVES = 20
+MOVES_OF_RELAY = 20
 """Moves of a motion, each of which may need new cells, unless --steps names their number."""
 
-LEAST_RATIO = 0.3
+RATIO_OF_RELAY = 0.3
 """Jacobian ratio below which such a move gets new cells, unless a gate names another."""
 
-RIGID = ("rotate", "translate")
+RIGID_MOTIONS = ("rotate", "translate")
 """Motions that keep the shape of what moves."""
 
 
 def move_over_meshes(request: Deform, patches: Patches, out: Output) -> int:
     """Moves with new cells before old ones break, and writes the last mesh."""
     limits = request.gates.limits
-    least = limits.min_jacobian_ratio or LEAST_RATIO
+    least = limits.min_jacobian_ratio or RATIO_OF_RELAY
     moving = _with_layers(request, patches, out)
     _, plan = next(moving.chunks())
     limits = dataclasses.replace(limits, min_jacobian_ratio=least)
     relay = jm.Relay(plan, patches.mesh, limits=limits)
-    path = list(_path(request, moving))
+    path = list(_path_of(request, moving))
     with out.progress("moving and remeshing") as stage:
         for move, u in enumerate(stage.over(path), start=1):
             try:
@@ -60,9 +60,9 @@ def move_over_meshes(request: Deform, patches: Patches, out: Output) -> int:
     )
 
 
-def _path(request: Deform, moving: Patches) -> Float[np.ndarray, "k m d"]:
+def _path_of(request: Deform, moving: Patches) -> Float[np.ndarray, "k m d"]:
     nodes = moving.nodes
-    moves = request.step_count if request.step_count > 1 else MOVES
+    moves = request.step_count if request.step_count > 1 else MOVES_OF_RELAY
     places = np.asarray(moving.mesh.points, float)[nodes]
     return motion(request, moving.mesh, nodes).path(places, moves)
 
@@ -79,7 +79,7 @@ def _with_layers(request: Deform, patches: Patches, out: Output) -> Patches:
     bending = [
         part.replace("_", "-")
         for part in PARTS
-        if part not in RIGID and any(is_given(group, part) for group in request.groups)
+        if part not in RIGID_MOTIONS and any(is_given(group, part) for group in request.groups)
     ]
     why = [f"they meet {', '.join(sorted(met))}"] if met else []
     why += [f"--{part} changes their shape" for part in bending]

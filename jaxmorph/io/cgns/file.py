@@ -29,7 +29,7 @@ from .conditions import (
     list_left_interfaces,
     name_patches,
 )
-from .new import check_new, new_file
+from .new import check_new_file, new_file
 from .zone import CGNS_DIMENSIONS, CGNS_TYPES, Zone, find_children, find_first, read_data, read_word
 
 NAME = "CGNS"
@@ -66,7 +66,7 @@ def read(path: pathlib.Path) -> Parts:
 
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
     if content_of(mesh, NAME) is None:
-        check_new(path, mesh)
+        check_new_file(path, mesh)
     else:
         own_source(mesh, NAME)
 

@@ -17,19 +17,19 @@ from .._format import MeshLike, patch_faces
 from .._tree import h5py
 from .zone import CGNS_TYPES, MIXED
 
-VERSION = 3.3
+CGNS_VERSION = 3.3
 """The version of CGNS: older libraries read it, too, and from 4.0 on tables of offsets come in."""
 LONGEST_NAME = 32
 """Bytes of a name in a CGNS file."""
 CGNS_NUMBERS = {kind: number for number, kind in CGNS_TYPES.items()}
-CODES = {"i1": "C1", "i4": "I4", "i8": "I8", "f4": "R4", "f8": "R8"}
-FACES = {2: "EdgeCenter", 3: "FaceCenter"}
+CGNS_CODES = {"i1": "C1", "i4": "I4", "i8": "I8", "f4": "R4", "f8": "R8"}
+FACE_PLACES = {2: "EdgeCenter", 3: "FaceCenter"}
 """Where a condition on sides of cells holds, by the dimension of the cells."""
-UNKNOWN = "Null"
+NO_TYPE = "Null"
 """The type of a condition of which none is known."""
 
 
-def check_new(path: pathlib.Path, mesh: MeshLike) -> None:
+def check_new_file(path: pathlib.Path, mesh: MeshLike) -> None:
     """Refuses patches that boundary faces cannot express, and names that a node cannot have."""
     if not mesh.cells:
         raise ValueError(f"{path}: a mesh without cells is no zone of CGNS.")
@@ -49,16 +49,18 @@ def new_file(mesh: MeshLike, kinds: Mapping[str, str]) -> Iterator[bytes]:
         file.create_dataset(" format", data=_letters("IEEE_LITTLE_32\0"))
         file.create_dataset(" hdf5version", data=_letters("HDF5 Version 1.10.8".ljust(33, "\0")))
         _describe(file, "HDF5 MotherNode", "Root Node of HDF5 File", "MT")
-        _add(file, "CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([VERSION], np.float32))
+        _add_node(
+            file, "CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([CGNS_VERSION], np.float32)
+        )
         _add_base(file, mesh, kinds)
     yield buffer.getvalue()
 
 
-def _add(parent: Any, name: str, label: str, value: str | ndarray | None = None) -> Any:
+def _add_node(parent: Any, name: str, label: str, value: str | ndarray | None = None) -> Any:
     """Adds a node as CGNS lays it out in HDF5: a group, whose array is called " data"."""
     group = parent.create_group(name, track_order=True)
     data = _letters(value) if isinstance(value, str) else value
-    _describe(group, name, label, "MT" if data is None else CODES[data.dtype.str[1:]])
+    _describe(group, name, label, "MT" if data is None else CGNS_CODES[data.dtype.str[1:]])
     group.attrs["flags"] = np.array([1], np.int32)
     if data is not None:
         group.create_dataset(" data", data=data)
@@ -79,27 +81,28 @@ def _add_base(file: Any, mesh: MeshLike, kinds: Mapping[str, str]) -> None:
     points = native_order(np.asarray(mesh.points))
     n, d = points.shape
     level = max(DIMENSION[kind] for kind in mesh.cells)
-    base = _add(file, "Base", "CGNSBase_t", np.array([level, d], np.int32))
+    base = _add_node(file, "Base", "CGNSBase_t", np.array([level, d], np.int32))
     count = sum(len(ids) for ids in mesh.cells.values())
-    zone = _add(base, "Zone", "Zone_t", np.array([[n], [count], [0]], np.int32))
-    _add(zone, "ZoneType", "ZoneType_t", "Unstructured")
-    grid = _add(zone, "GridCoordinates", "GridCoordinates_t")
+    zone = _add_node(base, "Zone", "Zone_t", np.array([[n], [count], [0]], np.int32))
+    _add_node(zone, "ZoneType", "ZoneType_t", "Unstructured")
+    grid = _add_node(zone, "GridCoordinates", "GridCoordinates_t")
     for axis, values in zip("XYZ", points.T, strict=False):
-        _add(grid, f"Coordinate{axis}", "DataArray_t", np.ascontiguousarray(values))
+        _add_node(grid, f"Coordinate{axis}", "DataArray_t", np.ascontiguousarray(values))
     end = 0
     for kind, ids in mesh.cells.items():
         end = _add_section(zone, f"{kind} cells", {kind: np.asarray(ids)}, end)
-    conditions = _add(zone, "ZoneBC", "ZoneBC_t")
-    for name, faces in patch_faces(mesh).items():
+    conditions = _add_node(zone, "ZoneBC", "ZoneBC_t")
+    sides = {name: faces for name, faces in patch_faces(mesh).items() if len(mesh.patches[name])}
+    for name, faces in sides.items():
         start = end
         end = _add_section(zone, name, faces, start)
-        kind = kinds.get(name, UNKNOWN)
-        family = _add(base, name, "Family_t")
-        _add(family, "FamilyBC", "FamilyBC_t", kind)
-        condition = _add(conditions, name, "BC_t", "FamilySpecified")
-        _add(condition, "PointRange", "IndexRange_t", np.array([[1 + start], [end]], np.int32))
-        _add(condition, "GridLocation", "GridLocation_t", FACES[level])
-        _add(condition, "FamilyName", "FamilyName_t", name)
+        kind = kinds.get(name, NO_TYPE)
+        family = _add_node(base, name, "Family_t")
+        _add_node(family, "FamilyBC", "FamilyBC_t", kind)
+        condition = _add_node(conditions, name, "BC_t", "FamilySpecified")
+        _add_node(condition, "PointRange", "IndexRange_t", np.array([[1 + start], [end]], np.int32))
+        _add_node(condition, "GridLocation", "GridLocation_t", FACE_PLACES[level])
+        _add_node(condition, "FamilyName", "FamilyName_t", name)
 
 
 def _add_section(zone: Any, name: str, cells: Mapping[str, ndarray], start: int) -> int:
@@ -110,14 +113,12 @@ def _add_section(zone: Any, name: str, cells: Mapping[str, ndarray], start: int)
         if len(ids)
     }
     end = start + sum(map(len, blocks.values()))
-    if end == start:
-        return end
     kind = next(iter(blocks))
     if len(blocks) > 1:  # each element begins with its type
         kind = MIXED
         blocks = {number: np.insert(ids, 0, number, axis=1) for number, ids in blocks.items()}
-    section = _add(zone, name, "Elements_t", np.array([kind, 0], np.int32))
-    _add(section, "ElementRange", "IndexRange_t", np.array([1 + start, end], np.int32))
+    section = _add_node(zone, name, "Elements_t", np.array([kind, 0], np.int32))
+    _add_node(section, "ElementRange", "IndexRange_t", np.array([1 + start, end], np.int32))
     nodes = join_ids(ids.ravel() for ids in blocks.values()).astype(np.int32)
-    _add(section, "ElementConnectivity", "DataArray_t", nodes)
+    _add_node(section, "ElementConnectivity", "DataArray_t", nodes)
     return end

@@ -25,7 +25,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of, own_source
 from .._text import Pieces, replace_numbers
 from .file import PARENTHESES, Boundary, FoamFile, load_faces, load_file, read_patches
-from .new import check_patches, new_files
+from .new import new_files, refuse_patches
 from .plane import Front, check_cyclic, find_layer, find_sector, list_cyclic_pairs, make_front_cells
 
 NAME = "OpenFOAM"
@@ -235,7 +235,7 @@ def _check_new(path: pathlib.Path, origin: CaseContent) -> None:
             f"{path}: a mesh with new cells goes into a new folder, with a copy of its case."
         )
     check_new_folder(path, case, "a new folder")
-    check_patches(origin.topology)
+    refuse_patches(origin.topology)
 
 
 def check_new_folder(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:

@@ -26,14 +26,16 @@ CLASSES = {
     "owner": "labelList",
     "neighbour": "labelList",
 }
-_HEADER = "FoamFile\n{{\n    version 2.0;\n    format ascii;\n    class {};\n    object {};\n}}\n"
-_PLACES = re.compile(rb"\b(nFaces|startFace)(\s+)\d+")
+_TEXT_HEADER = (
+    "FoamFile\n{{\n    version 2.0;\n    format ascii;\n    class {};\n    object {};\n}}\n"
+)
+_COUNTS_OF_FACES = re.compile(rb"\b(nFaces|startFace)(\s+)\d+")
 
 Sides = dict[str, ndarray]
 """Corners (k, 4) of the faces of each patch, with -1 behind the last one."""
 
 
-def check_patches(topology: pathlib.Path) -> None:
+def refuse_patches(topology: pathlib.Path) -> None:
     """Refuses cyclic patches, whose faces have an order, and planes that are no layer's."""
     for patch in read_patches(load_file(topology, "boundary")):
         if patch.size and (patch.type.startswith("cyclic") or patch.type == "wedge"):
@@ -52,16 +54,16 @@ def new_files(
     """
     points = np.asarray(mesh.points, float)
     cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
-    sides = {name: _padded(faces.values()) for name, faces in patch_faces(mesh).items()}
+    sides = {name: _rows_of_sides(faces.values()) for name, faces in patch_faces(mesh).items()}
     file = load_file(topology, "boundary")
     patches = read_patches(file)
     if plane is not None:
         n = len(points)
-        sides = {name: _across(edges, n) for name, edges in sides.items()}
+        sides = {name: _faces_across(edges, n) for name, edges in sides.items()}
         sides |= _sides_of_planes(topology, patches, plane, len(old), cells, n)
         points = _in_both_planes(points, plane, old)
         cells = {SOLIDS[kind]: np.hstack([ids + n, ids]) for kind, ids in cells.items()}
-    of_patches = [sides.get(patch.name, _padded([])) for patch in patches]
+    of_patches = [sides.get(patch.name, _rows_of_sides([])) for patch in patches]
     faces = _ordered_faces(cells, of_patches)
     inner = len(faces.neighbour)
     rows = np.split(faces.labels, faces.starts[1:-1])
@@ -74,13 +76,13 @@ def new_files(
     }
 
 
-def _padded(parts: Iterable[ndarray]) -> ndarray:
+def _rows_of_sides(parts: Iterable[ndarray]) -> ndarray:
     widths = [(ids, MOST_CORNERS - ids.shape[1]) for ids in parts]
     rows = [np.pad(ids, ((0, 0), (0, width)), constant_values=-1) for ids, width in widths]
     return np.concatenate([np.zeros((0, MOST_CORNERS), np.int64), *rows])
 
 
-def _across(edges: ndarray, n: int) -> ndarray:
+def _faces_across(edges: ndarray, n: int) -> ndarray:
     """Faces between edges in front and those behind, whose nodes have numbers larger by `n`."""
     first, last = edges[:, :2].T
     return np.stack([first, last, last + n, first + n], axis=1)
@@ -90,7 +92,10 @@ def _sides_of_planes(
     topology: pathlib.Path, patches: Boundary, plane: Front, count: int, cells: ByType, n: int
 ) -> Sides:
     """The faces of patches of type empty: in front, behind, or in both planes."""
-    every = {False: _padded(ids + n for ids in cells.values()), True: _padded(cells.values())}
+    every = {
+        False: _rows_of_sides(ids + n for ids in cells.values()),
+        True: _rows_of_sides(cells.values()),
+    }
     faces = load_faces(topology, patches, count)
     found = {}
     for patch in patches:
@@ -151,10 +156,14 @@ def _boundary(file: FoamFile, start: int, sides: list[ndarray]) -> bytes:
     counts = [len(rows) for rows in sides]
     starts = itertools.accumulate([start, *counts])
     left = {b"nFaces": iter(counts), b"startFace": starts}
-    return _PLACES.sub(lambda found: b"%s%s%d" % (*found.groups(), next(left[found[1]])), file.data)
+
+    def counted(found: re.Match[bytes]) -> bytes:
+        return b"%s%s%d" % (found[1], found[2], next(left[found[1]]))
+
+    return _COUNTS_OF_FACES.sub(counted, file.data)
 
 
 def _file_of(name: str, rows: Iterable[str]) -> bytes:
     lines = list(rows)
-    head = _HEADER.format(CLASSES[name], name)
+    head = _TEXT_HEADER.format(CLASSES[name], name)
     return "\n".join([head, f"{len(lines)}", "(", *lines, ")", ""]).encode()
