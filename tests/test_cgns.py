@@ -1,8 +1,11 @@
 """CGNS: files made here node by node, and VTK's view of the result."""
 
 import os
+import shutil
+import subprocess
 
 import cgns
+import foam
 import h5py
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from formats import rewritten
 from runs import runs
 
 import jaxmorph as jm
-from jaxmorph import io
+from jaxmorph import cases, io
 
 
 def test_structured_zones_are_joined_and_written_back(tmp_path):
@@ -355,3 +358,57 @@ def test_names_that_are_not_utf_8(tmp_path):
         rewritten(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi)),
         mesh.moved(mesh.points * np.pi),
     )
+
+
+def drum_of_wedges() -> jm.Mesh:
+    """Triangles and quads in one patch."""
+    mesh = cases.bricks("wedge", cells=3)
+    return jm.Mesh(mesh.points, mesh.cells, {"all": mesh.patch("floor", "lid", "sides")})
+
+
+NEW = {
+    "quad": lambda: cases.bodies({"wall": (-1.0, 1.0, -0.5, 0.5)}, box=(-3.0, 3.0, -3.0, 3.0)),
+    "mixed": lambda: jm.Mesh(*foam_mixed(), {"floor": np.arange(4)}),
+    "wedge": drum_of_wedges,
+    "hexahedron27": lambda: jm.elevate(cases.bricks("hexahedron", cells=3), 2),
+    "wedge40": lambda: jm.elevate(cases.bricks("wedge", cells=3), 3),
+    "single": lambda: single(cases.bricks("tetra", cells=3)),
+}
+
+
+def single(mesh: jm.Mesh) -> jm.Mesh:
+    return jm.Mesh(np.asarray(mesh.points, np.float32), mesh.cells, mesh.patches)
+
+
+def foam_mixed():
+    points, _ = foam.mixed()
+    cells = {
+        "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]],
+        "pyramid": [[4, 5, 6, 7, 10]],
+        "tetra": [[6, 11, 7, 10]],
+        "wedge": [[1, 8, 2, 5, 9, 6]],
+    }
+    return points, {kind: np.array(ids) for kind, ids in cells.items()}
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_new_files(tmp_path, name):
+    """A mesh from elsewhere comes back as it was, and the library of CGNS finds no fault."""
+    mesh = NEW[name]()
+    io.write(tmp_path / "a.cgns", mesh)
+    same(io.read(tmp_path / "a.cgns"), mesh.moved(np.asarray(mesh.points, float)))
+    assert io.read(tmp_path / "a.cgns").kinds == {}
+    if shutil.which("cgnscheck"):
+        command = ["cgnscheck", "-w0", str(tmp_path / "a.cgns")]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert "ERROR" not in done.stdout + done.stderr
+
+
+def test_names_that_conditions_cannot_have(tmp_path):
+    mesh = cases.bricks("tetra", cells=3)
+    for name in ("a/b", " ", 33 * "a"):
+        patches = {name: mesh.patches["floor"]}
+        with pytest.raises(ValueError, match="cannot be the name of a boundary condition"):
+            io.check_output(tmp_path / "a.cgns", jm.Mesh(mesh.points, mesh.cells, patches))
+    with pytest.raises(ValueError, match="without cells"):
+        io.check_output(tmp_path / "a.cgns", jm.Mesh(mesh.points))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from meshes import circle, gmsh_session, renumbered, turn
 from relays import around_sphere, layered, travel
+from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from benchmarks import faults
@@ -259,7 +260,8 @@ def test_a_body_crosses_a_channel_and_an_ellipse_turns(name, sides, axes, spacin
     way = travel(jm.Relay(plan, mesh), mesh.patch("body"), path)
     assert way.inverted == 0
     assert way.heights == pytest.approx((1, 1), abs=1e-9)
-    assert way.gaps.min() >= 5
+    assert way.state.count <= 8
+    assert way.gaps.min() >= 4
     assert 0 < max(way.replaced) < 0.3
 
 
@@ -284,7 +286,7 @@ def test_a_sphere_crosses_a_channel():
     way = travel(jm.Relay(plan, mesh), mesh.patch("body"), path)
     assert way.inverted == 0
     assert way.heights == pytest.approx((1, 1), abs=1e-9)
-    assert way.state.count <= 12
+    assert way.state.count <= 9
     assert max(way.replaced) < 0.45
 
 
@@ -302,4 +304,28 @@ def test_the_command_line_remeshes_where_steps_do_not_cure(tmp_path, monkeypatch
     small = [*motion[:3], "0.1", *motion[4:]]
     assert main(["deform", "bodies.su2", "small.su2", *small, "--remesh"]) == 0
     assert {*io.read("small.su2").cells} == {"quad"}
-    assert main(["deform", "bodies.su2", "new.cgns", *motion, "--remesh"]) == 2
+    assert main(["deform", "bodies.su2", "new.e", *motion, "--remesh"]) == 2
+
+
+@pytest.mark.slow
+def test_layers_go_along_on_the_command_line(tmp_path, monkeypatch, capsys):
+    """With motions that keep their shape; else they follow, and it says so."""
+    monkeypatch.chdir(tmp_path)
+    mesh = layered(0.5 * circle(48), (-3.5, 11.5, -3.0, 3.0), 1.0, 6)
+    io.write("a.cgns", mesh)
+    nodes = jm.wall_layers(mesh, "body")
+    x = np.asarray(mesh.points)[nodes]
+    motion = ["--moving", "body", "--fixed", "box", "--translate", "8", "0", "--rotate", "30"]
+    gate = ["--min-jacobian-ratio", "0.2", "--no-dry-run"]
+    words = ["deform", "a.cgns", "b.cgns", *motion, "--remesh", *gate]
+    assert main([*words, "--steps", "16"]) == 0
+    said = capsys.readouterr().out
+    assert f"{len(nodes) - 48} nodes of layers go along" in said
+    assert "of 16" in said
+    new = io.read("b.cgns")
+    assert jm.quality(new).inverted == 0
+    wanted = x @ turn(np.pi / 6, 2).T + [8, 0]
+    away, _ = KDTree(np.asarray(new.points)).query(wanted)
+    assert away.max() < 1e-12
+    assert main([*words, "--scale", "1.01"]) == 0
+    assert "layers   follow as other cells do: --scale" in capsys.readouterr().out

@@ -19,10 +19,13 @@ from .._plan.prepare import plan_of
 from .._quality.limits import Limits
 from .._quality.verdict import Verdict, judge
 from .largest_step import DesignedMesh
-from .remesh import remesh
+from .remesh import with_new_cells, worn_cells
 from .transfer import Remeshed
+from .turn import Turn
 
-LAYERS = (2, 4, 8)  # of cells around worn ones, tried in turn
+MOVES_AHEAD = 3  # moves like the last one, within which an old cell that breaks is replaced
+MOVES_TO_LAST = 5  # moves like the last one that new cells should last
+TRIES = ((2, 0.3), (2, 0.25), (2, 0.35), (2, 0.4))  # layers around worn cells, growth of sizes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,13 +39,14 @@ class Relay:
                 field = state.remeshed.transfer(field)
 
     Each move is tried first. Where it would break a limit, `remesh` makes new cells on the points
-    before it, and a plan is prepared for them. The move then goes on from there. Displacements
+    before it. They take the place of all that would break within three moves like it. Other sizes
+    are tried until the new ones last for five. The move then goes on from there. Displacements
     are total ones, of the first mesh's moving nodes in their order: so are design variables.
     Derivatives are exact on one mesh (`points_at`); across a hand-over they begin anew.
 
     - `plan`, `mesh`: of the mesh that moves now; its first mesh's to begin with.
     - `limits`: of every move, relative to that mesh. Default: a Jacobian ratio of 0.3.
-    - `keep`, `target`: as `remesh` takes them.
+    - `keep`, `target`: as `remesh` takes them; the default of `target` is 0.1.
     - `start` (m, d): the displacement at which `mesh` took over. Default: none.
     - `u` (m, d), `points` (n, d): the last displacement, and the points there.
     - `verdict`: of these points; None before the first move.
@@ -58,7 +62,7 @@ class Relay:
         default_factory=lambda: Limits(min_jacobian_ratio=0.3), kw_only=True
     )
     keep: Nodes = dataclasses.field(default=(), kw_only=True)
-    target: float = dataclasses.field(default=0.2, kw_only=True)
+    target: float = dataclasses.field(default=0.1, kw_only=True)
     start: Any = dataclasses.field(init=False)
     u: Any = dataclasses.field(init=False)
     points: Any = dataclasses.field(init=False)
@@ -124,12 +128,10 @@ class Relay:
         state, verdict = self._after(u)
         if verdict.ok:
             return state
-        bad = verdict.bad
-        for layers in LAYERS:
-            new = self._handed_over(np.asarray(bad), layers)
-            after, verdict = new._after(u)
-            if verdict.ok:
-                return after._with({"remeshed": new.remeshed})
+        new = self._handed_over(u)
+        after, verdict = new._after(u)
+        if verdict.ok:
+            return after._with({"remeshed": new.remeshed})
         raise ValueError(
             f"this move breaks a limit right after a hand-over, too: {verdict.faults()[0]} Take "
             "smaller moves, or other limits."
@@ -141,11 +143,44 @@ class Relay:
         values = {"u": u, "points": points, "verdict": verdict, "remeshed": None}
         return self._with(values), verdict
 
-    def _handed_over(self, bad: np.ndarray, layers: int) -> "Relay":
+    def _handed_over(self, u: np.ndarray) -> "Relay":
+        """Takes new cells that last for some moves like that to `u`, or else the best tried."""
+        step = Turn.of(np.asarray(self.points)[np.asarray(self.plan.moving)], u - self.u)
+        bad = np.union1d(self._breaking(step, 1), self._breaking(step, MOVES_AHEAD))
+        best: Relay | None = None
+        least = np.inf
+        failure = ValueError()
+        for layers, growth in TRIES:
+            try:
+                new = self._with_new_cells(bad, layers, growth)
+            except ValueError as error:
+                failure = error
+                continue
+            left = new._breaking(step, MOVES_TO_LAST)
+            if len(left) < least:
+                best = new
+                least = len(left)
+            if not least:
+                break
+            assert new.remeshed is not None
+            bad = np.union1d(bad, np.flatnonzero(np.isin(new.remeshed.cells_of_old, left)))
+        if best is None:
+            raise failure
+        return best
+
+    def _breaking(self, step: Turn, moves: int) -> np.ndarray:
+        """The cells that break a limit within some moves like a step."""
+        points = self.points_at(self.u + np.asarray(step.at(moves)))
+        return np.asarray(judge(self.mesh, np.asarray(points), self.limits).bad)
+
+    def _with_new_cells(self, bad: np.ndarray, layers: int, growth: float) -> "Relay":
         mesh = self.mesh
         keep = np.asarray(self.keep)
         stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
-        made = remesh(mesh, self.points, keep=stay, target=self.target, layers=layers, cells=bad)
+        moved = mesh.moved(self.points)
+        worn = worn_cells(mesh, moved, self.target)
+        worn[bad] = True
+        made = with_new_cells(mesh, moved, worn, stay, layers=layers, growth=growth)
         values = {
             "plan": _prepared(self.plan, made),
             "mesh": made.mesh,

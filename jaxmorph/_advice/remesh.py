@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import ArrayLike, Int
 from numpy import ndarray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from .._boundary.names import Nodes, nodes_named
 from .._host.cells.adjacency import parts_of
@@ -19,6 +21,7 @@ from .._quality.quality import quality
 from .region import border_of, chosen_cells, inner_faces, region_of, staying
 from .transfer import Remeshed, link_meshes, signed_volumes, simplices_in
 
+GROWTH = 0.3  # of sizes of new cells, over the distance from the border of the region
 HEIGHTS = (0.35, 0.2, 0.1)  # of pyramids, over the width of their base, tried in turn
 
 
@@ -36,10 +39,10 @@ def remesh(
 
     A cell is worn where its smallest Jacobian falls below `target` of the undeformed one. It is
     worn, too, where 1 less its skewness falls below `target`, and fell. Worn cells and those
-    around them are filled anew, with edges as long as on the undeformed mesh. All other nodes and
-    cells keep their numbers' order, and every bit. So do boundary faces, and the layers at walls:
-    quads, wedges and hexahedra that are stacked on a boundary face and lower than wide. A pyramid
-    stands on each quad that the new cells meet. Nodes of patches stay inside, too.
+    around them are filled anew, with edges that grow from the border of their region. All other
+    nodes and cells keep their numbers' order, and every bit. So do boundary faces, and the layers
+    at walls: quads, wedges and hexahedra that are stacked on a boundary face and lower than wide. A
+    pyramid stands on each quad that the new cells meet. Nodes of patches stay inside, too.
 
     **Arguments:**
 
@@ -59,18 +62,25 @@ def remesh(
     whole("layers", layers)
     moved = _checked_mesh(mesh, points)
     nodes = nodes_named(keep, "keep", mesh, len(mesh.points))
-    worn = _worn(mesh, np.asarray(moved.points), target)
+    worn = worn_cells(mesh, moved, target)
     worn[rows_of("cells", cells, len(worn))] = True
+    return with_new_cells(mesh, moved, worn, nodes, layers=layers)
+
+
+def with_new_cells(
+    mesh: Mesh, moved: Mesh, worn: ndarray, keep: ndarray, *, layers: int, growth: float = GROWTH
+) -> Remeshed:
+    """Replaces worn cells (k,) of a moved mesh; sizes grow by `growth` with the distance."""
     if not worn.any():
         every = (np.arange(len(moved.points)), np.arange(len(worn)))
         return link_meshes(moved, moved, *every)
-    chosen = region_of(moved, worn, staying(mesh, moved, nodes), layers)
+    chosen = region_of(moved, worn, staying(mesh, moved, keep), layers)
     if not chosen.any():
         raise ValueError(
             f"all {worn.sum()} worn cells belong to layers at walls, to inner "
             "patches or to `keep`, and stay: no mesh can be handed over here."
         )
-    return _Hole.of(mesh, moved, chosen).filled()
+    return _Hole.of(mesh, moved, chosen, growth).filled()
 
 
 def _checked_mesh(mesh: Mesh, points: PointsLike) -> Mesh:
@@ -88,8 +98,9 @@ def _checked_mesh(mesh: Mesh, points: PointsLike) -> Mesh:
     return mesh if is_same else mesh.moved(places)
 
 
-def _worn(mesh: Mesh, points: ndarray, target: float) -> ndarray:
-    now, start = (quality(mesh, np.asarray(x)) for x in (points, mesh.points))
+def worn_cells(mesh: Mesh, moved: Mesh, target: float) -> ndarray:
+    """Marks the cells (k,) that the motion to another mesh of the same cells has worn."""
+    now, start = (quality(mesh, np.asarray(each.points)) for each in (moved, mesh))
     skewed = (1 - now.skewness < target) & (now.skewness > start.skewness)
     return np.array(now.is_inverted | ~(now.jacobian_ratio >= target) | skewed)
 
@@ -108,7 +119,7 @@ class _Hole:
     sizes: ndarray
 
     @classmethod
-    def of(cls, mesh: Mesh, moved: Mesh, chosen: ndarray) -> "_Hole":
+    def of(cls, mesh: Mesh, moved: Mesh, chosen: ndarray, growth: float) -> "_Hole":
         start = np.asarray(mesh.points, float)
         x = np.asarray(moved.points, float)
         simplices, owner = simplices_in(chosen_cells(mesh, chosen))
@@ -120,11 +131,8 @@ class _Hole:
         for kind, (ids, cell) in border_of(mesh, chosen).items():
             faces[kind] = np.where(volume[cell, None] < 0, ids[:, ::-1], ids)
             shells[kind] = np.stack([part[cell], _behind(mesh, chosen, kind, ids)], axis=1)
-        sizes = _mean_lengths(start, [simplices])
         on_border = _mean_lengths(x, faces.values())
-        if x.shape[1] == 2:
-            on_border = np.maximum(sizes, on_border)
-        return cls(moved, chosen, faces, shells, np.where(on_border > 0, on_border, sizes))
+        return cls(moved, chosen, faces, shells, _growing(x, simplices, on_border, growth))
 
     def filled(self) -> Remeshed:
         """Fills the hole; lower pyramids are tried where gmsh finds no room."""
@@ -186,7 +194,8 @@ class _Hole:
         points = np.asarray(moved.points)
         points = np.concatenate([points[kept], added.astype(points.dtype)])
         patches = {name: of_old[np.asarray(nodes)] for name, nodes in moved.patches.items()}
-        mesh = Mesh(points, {kind: ids for kind, ids in cells.items() if len(ids)}, patches)
+        cells = {kind: ids for kind, ids in cells.items() if len(ids)}
+        mesh = Mesh(points, cells, patches, getattr(moved.source, "of_new_cells", None))
         starts = np.cumsum([0, *(len(mesh.cells[kind]) for kind in mesh.cells)]).tolist()
         first = dict(zip(mesh.cells, starts, strict=False))
         cells_of_old = np.full(len(self.chosen), -1)
@@ -234,6 +243,18 @@ def _edge_nodes(corners: Iterable[ndarray]) -> ndarray:
     """The edges (e, 2) from each corner of faces or simplices to the one before."""
     pairs = [np.stack([ids, np.roll(ids, 1, axis=1)], axis=2).reshape(-1, 2) for ids in corners]
     return np.concatenate(pairs)
+
+
+def _growing(x: ndarray, simplices: ndarray, sizes: ndarray, growth: float) -> ndarray:
+    """Sizes (n,) that grow along the edges of simplices from those at nodes that have one."""
+    # shortest ways from one more node, whose edge to a node with a size is as long as that
+    n = len(x)
+    pairs = np.unique(np.sort(_edge_nodes([simplices]), axis=1), axis=0)
+    known = np.flatnonzero(sizes)
+    lengths = growth * row_lengths(x[pairs[:, 1]] - x[pairs[:, 0]])
+    ends = (np.append(pairs[:, 0], np.full(len(known), n)), np.append(pairs[:, 1], known))
+    graph = csr_array((np.append(lengths, sizes[known]), ends), (n + 1, n + 1))
+    return dijkstra(graph, directed=False, indices=n)[:n]
 
 
 def _mean_lengths(x: ndarray, corners: Iterable[ndarray]) -> ndarray:

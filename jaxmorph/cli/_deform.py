@@ -20,6 +20,7 @@ from ._job import text_of
 from ._method import Chunks, Patches, describe_method, patches_of
 from ._motion import Motion, motion
 from ._output import Output, format_place, plural, title, wrap
+from ._relay import move_over_meshes
 from ._requests import AUTO, Deform
 from ._way import (
     Points,
@@ -47,12 +48,6 @@ ON_TARGET = 1e-9
 
 OVERSHOOT = "   farther than the wall moves"
 """Beside an overshoot above 1."""
-
-REMESHED_MOVES = 20
-"""Moves of a motion with `--remesh`, each of which may need new cells."""
-
-REMESHED_RATIO = 0.3
-"""Jacobian ratio below which such a move gets new cells, unless a gate names another."""
 
 PATIENCE = 120.0
 """Seconds of an attempt after which no other is tried."""
@@ -148,7 +143,8 @@ def run_deform(request: Deform, out: Output) -> int:
 def _move_mesh(request: Deform, mesh: Mesh, out: Output) -> int:
     io.check_output(request.output, mesh)
     if request.remesh:  # other cells than the file's: only where a format makes new files
-        io.check_output(request.output, Mesh(mesh.points, mesh.cells, mesh.patches))
+        source = getattr(mesh.source, "of_new_cells", None)
+        io.check_output(request.output, Mesh(mesh.points, mesh.cells, mesh.patches, source))
     check_picture(request.picture)
     judging = in_background(jm.judge, mesh, None, request.gates.limits)
     with out.progress("finding the motion"):
@@ -225,38 +221,10 @@ def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, 
     _draw_distances(attempt, stored, out)
     bad = faults(verdict)
     if bad and request.remesh:
-        return _move_over_meshes(attempt, plan, out)
+        return move_over_meshes(request, attempt.patches, out)
     if bad:
         bad[-1] += "" if inspection.is_hopeless else _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)
-
-
-def _move_over_meshes(attempt: Attempt, plan: jm.Plan, out: Output) -> int:
-    """Moves again, with new cells before old ones break, and writes the last mesh."""
-    request = attempt.request
-    limits = request.gates.limits
-    least = limits.min_jacobian_ratio or REMESHED_RATIO
-    limits = dataclasses.replace(limits, min_jacobian_ratio=least)
-    relay = jm.Relay(plan, attempt.patches.mesh, limits=limits)
-    path = list(attempt.path(max(REMESHED_MOVES, request.step_count)))
-    with out.progress("moving and remeshing") as stage:
-        for move, u in enumerate(stage.over(path), start=1):
-            relay = relay.moved(u)
-            if relay.remeshed is not None:
-                share = relay.remeshed.replaced
-                out.say(f"remeshed {share:.1%} of the cells before move {move} of {len(path)}")
-    mesh = relay.mesh.moved(relay.points)
-    cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
-    out.say(f"new mesh {len(mesh.points)} points, {cells}", remeshed=relay.count)
-    verdict = jm.judge(mesh)
-    draw(request.picture, mesh, out, verdict=verdict)
-    return finish(
-        faults(verdict),
-        request.allow_inverted,
-        request.output,
-        lambda: io.write(request.output, mesh),
-        out,
-    )
 
 
 def _draw_distances(attempt: Attempt, points: np.ndarray, out: Output) -> None:

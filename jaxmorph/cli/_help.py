@@ -63,8 +63,10 @@ agree there. With --steps N the mesh follows in N steps, each with 1/N of every
 angle, factor, translation and displacement; where a displacement file turns the
 patches, they turn on the way. --steps auto seeks the fewest steps, up to 16,
 that invert no cell, nor go below --min-jacobian-ratio. With --remesh, where the
-steps do not keep the cells, the motion is made in 20 moves, and gmsh replaces
-worn cells before they break. OUT is then a new file: SU2, gmsh, VTK or XDMF.
+steps do not keep the cells, the motion is made in N moves (--steps, else 20),
+and gmsh replaces worn cells before they break. Layers at patches that only turn
+and shift go along. OUT is then a new file: SU2, gmsh, VTK, CGNS, or a new
+OpenFOAM case.
 
 NAME is a patch, a regular expression for a whole name ("motorBike.*"), or a
 group of the file (inGroups of an OpenFOAM case). Every patch with boundary

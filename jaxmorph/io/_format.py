@@ -94,6 +94,7 @@ class Source:
       file, rows and columns `singles` are in single precision.
     - `cells`: numbers of the file's cells by type, by which changed cells are seen; None: unknown.
     - `notes`: sentences on what of the file is not in the mesh, or has another name there.
+    - `origin`: the content of a file whose cells were replaced, of which a new one may be made.
     """
 
     path: Path
@@ -113,9 +114,24 @@ class Source:
     held: Any = None
     cells: Mapping[str, int] | None = None
     notes: tuple[str, ...] = ()
+    origin: Any = None
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"
+
+    @property
+    def of_new_cells(self) -> "Source":
+        """The source of a mesh of other cells: what the file says of patches is known."""
+        return Source(
+            self.path,
+            self.format,
+            None,
+            groups=self.groups,
+            periodic=self.periodic,
+            symmetry=self.symmetry,
+            kinds=self.kinds,
+            origin=self.content if self.origin is None else self.origin,
+        )
 
 
 MeshLike = Mesh | Parts

@@ -232,14 +232,14 @@ def write(
     A mesh that was read and `moved` keeps everything but its coordinates in its own format, byte
     for byte but in VTK and XDMF files, in which all is kept. Coordinates read back bit for bit,
     except for rounding to single precision (`as_written`). Other meshes, and other formats, get
-    points, cells and patches. SU2 and gmsh express a
-    patch by the boundary faces between its nodes. Other formats take back only meshes that came
-    from them. A file that ends in .gz is packed.
+    points, cells and patches. SU2, gmsh and CGNS
+    express a patch by the boundary faces between its nodes. Other formats take back only meshes
+    that came from them. A file that ends in .gz is packed.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
     `polyMesh/points`), or into a new folder. That is a copy of the case's `constant`, `system`, `0`
-    and `0.orig` with other points. Both planes of a 2-D case move alike. The file has a temporary
-    name until it is complete.
+    and `0.orig` with other points. Both planes of a 2-D case move alike. With new cells (`remesh`)
+    it goes into a new folder, without zones. The file has a temporary name until it is complete.
 
     **Arguments:**
 

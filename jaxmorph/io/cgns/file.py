@@ -1,4 +1,4 @@
-"""CGNS, structured and unstructured: a copy of the file with other coordinates, rest untouched."""
+"""CGNS, structured and unstructured: a copy of the file with other coordinates, or a new file."""
 
 import collections
 import dataclasses
@@ -18,7 +18,7 @@ from jaxmorph._mesh.exchange import Parts, gathered, regions_note
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import Source, faults_of
+from .._format import MeshLike, Source, content_of, faults_of, own_source
 from .._joined import join_zones
 from .._tree import Coordinates, TreePoints, open_tree
 from .conditions import (
@@ -29,6 +29,7 @@ from .conditions import (
     list_left_interfaces,
     name_patches,
 )
+from .new import check_new_file, new_file
 from .zone import CGNS_DIMENSIONS, CGNS_TYPES, Zone, find_children, find_first, read_data, read_word
 
 NAME = "CGNS"
@@ -61,6 +62,19 @@ def read(path: pathlib.Path) -> Parts:
         return mesh._replace(
             source=Source(path, NAME, content, *_join_polyhedra(zones, node), **known)
         )
+
+
+def check(path: pathlib.Path, mesh: MeshLike) -> None:
+    if content_of(mesh, NAME) is None:
+        check_new_file(path, mesh)
+    else:
+        own_source(mesh, NAME)
+
+
+def new(mesh: MeshLike) -> Iterator[bytes]:
+    """Yields a new file; types of patches stay where they are of CGNS."""
+    is_known = getattr(mesh.source, "format", "") == NAME
+    yield from new_file(mesh, mesh.source.kinds if is_known else {})
 
 
 def _find_zone_coordinates(path: pathlib.Path, file: Any) -> Iterator[Coordinates]:

@@ -25,11 +25,13 @@ from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 from .._format import EVERYTHING, MeshLike, Source, content_of, faults_of, own_source
 from .._text import Pieces, replace_numbers
 from .file import PARENTHESES, Boundary, FoamFile, load_faces, load_file, read_patches
+from .new import new_files, refuse_patches
 from .plane import Front, check_cyclic, find_layer, find_sector, list_cyclic_pairs, make_front_cells
 
 NAME = "OpenFOAM"
 COPIED = ("constant", "system", "0", "0.orig")
 SYMMETRY_PATCHES = ("symmetry", "symmetryPlane")
+ZONES = ("cellZones", "faceZones", "pointZones")
 PLANE_TYPES = ("empty", "wedge")
 """Types of patches in front of and behind the one layer of cells of a case in two dimensions."""
 
@@ -194,7 +196,17 @@ def _list_periodic(boundary: Boundary, own: Boundary) -> tuple[Periodic, ...]:
     return tuple(Periodic(a.name, b.name) for a, b in pairs if a.size == b.size > 0)
 
 
+def _origin_of(mesh: MeshLike) -> CaseContent | None:
+    """The content of the case whose cells were replaced; None for other meshes."""
+    is_own = getattr(mesh.source, "format", "") == NAME
+    return mesh.source.origin if is_own else None
+
+
 def check(path: pathlib.Path, mesh: MeshLike) -> None:
+    origin = _origin_of(mesh)
+    if origin is not None:
+        _check_new(path, origin)
+        return
     content = own_source(mesh, NAME).content
     case = content.case
     if not is_time(path):
@@ -216,6 +228,16 @@ def check(path: pathlib.Path, mesh: MeshLike) -> None:
         raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
 
 
+def _check_new(path: pathlib.Path, origin: CaseContent) -> None:
+    case = origin.case
+    if case is None or is_time(path):
+        raise ValueError(
+            f"{path}: a mesh with new cells goes into a new folder, with a copy of its case."
+        )
+    check_new_folder(path, case, "a new folder")
+    refuse_patches(origin.topology)
+
+
 def check_new_folder(path: pathlib.Path, case: pathlib.Path, remedy: str) -> None:
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ValueError(f"{path}: exists; name {remedy}.")
@@ -227,6 +249,10 @@ def check_new_folder(path: pathlib.Path, case: pathlib.Path, remedy: str) -> Non
 
 def write(path: pathlib.Path, mesh: MeshLike) -> None:
     """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
+    origin = _origin_of(mesh)
+    if origin is not None:
+        _write_new(path, mesh, origin)
+        return
     content = content_of(mesh, NAME)
     points = compute_file_points(mesh)
     case = content.case
@@ -238,6 +264,23 @@ def write(path: pathlib.Path, mesh: MeshLike) -> None:
             "Run decomposePar -force on the written mesh before a parallel run."
         )
     write_points(path, content, points)
+
+
+def _write_new(path: pathlib.Path, mesh: MeshLike, origin: CaseContent) -> None:
+    files = new_files(mesh, origin.topology, origin.plane, origin.points)
+    case = origin.case
+    assert case is not None
+    zones = [name for name in ZONES if _count_zones(origin.topology, name) > 0]
+    if zones:
+        warn(f"{path}: {', '.join(zones)} are of the old cells and faces, and are not written.")
+    with complete(path, folder=True) as partial:
+        copy_case(case, partial)
+        for folder in partial.iterdir():
+            shutil.rmtree(folder / origin.place, ignore_errors=True)
+        target = partial / "constant" / origin.place
+        target.mkdir(parents=True)
+        for name, text in files.items():
+            (target / name).write_bytes(text)
 
 
 def compute_file_points(mesh: MeshLike) -> ndarray:
@@ -389,9 +432,7 @@ def _find_folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
 
 
 def _note_zones(topology: pathlib.Path, planes: Boundary) -> Iterator[str]:
-    sizes = {
-        name: _count_zones(topology, name) for name in ("cellZones", "faceZones", "pointZones")
-    }
+    sizes = {name: _count_zones(topology, name) for name in ZONES}
     zones = [f"{size} {name}" for name, size in sizes.items() if size > 0]
     if zones:
         yield f"{', '.join(zones)} are not read: zones are no patches, and stay in the case."
