@@ -14,7 +14,7 @@ from jaxmorph import io, shapes
 
 CODE = """
 import sys
-missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtkmodules", "gmsh", "rich", "platformdirs", "openmdao", "OCP")
+missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtkmodules", "gmsh", "platformdirs", "openmdao", "OCP")
 sys.modules.update(dict.fromkeys((*missing, "openmdao.api", "mphys.core", "mpi4py")))
 import importlib, pathlib, numpy, jaxmorph
 from jaxmorph import cases, io, shapes

@@ -154,3 +154,19 @@ def test_limits_are_those_of_the_precision_that_jax_computes_in():
             jm.prepare(1e20 * CORNERS, [0, 1])
     finally:
         jax.config.update("jax_enable_x64", True)
+
+
+def test_what_needs_numbers_on_the_host_says_so_in_traced_code():
+    mesh = unit_grid(4)
+    moving = np.flatnonzero(np.asarray(mesh.points)[:, 1] == 0)
+    fixed = np.flatnonzero(np.asarray(mesh.points)[:, 1] == 1)
+    plan = jm.prepare(mesh.points, moving, fixed, method=jm.DelaunayGraph())
+    for call in (lambda x: jm.judge(mesh, x), lambda x: jm.inspect(plan, x[moving])):
+        with pytest.raises(ValueError, match=r"is traced, inside of jit.*make this call outside"):
+            jax.jit(call)(jnp.asarray(mesh.points))
+
+
+def test_a_mesh_in_a_plane_has_two_coordinates():
+    flat = np.pad(np.asarray(unit_grid(4).points), ((0, 0), (0, 1)))
+    with pytest.raises(ValueError, match=r"A mesh in a plane is given as \(n, 2\)"):
+        jm.prepare(flat, [0, 1], [2, 3, 8], method=jm.RBF())

@@ -19,7 +19,7 @@ PACKAGE = ROOT / "jaxmorph"
 FILES = sorted(PACKAGE.rglob("*.py"))
 OPTIONAL = (
     *("meshio", "h5py", "matplotlib", "pyvista", "vtk", "vtkmodules", "gmsh"),
-    *("rich", "platformdirs", "openmdao", "pyamg", "mphys", "mpi4py", "OCP"),
+    *("platformdirs", "openmdao", "pyamg", "mphys", "mpi4py", "OCP"),
 )
 
 TOP = {

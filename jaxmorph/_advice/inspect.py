@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.spatial.distance import cdist
 
 from .._host.linear.products import dot_rows, row_lengths
-from .._host.package.arguments import checked, finite_array, rows_of
+from .._host.package.arguments import checked, finite_array, real_array, rows_of
 from .._host.package.cores import beside
 from .._host.package.errors import check_none
 from .._host.package.rounding import Tree, extent_of, roundoff
@@ -306,6 +306,7 @@ def inspect(
     """
     plan.check_surface("inspect")
     extended(plan, u)  # checks the shape
+    u = real_array("u", u, (None, None))
     ids = _ids_of_points(plan, mesh, nodes)
     whole = mesh if nodes is None else None
     motion = _Motion(plan, u, ids, mesh)

@@ -153,7 +153,15 @@ def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> ndarr
     """Returns floats, in their precision, of one of the shapes, in which None is any length. Raises
     `ValueError` for other shapes, and for what are no real numbers.
     """
-    array = native_order(np.asarray(array_of(values)))
+    try:
+        array = native_order(np.asarray(array_of(values)))
+    except TypeError as error:
+        if not type(error).__name__.startswith("Tracer"):  # JAX's, which is not imported here
+            raise
+        raise ValueError(
+            f"`{name}` is traced, inside of jit, grad or vmap, but its numbers are needed on the "
+            "host: make this call outside."
+        ) from error
     words = " or ".join(str(shape).replace("None", "any") for shape in shapes)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")

@@ -183,9 +183,11 @@ class RBF(AbstractMethod):
         dimension = surface.points.shape[1]
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
         if self.degree == 1 and (len(sources) <= dimension or spread[-1] <= 1e-10 * spread[0]):
+            is_flat = dimension == 3 and not np.ptp(surface.points, axis=0).all()
+            plane = " A mesh in a plane is given as (n, 2)." if is_flat else ""
             raise ValueError(
                 f"the {len(sources)} sources do not span {dimension} dimensions, so a linear "
-                "polynomial is not determined. "
+                f"polynomial is not determined.{plane} "
                 "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis "
                 "that allows it."
             )
