@@ -25,7 +25,8 @@ from .turn import Turn
 
 MOVES_AHEAD = 3  # moves like the last one, within which an old cell that breaks is replaced
 MOVES_TO_LAST = 5  # moves like the last one that new cells should last
-TRIES = ((2, 0.3), (2, 0.25), (2, 0.35), (2, 0.4))  # layers around worn cells, growth of sizes
+LAYERS = 2  # of cells around worn ones
+GROWTHS = (0.3, 0.25, 0.35, 0.4)  # of sizes of new cells, tried in turn
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -128,7 +129,7 @@ class Relay:
         state, verdict = self._after(u)
         if verdict.ok:
             return state
-        new = self._handed_over(u)
+        new = self._handed_over(u, np.asarray(verdict.bad))
         after, verdict = new._after(u)
         if verdict.ok:
             return after._with({"remeshed": new.remeshed})
@@ -143,16 +144,21 @@ class Relay:
         values = {"u": u, "points": points, "verdict": verdict, "remeshed": None}
         return self._with(values), verdict
 
-    def _handed_over(self, u: np.ndarray) -> "Relay":
-        """Takes new cells that last for some moves like that to `u`, or else the best tried."""
+    def _handed_over(self, u: np.ndarray, bad: np.ndarray) -> "Relay":
+        """Takes new cells that last for some moves like that to `u`, which breaks `bad` ones, or
+        else the best tried.
+        """
         step = Turn.of(np.asarray(self.points)[np.asarray(self.plan.moving)], u - self.u)
-        bad = np.union1d(self._breaking(step, 1), self._breaking(step, MOVES_AHEAD))
+        moved = self.mesh.moved(self.points)
+        worn = worn_cells(self.mesh, moved, self.target)
+        worn[bad] = True
+        worn[self._breaking(step, MOVES_AHEAD)] = True
         best: Relay | None = None
         least = np.inf
         failure = ValueError()
-        for layers, growth in TRIES:
+        for growth in GROWTHS:
             try:
-                new = self._with_new_cells(bad, layers, growth)
+                new = self._with_new_cells(moved, worn, growth)
             except ValueError as error:
                 failure = error
                 continue
@@ -163,7 +169,7 @@ class Relay:
             if not least:
                 break
             assert new.remeshed is not None
-            bad = np.union1d(bad, np.flatnonzero(np.isin(new.remeshed.cells_of_old, left)))
+            worn = worn | np.isin(new.remeshed.cells_of_old, left)
         if best is None:
             raise failure
         return best
@@ -173,14 +179,10 @@ class Relay:
         points = self.points_at(self.u + np.asarray(step.at(moves)))
         return np.asarray(judge(self.mesh, np.asarray(points), self.limits).bad)
 
-    def _with_new_cells(self, bad: np.ndarray, layers: int, growth: float) -> "Relay":
-        mesh = self.mesh
+    def _with_new_cells(self, moved: Mesh, worn: np.ndarray, growth: float) -> "Relay":
         keep = np.asarray(self.keep)
         stay = np.union1d(keep, np.asarray(self.plan.surface_nodes))
-        moved = mesh.moved(self.points)
-        worn = worn_cells(mesh, moved, self.target)
-        worn[bad] = True
-        made = with_new_cells(mesh, moved, worn, stay, layers=layers, growth=growth)
+        made = with_new_cells(self.mesh, moved, worn, stay, layers=LAYERS, growth=growth)
         values = {
             "plan": _prepared(self.plan, made),
             "mesh": made.mesh,

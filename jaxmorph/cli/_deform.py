@@ -221,7 +221,7 @@ def _write_result(attempt: Attempt, way: Way, nodes: np.ndarray, plan: jm.Plan, 
     _draw_distances(attempt, stored, out)
     bad = faults(verdict)
     if bad and request.remesh:
-        return move_over_meshes(request, attempt.patches, out)
+        return move_over_meshes(request, attempt.patches, plan, out)
     if bad:
         bad[-1] += "" if inspection.is_hopeless else _advice(attempt, out)
     return finish(bad, request.allow_inverted, request.output, lambda: way.write(verdict), out)

@@ -179,7 +179,7 @@ class Parser(argparse.ArgumentParser):
             field: field.metadata["section"] or getattr(owner, "SECTION", "")
             for field, owner in flags_of(fields)
         }
-        groups: Settings = {"": self}
+        groups: dict[str, Any] = {"": self}
         for field, owner in sorted(
             flags_of(fields), key=lambda flag: SECTIONS.index(sections[flag[0]])
         ):

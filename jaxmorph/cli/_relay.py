@@ -25,12 +25,15 @@ RIGID_MOTIONS = ("rotate", "translate")
 """Motions that keep the shape of what moves."""
 
 
-def move_over_meshes(request: Deform, patches: Patches, out: Output) -> int:
-    """Moves with new cells before old ones break, and writes the last mesh."""
+def move_over_meshes(request: Deform, patches: Patches, plan: jm.Plan, out: Output) -> int:
+    """Moves with new cells before old ones break, and writes the last mesh. The plan is that of
+    the patches.
+    """
     limits = request.gates.limits
     least = limits.min_jacobian_ratio or RATIO_OF_RELAY
     moving = _with_layers(request, patches, out)
-    _, plan = next(moving.chunks())
+    if moving is not patches:
+        _, plan = next(moving.chunks())
     limits = dataclasses.replace(limits, min_jacobian_ratio=least)
     relay = jm.Relay(plan, patches.mesh, limits=limits)
     path = list(_path_of(request, moving))

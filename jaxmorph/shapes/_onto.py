@@ -122,7 +122,7 @@ class Onto(Module):
         x = np.asarray(wall.points, float)
         planes = [plane for plane, _ in self.borders]
         extent = np.ptp(x, axis=0).max()
-        last = length or LAST * np.ptp(x, axis=0).max()
+        last = length or LAST * extent
         self.wall = wall
         self.is_exact = length == 0
         self.function = None

@@ -30,34 +30,19 @@ def least_share_left(
     row and at the corners of the face that is nearest afterwards: sliding walls keep their gap.
     Distances up to `touching` count as no gap.
     """
-    # A row matters if it moves, or if a face that moves may be nearer than others were. A gap loses
-    # at most what its two sides move, so wide ones do not matter. Rows are measured in the order of
-    # a lower bound of their shares, in larger and larger blocks, until that of the next row is not
-    # below the least share so far.
+    # Rows are measured in the order of a lower bound of their shares, in larger and larger blocks,
+    # until that of the next row is not below the least share so far.
     if len(np.unique(wall)) < 2 or not len(faces):
         return np.inf, 0
-    moves = (before != after).any(axis=1)
     old = WallGaps(before, wall, faces)
     new = WallGaps(after, wall, faces)
-    lost = _lost_at_most(row_lengths(after - before), wall)
-    rows = np.flatnonzero(lost)
-    reach = lost[rows] / (1 - below) if below < 1 else np.full(len(rows), np.inf)
-    low, high = old.bounds(rows, reach.max(initial=0))
-    is_narrow = (low <= reach) & np.isfinite(high) & (high > touching)
-    rows = rows[is_narrow]
-    high = high[is_narrow]
-    within = below * high.max(initial=0)
-    moving = WallGaps(after, wall, faces[moves[faces].any(axis=1)])
-    is_near = moves[rows] | (moving.bounds(rows, within)[0] < high)
-    low = new.bounds(rows, within)[0]
-    bound = np.where(is_near, low / high, np.inf)
-    order = np.argsort(bound)
+    rows, bound = _bounded_shares(old, new, faces, touching, below)
     least = below
     where = 0
     begin = 0
     size = MEASURED_FIRST
-    while begin < len(order) and bound[order[begin]] < least:
-        block = rows[order[begin : begin + size]]
+    while begin < len(rows) and bound[begin] < least:
+        block = rows[begin : begin + size]
         distance, nearest = new.at(block)
         known, place = np.unique(np.column_stack([block, nearest]), return_inverse=True)
         narrowest = old.at(known)[0][place].reshape(len(block), -1).min(axis=1)
@@ -69,6 +54,30 @@ def least_share_left(
         begin += size
         size *= 4
     return least, where
+
+
+def _bounded_shares(
+    old: "WallGaps", new: "WallGaps", faces: ndarray, touching: float, below: float
+) -> Pair:
+    """Rows (k,) that matter, and lower bounds of the shares of their gaps, the least first."""
+    # A row matters if it moves, or if a face that moves may be nearer than others were. A gap loses
+    # at most what its two sides move, so wide ones do not matter.
+    wall = old.wall
+    moves = (old.points != new.points).any(axis=1)
+    lost = _lost_at_most(row_lengths(new.points - old.points), wall)
+    rows = np.flatnonzero(lost)
+    reach = lost[rows] / (1 - below) if below < 1 else np.full(len(rows), np.inf)
+    low, high = old.bounds(rows, reach.max(initial=0))
+    is_narrow = (low <= reach) & np.isfinite(high) & (high > touching)
+    rows = rows[is_narrow]
+    high = high[is_narrow]
+    within = below * high.max(initial=0)
+    moving = WallGaps(new.points, wall, faces[moves[faces].any(axis=1)])
+    is_near = moves[rows] | (moving.bounds(rows, within)[0] < high)
+    low = new.bounds(rows, within)[0]
+    bound = np.where(is_near, low / high, np.inf)
+    order = np.argsort(bound)
+    return rows[order], bound[order]
 
 
 def _lost_at_most(size: ndarray, wall: ndarray) -> ndarray:
